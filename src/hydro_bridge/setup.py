@@ -1,0 +1,30 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+name = "hydro_bridge"
+
+setup(
+    name=name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + name]),
+        ("share/" + name, ["package.xml"]),
+        ("share/" + name + "/launch", glob("launch/*.launch.py")),
+        ("share/" + name + "/config", glob("config/*")),
+    ],
+    zip_safe=False,
+    maintainer="hydro engineers",
+    maintainer_email="hydro@users.noreply.github.com",
+    description="The outside world as topics: serial link to the MicroLabBox, recorder, replayer, bag reader.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "bridge = hydro_bridge.nodes.bridge:main",
+            "recorder = hydro_bridge.nodes.recorder:main",
+            "replayer = hydro_bridge.nodes.replayer:main",
+        ],
+    },
+)

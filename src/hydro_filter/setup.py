@@ -1,0 +1,28 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+name = "hydro_filter"
+
+setup(
+    name=name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + name]),
+        ("share/" + name, ["package.xml"]),
+        ("share/" + name + "/launch", glob("launch/*.launch.py")),
+        ("share/" + name + "/config", glob("config/*")),
+    ],
+    zip_safe=False,
+    maintainer="hydro engineers",
+    maintainer_email="hydro@users.noreply.github.com",
+    description="Contraction certificate and the QP that corrects the valve current.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "filter = hydro_filter.nodes.filter:main",
+        ],
+    },
+)

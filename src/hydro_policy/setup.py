@@ -1,0 +1,29 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+name = "hydro_policy"
+
+setup(
+    name=name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + name]),
+        ("share/" + name, ["package.xml"]),
+        ("share/" + name + "/launch", glob("launch/*.launch.py")),
+        ("share/" + name + "/config", glob("config/*")),
+    ],
+    zip_safe=False,
+    maintainer="hydro engineers",
+    maintainer_email="hydro@users.noreply.github.com",
+    description="Soft Actor-Critic over the PI gains: training on whichever plant publishes, and evaluation.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "trainer = hydro_policy.nodes.trainer:main",
+            "evaluate = hydro_policy.nodes.evaluate:main",
+        ],
+    },
+)

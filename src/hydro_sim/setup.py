@@ -1,0 +1,29 @@
+from glob import glob
+
+from setuptools import find_packages, setup
+
+name = "hydro_sim"
+
+setup(
+    name=name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={name: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + name]),
+        ("share/" + name, ["package.xml"]),
+        ("share/" + name + "/launch", glob("launch/*.launch.py")),
+        ("share/" + name + "/config", glob("config/*")),
+    ],
+    zip_safe=False,
+    maintainer="hydro engineers",
+    maintainer_email="hydro@users.noreply.github.com",
+    description="The bench as a model: hydraulics, what the box runs, the sim node, and an emulated MicroLabBox.",
+    license="Apache-2.0",
+    entry_points={
+        "console_scripts": [
+            "sim = hydro_sim.nodes.sim:main",
+            "emulator = hydro_sim.emulator.command:main",
+        ],
+    },
+)
