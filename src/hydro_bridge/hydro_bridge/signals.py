@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What travels between the box and the graph: names, order and meaning, without ROS.
+
+One sample of the bench as a numpy record (`STATE_DTYPE`)::
+
+    time | sequence | hydraulic_force ... piston_velocity | valve_current ... integral_gain | flags
+     s      uint32    |------ PLANT_FIELDS, the state x ---|                                | uint32
+                      |------------------ STATE_FIELDS, 14 float64 ------------------------|
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+
+import numpy as np
+import numpy.typing as npt
+
+FloatArray = npt.NDArray[np.float64]
+StateArray = npt.NDArray[np.void]
+"""Array of `STATE_DTYPE` records, one per millisecond."""
+
+STATE_FIELDS: tuple[str, ...] = (
+    "hydraulic_force",  # N
+    "hydraulic_force_rate",  # N/s
+    "load_force",  # N
+    "load_force_rate",  # N/s
+    "pressure_a",  # Pa
+    "pressure_b",  # Pa
+    "piston_position",  # m
+    "piston_velocity",  # m/s
+    "valve_current",  # A
+    "nominal_valve_current",  # A
+    "reference_force",  # N
+    "reference_force_rate",  # N/s
+    "proportional_gain",  # 1/s
+    "integral_gain",  # 1/s^2
+)
+"""The float fields of hydro_msgs/BenchState, in message order."""
+
+PLANT_FIELDS: tuple[str, ...] = STATE_FIELDS[:8]
+"""The state x of the paper (eq. state_def)."""
+
+STATE_DTYPE = np.dtype(
+    [("time", np.float64), ("sequence", np.uint32), *((name, np.float64) for name in STATE_FIELDS), ("flags", np.uint32)],
+    align=True,
+)
+"""One sample. Padded so that every float is aligned (numba and SIMD want that): 136 bytes."""
+
+
+class Flag(IntFlag):
+    """Bits of `BenchState.flags`."""
+
+    ARMED = 1
+    SATURATED = 2
+    WATCHDOG = 4
+    TRIPPED = 8
+    SENSOR_FAULT = 16
+    FORCE_LIMIT = 32
+    FILTER_STALE = 64
+    EXTRAPOLATING = 128
+
+
+class Waveform(IntEnum):
+    """`ReferenceSignal.waveform`: hold = offset, the others add `amplitude` times a shape within [-1, 1]."""
+
+    HOLD = 0
+    SINE = 1
+    MULTISINE = 2
+    SMOOTH_STEP = 3
+
+
+class CorrectionStatus(IntEnum):
+    """`Correction.status`: what the contraction filter did."""
+
+    PASS = 0
+    MODIFIED = 1
+    RELAXED = 2
+    INFEASIBLE = 3
+    NAN = 4
+    STALE = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReferenceSignal:
+    """The force that the box generates and tracks."""
+
+    waveform: Waveform = Waveform.HOLD
+    amplitude: float = 0.0
+    """N, 0 or more."""
+    offset: float = 0.0
+    """N."""
+    frequency: float = 1.0
+    """Hz, above 0."""
+    phase: float = 0.0
+    """rad."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Command:
+    """What goes down to the box each millisecond; the defaults are the safe command."""
+
+    arm: bool = False
+    """Whether the valve may follow the force law."""
+    delta_kp: float = 0.0
+    """1/s, added to the base proportional gain."""
+    delta_ki: float = 0.0
+    """1/s^2, added to the base integral gain."""
+    delta_u: float = 0.0
+    """A, added to the nominal valve current before saturation."""
+    reference: ReferenceSignal = ReferenceSignal()
+    """The force to track."""
+    corrects: int = 0
+    """Sequence of the sample that `delta_u` was computed from."""
+    filter_fresh: bool = False
+    """Whether a fresh correction of the filter stands behind this command; without it the box flags FILTER_STALE."""
+
+
+def matrix(states: StateArray, fields: tuple[str, ...] = PLANT_FIELDS) -> FloatArray:
+    """Columns of a recording as one matrix.
+
+    Parameters
+    ----------
+    states
+        Records of `STATE_DTYPE`, shape (n,).
+    fields
+        Names of float fields, k of them.
+
+    Returns
+    -------
+    Copy of the columns, shape (n, k), C-contiguous, units of the fields.
+    """
+    columns = np.empty((len(states), len(fields)))
+    for column, name in enumerate(fields):
+        columns[:, column] = states[name]
+    return columns
