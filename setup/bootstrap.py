@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make this checkout ready to run: environment, pinned wheels, built packages. Does nothing where nothing has changed.
+
+Usage: python3 -m setup.bootstrap [--force]
+"""
+
+# This file must parse on old Pythons, to say in a sentence that they are too old: so no `from __future__` and late imports.
+import sys
+
+OLDEST, NEWEST = (3, 10), (3, 13)
+
+
+def python_complaint(version):
+    """Return a sentence if packages cannot run on Python `version`, a tuple starting (major, minor); else None."""
+    if OLDEST <= tuple(version[:2]) <= NEWEST:
+        return None
+    return "Python {}.{} found, but 3.10 to 3.13 is needed: name one, as in `make setup PYTHON=python3.12`.".format(*version)
+
+
+def main():
+    """Run the set-up. Returns the exit status: 0, or 2 after one sentence on stderr."""
+    complaint = python_complaint(sys.version_info)
+    if complaint:
+        sys.stderr.write("setup: " + complaint + "\n")
+        return 2
+    from setup import plan, progress
+
+    try:
+        plan.carry_out(force="--force" in sys.argv[1:])
+    except progress.SetupError as error:
+        sys.stderr.write("setup: {}\n".format(error))
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("setup: interrupted; run it again to go on.\n")
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stand-in for the `ros2` command where only the ROS wheels are installed: `ros2 run` and `ros2 pkg executables`."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_packages_with_prefixes
+
+USAGE = """\
+usage: ros2 run PACKAGE EXECUTABLE [ARGUMENT ...]
+       ros2 run PACKAGE                    list its executables
+       ros2 pkg executables [PACKAGE]
+
+A stand-in for where ROS 2 comes from wheels; every other command needs a full ROS 2 Jazzy."""
+
+
+class UsageError(Exception):
+    """What is wrong with the command line, as one sentence."""
+
+
+def executables(prefix: str, package: str) -> dict[str, str]:
+    """Return the executables of a package by name, with their paths."""
+    folder = Path(prefix, "lib", package)
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    return {file.name: str(file) for file in files if file.is_file() and os.access(file, os.X_OK)}
+
+
+def executables_of(package: str) -> dict[str, str]:
+    """Return a package's executables, found by the ament index."""
+    try:
+        return executables(get_package_prefix(package), package)
+    except (PackageNotFoundError, ValueError) as error:
+        raise UsageError(f"package '{package}' not found: is the workspace sourced (`source install/setup.bash`)?") from error
+
+
+def run(arguments: list[str]) -> None:
+    """List a package's executables, or become one of them: same process, so signals and the exit status are the node's own."""
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(USAGE)
+        return
+    package, *rest = arguments
+    found = executables_of(package)
+    if not rest or rest[0] in ("-h", "--help"):
+        print("\n".join(found))
+        return
+    name, *options = rest
+    if name not in found:
+        raise UsageError(f"package '{package}' has no executable '{name}'; it has: {', '.join(found) or 'none'}")
+    os.execv(found[name], [found[name], *options])
+
+
+def list_executables(packages: list[str]) -> None:
+    """Print `PACKAGE EXECUTABLE` lines, for the named packages or all."""
+    for package in packages or sorted(get_packages_with_prefixes()):
+        for name in executables_of(package):
+            print(package, name)
+
+
+def main(arguments: list[str]) -> int:
+    """Carry out the command line; returns the exit status."""
+    try:
+        if not arguments or arguments[0] in ("-h", "--help"):
+            print(USAGE)
+        elif arguments[0] == "run":
+            run(arguments[1:])
+        elif arguments[:2] == ["pkg", "executables"]:
+            list_executables(arguments[2:])
+        else:
+            raise UsageError(f"`ros2 {' '.join(arguments[:2])}` needs a full ROS 2 Jazzy; here only `ros2 run` and `ros2 pkg executables` exist.")
+    except UsageError as error:
+        print(f"ros2: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
