@@ -160,14 +160,14 @@ class CommandGuard:
         )
 
     def take_events(self) -> list[str]:
-        """Sentences for the log since the last call, one per change and not one per sample."""
-        events, self._events = self._events, []
+        """Sentences for the log since the last call, each once, in the order in which they first came up."""
+        events, self._events = list(dict.fromkeys(self._events)), []
         return events
 
     def _clamp(self, name: str, value: float, low: float, high: float) -> float:
         outside = not low <= value <= high
         self.counts.clamped += outside
-        self._tell(name, outside, f"{name} {value:g} is outside [{low:g}, {high:g}]: clamped", f"{name} is in range again")
+        self._tell(name, outside, f"{name} is outside [{low:g}, {high:g}]: clamped", f"{name} is in range again")
         return min(max(value, low), high)
 
     def _stale_sentence(self) -> str:
