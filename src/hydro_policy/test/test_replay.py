@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The replay buffer rolls, draws uniformly and refuses what is not finite."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from hydro_policy.replay import ReplayBuffer
+
+
+def rows(first: int, count: int) -> np.ndarray:
+    """Rows of widths 2, 2, 1, 1, 1 whose every entry is the row's number plus a tenth of its column."""
+    return (np.arange(first, first + count)[:, None] + 0.1 * np.arange(7)).astype(np.float32)
+
+
+def test_oldest_rows_make_room() -> None:
+    memory = ReplayBuffer(2, 1, 10)
+    for first in range(0, 24, 3):
+        memory.extend(rows(first, 3))
+    assert len(memory) == 10
+    np.testing.assert_array_equal(memory.stored(), rows(14, 10))
+
+
+def test_more_rows_than_capacity_keep_the_last() -> None:
+    memory = ReplayBuffer(2, 1, 10)
+    memory.extend(rows(0, 25))
+    np.testing.assert_array_equal(memory.stored(), rows(15, 10))
+
+
+def test_batch_holds_whole_transitions() -> None:
+    memory = ReplayBuffer(2, 1, 50)
+    memory.extend(rows(0, 20))
+    batch = memory.sample(4000, torch.Generator().manual_seed(0))
+    number = batch.observation[:, 0]
+    torch.testing.assert_close(batch.next_observation[:, 1], number + 0.3)
+    torch.testing.assert_close(batch.action[:, 0], number + 0.4)
+    torch.testing.assert_close(batch.reward, number + 0.5)
+    torch.testing.assert_close(batch.terminated, number + 0.6)
+    counts = np.bincount(number.round().int().numpy(), minlength=20)
+    assert counts.sum() == 4000 and len(counts) == 20 and counts.min() > 130  # 200 expected, 14 standard deviation
+
+
+def test_rows_that_are_not_finite_are_refused() -> None:
+    memory = ReplayBuffer(2, 1, 10)
+    bad = rows(0, 2)
+    bad[1, 3] = np.nan
+    with pytest.raises(ValueError, match="not finite"):
+        memory.extend(bad)
+    assert len(memory) == 0

@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The algorithm: its pieces against torch, and whole problems whose optimum is known."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from hydro_policy.mlp import StackedMlp
+from hydro_policy.replay import Batch, ReplayBuffer
+from hydro_policy.sac import Sac, SacSettings, SquashedGaussian
+
+
+def random_batch(rows: int, dtype: torch.dtype = torch.float64) -> Batch:
+    generator = torch.Generator().manual_seed(5)
+
+    def draw(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator, dtype=dtype)
+
+    terminated = (draw(rows) > 0.5).to(dtype)
+    return Batch(draw(rows, 4), draw(rows, 2).tanh(), draw(rows), draw(rows, 4), terminated)
+
+
+def test_log_probability_equals_torch_distributions() -> None:
+    generator = torch.Generator().manual_seed(0)
+    actor = SquashedGaussian(StackedMlp(1, (4, 16, 16, 4), generator, torch.float64), SacSettings())
+    observation = 3.0 * torch.randn(64, 4, generator=generator, dtype=torch.float64)
+    noise = torch.randn(64, 2, generator=generator, dtype=torch.float64)
+    mean, log_std = actor.network.forward(observation.unsqueeze(0))[0].chunk(2, dim=1)
+    normal = torch.distributions.Normal(mean, log_std.exp())
+    peer = torch.distributions.TransformedDistribution(normal, [torch.distributions.TanhTransform(cache_size=1)])
+    sample = actor.sample(observation, noise)
+    torch.testing.assert_close(sample.action, torch.tanh(mean + log_std.exp() * noise))
+    torch.testing.assert_close(sample.log_probability, peer.log_prob(sample.action).sum(1), rtol=1e-7, atol=1e-7)
+
+
+def test_actor_gradient_equals_autograd() -> None:
+    generator = torch.Generator().manual_seed(2)
+    network = StackedMlp(1, (4, 16, 16, 4), generator, torch.float64)
+    network.biases[-1][..., 2] = 5.0  # one log sigma beyond its bound: its gradient must be zero
+    actor = SquashedGaussian(network, SacSettings())
+    observation = torch.randn(32, 4, generator=generator, dtype=torch.float64)
+    noise = torch.randn(32, 2, generator=generator, dtype=torch.float64)
+    leaves = [t.clone().requires_grad_() for pair in zip(network.weights, network.biases, strict=True) for t in pair]
+    with torch.enable_grad():
+        hidden = observation
+        for layer in range(3):
+            hidden = hidden @ leaves[2 * layer][0] + leaves[2 * layer + 1][0]
+            hidden = torch.relu(hidden) if layer < 2 else hidden
+        mean, log_std = hidden.chunk(2, dim=1)
+        log_std = log_std.clamp(-5.0, 2.0)
+        squashed = mean + log_std.exp() * noise
+        action = squashed.tanh()
+        log_probability = torch.distributions.Normal(mean, log_std.exp()).log_prob(squashed) - torch.log(1 - action**2)
+        value = torch.sin(3.0 * action[:, 0]) - action[:, 1] ** 2
+        expected = torch.autograd.grad((0.3 * log_probability.sum(1) - value).mean(), leaves)
+        action_gradient = torch.autograd.grad(
+            (torch.sin(3.0 * (a := action.detach().requires_grad_())[:, 0]) - a[:, 1] ** 2).sum(), a
+        )[0]
+    actor.backward(actor.sample(observation, noise), action_gradient, 0.3)
+    torch.testing.assert_close(network.gradient, torch.cat([g.reshape(-1) for g in expected]), rtol=1e-8, atol=1e-10)
+
+
+def test_target_value_follows_the_equation() -> None:
+    sac = Sac(4, 2, SacSettings(seed=7), torch.float64)
+    batch = random_batch(16)
+    state = sac.generator.get_state()
+    target = sac.target_value(batch, 0.2)
+    sac.generator.set_state(state)
+    drawn = sac.actor.sample(batch.next_observation, torch.randn(16, 2, generator=sac.generator, dtype=torch.float64))
+    inputs = torch.cat((batch.next_observation, drawn.action), 1)
+    values = sac.target_critics.forward(inputs.expand(2, -1, -1))[:, :, 0]
+    following = torch.minimum(values[0], values[1]) - 0.2 * drawn.log_probability
+    scale = sac.settings.reward_scale
+    torch.testing.assert_close(target, scale * batch.reward + 0.99 * (1 - batch.terminated) * following)
+    ended = batch.terminated == 1
+    assert ended.any()
+    torch.testing.assert_close(target[ended], scale * batch.reward[ended])
+
+
+def test_target_critics_move_by_tau() -> None:
+    sac = Sac(4, 2, SacSettings(target_rate=0.25), torch.float64)
+    before = sac.target_critics.parameters.clone()
+    sac.update(random_batch(16))
+    torch.testing.assert_close(sac.target_critics.parameters, 0.75 * before + 0.25 * sac.critics.parameters)
+    assert not torch.equal(sac.critics.parameters, before)
+
+
+def test_entropy_coefficient_starts_at_the_table_and_moves_towards_the_target_entropy() -> None:
+    sac = Sac(4, 2, SacSettings(), torch.float64)
+    assert sac.entropy_coefficient == pytest.approx(0.005, rel=1e-12)
+    sac.update(random_batch(16))  # a fresh policy has more than -2 nats of entropy, so alpha must fall
+    assert sac.entropy_coefficient == pytest.approx(0.005 * math.exp(-1e-3), rel=1e-6)
+
+
+def test_same_seed_gives_the_same_networks_bit_for_bit() -> None:
+    def train(seed: int) -> torch.Tensor:
+        sac, rows = Sac(4, 2, SacSettings(seed=seed, batch_size=32)), np.random.default_rng(0).normal(size=(200, 12))
+        memory = ReplayBuffer(4, 2, 200)
+        memory.extend(rows.astype(np.float32))
+        for _ in range(30):
+            sac.update(memory.sample(32, sac.generator))
+        return sac.actor_network.parameters.clone()
+
+    assert torch.equal(train(1), train(1))
+    assert not torch.equal(train(1), train(2))
+
+
+def test_bandit_with_known_optimum_is_solved() -> None:
+    """One step, reward -(a - a*)^2: the mean action must come within 0.05 of a* = (0.6, -0.3) in 1500 updates."""
+    best = np.array([0.6, -0.3])
+    sac = Sac(1, 2, SacSettings(batch_size=64, reward_scale=1.0, seed=0))
+    rng = np.random.default_rng(0)
+    actions = rng.uniform(-1, 1, size=(2000, 2))
+    rows = np.zeros((2000, 6), dtype=np.float32)
+    rows[:, 2:4], rows[:, 4], rows[:, 5] = actions, -np.sum((actions - best) ** 2, axis=1), 1.0
+    memory = ReplayBuffer(1, 2, 2000)
+    memory.extend(rows)
+    for _ in range(1500):
+        sac.update(memory.sample(64, sac.generator))
+    found = sac.actor.sample(torch.zeros(1, 1), torch.zeros(1, 2)).action[0].numpy()
+    np.testing.assert_allclose(found, best, atol=0.05)
+
+
+def test_linear_quadratic_regulator_is_learnt() -> None:
+    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, discount 0.9: within 10 % of the Riccati optimum's cost after 6000 updates."""
+    b, q, r, gamma = 0.5, 1.0, 0.1, 0.9
+    p = q
+    for _ in range(500):  # discounted Riccati recursion
+        p = q + gamma * p - (gamma * p * b) ** 2 / (r + gamma * p * b * b)
+    gain = gamma * p * b / (r + gamma * p * b * b)
+
+    def cost(policy: object) -> float:
+        x, total = np.linspace(-0.6, 0.6, 25), 0.0
+        for k in range(60):
+            a = np.clip(policy(x), -1, 1)  # type: ignore[operator]
+            total += gamma**k * float(np.mean(q * x**2 + r * a**2))
+            x = x + b * a
+        return total
+
+    rng = np.random.default_rng(0)
+    x, a = rng.uniform(-1, 1, 5000), rng.uniform(-1, 1, 5000)
+    rows = np.stack((x, x + b * a, a, -(q * x**2 + r * a**2), np.zeros(5000)), axis=1).astype(np.float32)
+    sac = Sac(1, 1, SacSettings(batch_size=128, discount=gamma, target_entropy=-1.0, reward_scale=1.0, target_rate=0.02))
+    memory = ReplayBuffer(1, 1, 5000)
+    memory.extend(rows)
+    for _ in range(6000):
+        sac.update(memory.sample(128, sac.generator))
+
+    def learnt(x: np.ndarray) -> np.ndarray:
+        rows = torch.from_numpy(x.astype(np.float32)).unsqueeze(1)
+        return sac.actor.sample(rows, torch.zeros(len(x), 1)).action[:, 0].numpy()
+
+    assert cost(learnt) < 1.10 * cost(lambda x: -gain * x)
+    assert cost(lambda x: 0.0 * x) > 2.0 * cost(lambda x: -gain * x), "doing nothing would pass too"
