@@ -79,6 +79,7 @@ class CorrectionStatus(IntEnum):
     INFEASIBLE = 3
     NAN = 4
     STALE = 5
+    BYPASSED = 6
 
 
 @dataclass(frozen=True, kw_only=True)
