@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The force to track: waveforms with exact derivatives, and a cross-fade between them without a jump of either.
+
+A signal runs on its own time t, zero when the box takes it up; a is its amplitude, o its offset, f its frequency:
+
+=========== ==========================================================================
+HOLD        o
+SINE        o + a sin(2 pi f t + phase)
+MULTISINE   o + a sum_i w_i sin(2 pi f r_i t + i phase), r = sqrt(1, 3, 7, 13), w_i ~ 1/r_i, sum w = 1
+SMOOTH_STEP o -/+ a, half a period each; the edges are raised cosines that last an eighth of a period
+=========== ==========================================================================
+
+A new signal is faded in over 0.3 s, f_r = (1 - s) old + s new with s = 3 z^2 - 2 z^3; f_r' is its exact derivative. A change
+that comes during a fade waits for its end, and only the last one counts. Arming fades in from the measured force.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+
+FADE = 0.3
+"""s, length of a cross-fade."""
+
+EDGE = 0.125
+"""Length of a smooth step's edge in periods."""
+
+RATIOS = (1.0, math.sqrt(3.0), math.sqrt(7.0), math.sqrt(13.0))
+"""Frequencies of the multisine over its lowest; no two share a period."""
+
+WEIGHTS = tuple(1.0 / ratio / sum(1.0 / other for other in RATIOS) for ratio in RATIOS)
+"""Amplitudes of the multisine over its peak: each sine has the same rate."""
+
+SIGNAL_DTYPE = np.dtype(
+    [("waveform", np.int64)] + [(name, np.float64) for name in ("amplitude", "offset", "frequency", "phase", "start")]
+)
+"""A `ReferenceSignal` and the box time [s] at which it began."""
+
+REFERENCE_DTYPE = np.dtype(
+    [("old", SIGNAL_DTYPE), ("new", SIGNAL_DTYPE), ("wanted", SIGNAL_DTYPE), ("fade_start", np.float64)]
+)
+"""What the generator remembers: `new` is fading in over `old` since `fade_start`; `wanted` is what was last asked for."""
+
+HOLD, SINE, MULTISINE = int(Waveform.HOLD), int(Waveform.SINE), int(Waveform.MULTISINE)
+
+
+@njit(cache=True)
+def signal(parameters, time):
+    """Value [N] and rate [N/s] of one `SIGNAL_DTYPE` record at box time [s]."""
+    omega = 2.0 * math.pi * parameters.frequency
+    angle = omega * (time - parameters.start)
+    if parameters.waveform == HOLD:
+        shape, slope = 0.0, 0.0
+    elif parameters.waveform == SINE:
+        shape, slope = math.sin(angle + parameters.phase), math.cos(angle + parameters.phase)
+    elif parameters.waveform == MULTISINE:
+        shape, slope = _multisine(angle, parameters.phase)
+    else:
+        shape, slope = _smooth_step(angle + parameters.phase)
+    return parameters.offset + parameters.amplitude * shape, parameters.amplitude * omega * slope
+
+
+@njit(cache=True)
+def _multisine(angle, phase):
+    shape, slope = 0.0, 0.0
+    for i in range(4):
+        inner = RATIOS[i] * angle + (i + 1) * phase
+        shape += WEIGHTS[i] * math.sin(inner)
+        slope += WEIGHTS[i] * RATIOS[i] * math.cos(inner)
+    return shape, slope
+
+
+@njit(cache=True)
+def _smooth_step(angle):
+    """Shape, and its slope by the angle: from -1 to 1 at angle 0, back at pi."""
+    turn = (angle / (2.0 * math.pi)) % 1.0
+    side = 1.0 if turn < 0.5 else -1.0
+    share = (turn % 0.5) / EDGE
+    if share >= 1.0:
+        return side, 0.0
+    return -side * math.cos(math.pi * share), side * math.sin(math.pi * share) / (2.0 * EDGE)
+
+
+@njit(cache=True)
+def copy_signal(source, target):
+    """Copy all but the start."""
+    target.waveform, target.amplitude, target.offset = source.waveform, source.amplitude, source.offset
+    target.frequency, target.phase = source.frequency, source.phase
+
+
+@njit(cache=True)
+def _same(one, other):
+    levels = one.waveform == other.waveform and one.amplitude == other.amplitude and one.offset == other.offset
+    return levels and one.frequency == other.frequency and one.phase == other.phase
+
+
+@njit(cache=True)
+def begin(state, force, time):
+    """Start the wanted signal from a held force [N] at box time [s]: value and rate begin at (force, 0)."""
+    state.old.waveform, state.old.amplitude, state.old.offset = HOLD, 0.0, force
+    _take_up(state, time)
+
+
+@njit(cache=True)
+def _take_up(state, time):
+    copy_signal(state.wanted, state.new)
+    state.new.start = time
+    state.fade_start = time
+
+
+@njit(cache=True)
+def advance(state, time):
+    """f_r [N] and f_r' [N/s] at box time [s]; a fade that has ended gives way to what is wanted by now."""
+    if time - state.fade_start >= FADE and not _same(state.wanted, state.new):
+        copy_signal(state.new, state.old)
+        state.old.start = state.new.start
+        _take_up(state, time)
+    value, rate = signal(state.new, time)
+    share = (time - state.fade_start) / FADE
+    if share >= 1.0:
+        return value, rate
+    old_value, old_rate = signal(state.old, time)
+    blend = share * share * (3.0 - 2.0 * share)
+    blend_rate = 6.0 * share * (1.0 - share) / FADE
+    rate = (1.0 - blend) * old_rate + blend * rate + blend_rate * (value - old_value)
+    return (1.0 - blend) * old_value + blend * value, rate
+
+
+def sample(reference: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Value [N] and rate [N/s] of a signal that began at 0, at `times` [s], shape (n,): for plots and for planning."""
+    record = np.zeros(1, SIGNAL_DTYPE)
+    record[0] = (reference.waveform, reference.amplitude, reference.offset, reference.frequency, reference.phase, 0.0)
+    values, rates = np.empty(len(times)), np.empty(len(times))
+    _sample(record, np.asarray(times, np.float64), values, rates)
+    return values, rates
+
+
+@njit(cache=True)
+def _sample(record, times, values, rates):
+    for i in range(len(times)):
+        values[i], rates[i] = signal(record[0], times[i])

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a bench to the measurement x: sensors, then the box's differentiation. Written once, for every physical plant.
+
+::
+
+    truth    f_h  f_l  p_a  p_b  x_p                              RAW_FIELDS, 5
+      | noise, quantisation             (sense: the sensors)
+      | differentiated, lightly filtered (condition: the box)
+    x        f_h  f_h'  f_l  f_l'  p_a  p_b  x_p  x_p'            PLANT_FIELDS, 8 (eq. state_def)
+
+A rate is r_k = a r_{k-1} + (1 - a) (z_k - z_{k-1}) / T. It lags by T/2 + T a/(1 - a) at low frequency, its *age*: the setting.
+The velocity's is 1 ms because the force law cancels the velocity term with it (docs/physics.md, "Why 2e-4 m3").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.hydraulics import SAMPLE
+
+RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+"""What the sensors give, in the order of every raw array here."""
+
+SENSORS_DTYPE = np.dtype(
+    [("force_noise", np.float64), ("pressure_noise", np.float64), ("position_step", np.float64)]
+    + [("force_memory", np.float64), ("velocity_memory", np.float64)]
+)
+CONDITIONING_DTYPE = np.dtype([("force_h", np.float64), ("force_l", np.float64), ("position", np.float64)])
+"""The last samples that were differentiated; their rates stand in the measurement."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensors:
+    """What the sensors add (one 1 kHz sample, standard deviation) and how the box differentiates."""
+
+    force_noise: float = 0.6
+    """N, both load cells, [0, 100]."""
+    pressure_noise: float = 6e3
+    """Pa, [0, 1e6]."""
+    position_step: float = 1e-6
+    """m, the encoder's step, [0, 1e-3]; 0: not quantised."""
+    force_rate_age: float = 2e-3
+    """s, [0.0005, 0.02]."""
+    velocity_age: float = 1e-3
+    """s, [0.0005, 0.02]."""
+
+    def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
+        """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal sensors)."""
+        memories = _memory(self.force_rate_age), _memory(self.velocity_age)
+        noises = scale * self.force_noise, scale * self.pressure_noise, scale * self.position_step
+        return np.array([(*noises, *memories)], SENSORS_DTYPE)
+
+
+def _memory(age: float) -> float:
+    """Coefficient a of a differentiator of that age [s]."""
+    if not SAMPLE / 2.0 <= age <= 0.02:
+        raise ValueError(f"a rate's age of {age:g} s is outside [{SAMPLE / 2.0:g}, 0.02] s")
+    return (age / SAMPLE - 0.5) / (age / SAMPLE + 0.5)
+
+
+class Noise:
+    """Standard normal numbers for the sensors: one row of 5 per sample, the same however many are taken at a time."""
+
+    BLOCK = 1000
+
+    def __init__(self, seed: int) -> None:
+        self._generator = np.random.default_rng(seed)
+        self._block = np.empty((0, len(RAW_FIELDS)))
+        self._used = 0
+
+    def row(self) -> FloatArray:
+        """The next row, shape (5,)."""
+        if self._used == len(self._block):
+            self._block = self._generator.standard_normal((self.BLOCK, len(RAW_FIELDS)))
+            self._used = 0
+        self._used += 1
+        return self._block[self._used - 1]
+
+    def rows(self, count: int) -> FloatArray:
+        """The next rows, shape (count, 5)."""
+        kept = self._block[self._used :]
+        fresh = self._generator.standard_normal((max(count - len(kept), 0), len(RAW_FIELDS)))
+        self._block, self._used = (self._block, self._used + count) if len(kept) >= count else (fresh[:0], 0)
+        return np.concatenate((kept[:count], fresh))
+
+
+@njit(cache=True)
+def sense(sensors, noise, raw):
+    """Make true values `raw`, shape (5,), into readings, in place; `noise`: standard normal numbers, shape (5,)."""
+    raw[0] += sensors.force_noise * noise[0]
+    raw[1] += sensors.force_noise * noise[1]
+    raw[2] += sensors.pressure_noise * noise[2]
+    raw[3] += sensors.pressure_noise * noise[3]
+    if sensors.position_step > 0.0:
+        raw[4] = np.rint(raw[4] / sensors.position_step) * sensors.position_step
+
+
+@njit(cache=True)
+def restart(last, raw, measurement):
+    """Begin conditioning at readings `raw`: rates are zero."""
+    last.force_h, last.force_l, last.position = raw[0], raw[1], raw[4]
+    measurement[1], measurement[3], measurement[7] = 0.0, 0.0, 0.0
+    _show(raw, measurement)
+
+
+@njit(cache=True)
+def condition(sensors, last, raw, measurement):
+    """One sample of the box: readings `raw`, shape (5,), into `measurement`, shape (8,), whose old rates are its memory."""
+    force, velocity = sensors.force_memory, sensors.velocity_memory
+    measurement[1] = force * measurement[1] + (1.0 - force) * (raw[0] - last.force_h) / SAMPLE
+    measurement[3] = force * measurement[3] + (1.0 - force) * (raw[1] - last.force_l) / SAMPLE
+    measurement[7] = velocity * measurement[7] + (1.0 - velocity) * (raw[4] - last.position) / SAMPLE
+    last.force_h, last.force_l, last.position = raw[0], raw[1], raw[4]
+    _show(raw, measurement)
+
+
+@njit(cache=True)
+def _show(raw, measurement):
+    measurement[0], measurement[2] = raw[0], raw[1]
+    measurement[4], measurement[5], measurement[6] = raw[2], raw[3], raw[4]
