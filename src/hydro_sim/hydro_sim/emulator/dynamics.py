@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from hydro_sim.emulator import friction, load, oil, valve
-from hydro_sim.emulator.parameters import DELAY_SAMPLES, SAMPLE_TIME, SUBSTEP, SUBSTEPS
+from hydro_sim.emulator.parameters import DELAY_SAMPLES, LUGRE, SAMPLE_TIME, SUBSTEP, SUBSTEPS
 
 CONTENT_A, CONTENT_B, POSITION, VELOCITY, SPOOL, SPOOL_RATE, SUPPLY, HYSTERESIS = range(8)
 
@@ -106,23 +106,24 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
 
 
 @njit(cache=True)
-def _substep(p, state, time, command_before, command_after, work):
+def _heun_step(p, state, time, command, work):
     y, guess, slope, slope_ahead = state.y, work[0], work[1], work[2]
-    level = friction.friction_level(p, y[VELOCITY], y[POSITION], state.pressure_a - state.pressure_b)
-    state.bristle = friction.advance_bristle(p, state.bristle, y[VELOCITY], level)  # lives half a step ahead of y
-    _derivative(p, state, y, state.pressure_a, state.pressure_b, time, command_before, slope)
+    if p.friction_form == LUGRE:
+        level = friction.friction_level(p, y[VELOCITY], y[POSITION], state.pressure_a - state.pressure_b)
+        state.bristle = friction.advance_bristle(p, state.bristle, y[VELOCITY], level)  # lives half a step ahead of y
+    _derivative(p, state, y, state.pressure_a, state.pressure_b, time, command, slope)
     for i in range(8):
         guess[i] = y[i] + SUBSTEP * slope[i]
     volume_a = p.dead_volume_a + p.area_a * guess[POSITION]
     volume_b = p.dead_volume_b + p.area_b * (p.stroke - guess[POSITION])
     pressure_a = oil.pressure_of(p, guess[CONTENT_A], volume_a, state.pressure_a)
     pressure_b = oil.pressure_of(p, guess[CONTENT_B], volume_b, state.pressure_b)
-    _derivative(p, state, guess, pressure_a, pressure_b, time + SUBSTEP, command_after, slope_ahead)
+    _derivative(p, state, guess, pressure_a, pressure_b, time + SUBSTEP, command, slope_ahead)
     for i in range(8):
         y[i] += 0.5 * SUBSTEP * (slope[i] + slope_ahead[i])
     y[SPOOL_RATE] = min(max(y[SPOOL_RATE], -p.spool_rate_limit), p.spool_rate_limit)
     if p.spool_order == 0.0:
-        y[SPOOL] = command_after + p.valve_offset
+        y[SPOOL] = command + p.valve_offset
     state.spring_end = load.dragged(p, y[POSITION], state.spring_end)
 
 
@@ -143,7 +144,7 @@ def advance_substep(p, state, index, work):
     # the command is constant within a step; both of Heun's slopes must see the same side of its jumps
     command = valve.delayed_command(p, state.commands, state.sample, elapsed)
     force_h, force_l = state.hydraulic_force, state.load_force
-    _substep(p, state, time, command, command, work)
+    _heun_step(p, state, time, command, work)
     _settle(p, state)
     state.hydraulic_force_rate = (state.hydraulic_force - force_h) / SUBSTEP
     state.load_force_rate = (state.load_force - force_l) / SUBSTEP
