@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import platform
 import shutil
 import sys
 from collections.abc import Mapping
@@ -56,14 +57,16 @@ def build_environment(environment: Mapping[str, str], venv: Path, ros: Path | No
     return result
 
 
-def require_tools() -> None:
+def require_tools(ros: Path | None) -> None:
     """Check for what no wheel brings.
 
     Raises
     ------
     SetupError
-        If the venv module or a C++ compiler is missing; the sentence says what to install.
+        If the venv module, a C++ compiler or make is missing, or there are no ROS wheels for this machine; the sentence says what to do.
     """
+    if ros is None and (platform.system(), platform.machine()) != ("Linux", "x86_64"):
+        raise SetupError("the ROS wheels are for Linux on x86_64: here, install ROS 2 Jazzy, source it, and run this again.")
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
         raise SetupError(f"Python's venv module is missing: `apt install python{version}-venv`, then run this again.")

@@ -39,7 +39,7 @@ def carry_out(layout: Layout = HERE, *, force: bool = False) -> None:
 
 
 def _make_environment(layout: Layout, ros: Path | None, steps: Steps) -> None:
-    host.require_tools()
+    host.require_tools(ros)
     with_system = ros is not None
     with steps.step(f"environment .venv on Python {sys.version.split()[0]}" + (f", ROS 2 of {ros}" if ros else "")):
         if not venv.is_usable(layout, with_system):
@@ -60,7 +60,7 @@ def _brings_colcon(layout: Layout) -> bool:
 
 
 def _wheels_digest(layout: Layout, ros: Path | None) -> str:
-    files = [*layout.root.glob("requirements*.txt"), *(layout.root / "setup").glob("*.py")]
+    files = [*layout.root.glob("requirements*.txt"), layout.root / "constraints.txt", *(layout.root / "setup").glob("*.py")]
     return stamp.digest([f"python {sys.version}", f"base {sys.base_prefix}", f"ros {ros}", f"at {layout.root}"], files)
 
 

@@ -53,7 +53,7 @@ def requirement_files(layout: Layout, with_ros: bool, with_build_tools: bool) ->
 
 def install(layout: Layout, files: list[Path]) -> None:
     """Install the pinned wheels."""
-    options = [word for file in files for word in ("-r", str(file))]
+    options = [word for file in files for word in ("-r", str(file))] + ["-c", str(layout.root / "constraints.txt")]
     command = [str(layout.python), "-m", "pip", "install", "--no-input", "--disable-pip-version-check", *options]
     hint = "Check the network and the pins, then run this again: what is installed stays. "
     run_logged(command, layout.log("wheels"), clean_environment(), hint)
