@@ -5,3 +5,9 @@
 `differentiator` how it is measured; `reference`, `force_law` and `box` are what the MicroLabBox runs; `offline` puts a plant
 and a box together without a graph; `plotting` draws what came out; `emulator` is a MicroLabBox behind a pseudo-terminal.
 """
+
+from pathlib import Path
+
+from hydro_sim.compiled import forget_stale
+
+forget_stale(Path(__file__).parent)
