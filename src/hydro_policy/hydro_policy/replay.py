@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The replay buffer: a rolling table of transitions, one row each, so that a batch is one gather."""
+"""The replay buffer: a rolling table of transitions, one row each, so that a batch is one gather.
+
+It can lie in memory shared between the acting process, which appends, and the learning process, which draws: nothing is sent,
+and nothing is lost when the learner dies.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,9 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
+
+_COUNTER_BYTES = 64  # a cache line of its own
+_MARGIN = 64  # oldest rows of a full buffer that are not drawn: the other process may be overwriting them
 
 
 @dataclass(frozen=True)
@@ -33,21 +40,37 @@ class ReplayBuffer:
     observations, actions
         Sizes of an observation and of an action.
     capacity
-        Rows kept; the oldest are overwritten.
+        Rows kept, more than 64; the oldest are overwritten.
+    memory
+        Where to put it: a writable buffer of `memory_size` bytes, zero at first. None: memory of its own.
     """
 
-    def __init__(self, observations: int, actions: int, capacity: int) -> None:
+    def __init__(self, observations: int, actions: int, capacity: int, memory: object | None = None) -> None:
+        if capacity <= _MARGIN:
+            raise ValueError(f"a replay buffer holds more than {_MARGIN} transitions, not {capacity}")
         self.widths = (observations, observations, actions, 1, 1)
-        self.rows: NDArray[np.float32] = np.zeros((capacity, sum(self.widths)), dtype=np.float32)
+        if memory is None:
+            memory = bytearray(self.memory_size(observations, actions, capacity))
+        self._counter = np.frombuffer(memory, np.int64, 1)  # type: ignore[call-overload]
+        rows = np.frombuffer(memory, np.float32, capacity * sum(self.widths), _COUNTER_BYTES)  # type: ignore[call-overload]
+        self.rows: NDArray[np.float32] = rows.reshape(capacity, -1)
         self._tensor = torch.from_numpy(self.rows)
-        self.size = 0
-        self.cursor = 0
+
+    @staticmethod
+    def memory_size(observations: int, actions: int, capacity: int) -> int:
+        """Bytes that a buffer of these sizes takes."""
+        return _COUNTER_BYTES + 4 * capacity * (2 * observations + actions + 2)
+
+    @property
+    def produced(self) -> int:
+        """Transitions ever appended."""
+        return int(self._counter[0])
 
     def __len__(self) -> int:
-        return self.size
+        return min(self.produced, len(self.rows))
 
     def extend(self, rows: NDArray[np.float32]) -> None:
-        """Append rows [n, width] in order; the oldest make room. Rows with a value that is not finite are refused.
+        """Append rows [n, width] in order; the oldest make room. Only one process may do this.
 
         Raises
         ------
@@ -56,20 +79,32 @@ class ReplayBuffer:
         """
         if not np.isfinite(rows).all():
             raise ValueError("a transition holds a value that is not finite")
-        rows = rows[-len(self.rows) :]
-        places = (self.cursor + np.arange(len(rows))) % len(self.rows)
-        self.rows[places] = rows
-        self.cursor = int((self.cursor + len(rows)) % len(self.rows))
-        self.size = min(self.size + len(rows), len(self.rows))
+        kept = rows[-len(self.rows) :]
+        first = self.produced + len(rows) - len(kept)
+        self.rows[(first + np.arange(len(kept))) % len(self.rows)] = kept
+        self._counter[0] = first + len(kept)  # after the rows: whoever sees the count finds them complete
 
     def sample(self, batch_size: int, generator: torch.Generator) -> Batch:
         """Draw `batch_size` transitions uniformly, with replacement."""
-        places = torch.randint(self.size, (batch_size,), generator=generator)
+        produced, capacity = self.produced, len(self.rows)
+        if produced < capacity:
+            places = torch.randint(produced, (batch_size,), generator=generator)
+        else:
+            ages = torch.randint(capacity - _MARGIN, (batch_size,), generator=generator)
+            places = (produced - 1 - ages) % capacity
         observation, following, action, reward, terminated = self._tensor.index_select(0, places).split(self.widths, dim=1)
         return Batch(observation, action, reward.squeeze(1), following, terminated.squeeze(1))
 
-    def stored(self) -> NDArray[np.float32]:
-        """All rows held, oldest first (a copy)."""
-        if self.size < len(self.rows):
-            return self.rows[: self.size].copy()
-        return np.roll(self.rows, -self.cursor, axis=0)
+    def stored(self) -> tuple[NDArray[np.float32], int]:
+        """All rows held, oldest first (a copy), and `produced` at that moment."""
+        produced = self.produced
+        if produced < len(self.rows):
+            return self.rows[:produced].copy(), produced
+        return np.roll(self.rows, -(produced % len(self.rows)), axis=0), produced
+
+    def restore(self, rows: NDArray[np.float32], produced: int) -> None:
+        """Put back what `stored` gave, so that appending goes on at the same place."""
+        if rows.shape[1:] != self.rows.shape[1:] or len(rows) != min(produced, len(self.rows)):
+            raise ValueError(f"{len(rows)} stored rows of {rows.shape[1]} do not fit a buffer of {self.rows.shape}")
+        self.rows[(produced - len(rows) + np.arange(len(rows))) % len(self.rows)] = rows
+        self._counter[0] = produced

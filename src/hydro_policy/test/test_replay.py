@@ -16,21 +16,21 @@ def rows(first: int, count: int) -> np.ndarray:
 
 
 def test_oldest_rows_make_room() -> None:
-    memory = ReplayBuffer(2, 1, 10)
-    for first in range(0, 24, 3):
+    memory = ReplayBuffer(2, 1, 100)
+    for first in range(0, 240, 3):
         memory.extend(rows(first, 3))
-    assert len(memory) == 10
-    np.testing.assert_array_equal(memory.stored(), rows(14, 10))
+    assert len(memory) == 100
+    np.testing.assert_array_equal(memory.stored()[0], rows(140, 100))
 
 
 def test_more_rows_than_capacity_keep_the_last() -> None:
-    memory = ReplayBuffer(2, 1, 10)
-    memory.extend(rows(0, 25))
-    np.testing.assert_array_equal(memory.stored(), rows(15, 10))
+    memory = ReplayBuffer(2, 1, 100)
+    memory.extend(rows(0, 250))
+    np.testing.assert_array_equal(memory.stored()[0], rows(150, 100))
 
 
 def test_batch_holds_whole_transitions() -> None:
-    memory = ReplayBuffer(2, 1, 50)
+    memory = ReplayBuffer(2, 1, 100)
     memory.extend(rows(0, 20))
     batch = memory.sample(4000, torch.Generator().manual_seed(0))
     number = batch.observation[:, 0]
@@ -43,9 +43,26 @@ def test_batch_holds_whole_transitions() -> None:
 
 
 def test_rows_that_are_not_finite_are_refused() -> None:
-    memory = ReplayBuffer(2, 1, 10)
+    memory = ReplayBuffer(2, 1, 100)
     bad = rows(0, 2)
     bad[1, 3] = np.nan
     with pytest.raises(ValueError, match="not finite"):
         memory.extend(bad)
     assert len(memory) == 0
+
+
+def test_a_full_buffer_does_not_draw_the_rows_about_to_be_overwritten() -> None:
+    memory = ReplayBuffer(2, 1, 100)
+    memory.extend(rows(0, 250))
+    drawn = memory.sample(2000, torch.Generator().manual_seed(0)).observation[:, 0].numpy()
+    assert drawn.min() == 214 and drawn.max() == 249  # 36 newest of 100; 64 are the margin
+
+
+def test_restored_buffer_goes_on_where_it_was() -> None:
+    memory, again = ReplayBuffer(2, 1, 100), ReplayBuffer(2, 1, 100)
+    memory.extend(rows(0, 130))
+    again.restore(*memory.stored())
+    for buffer in (memory, again):
+        buffer.extend(rows(130, 20))
+    np.testing.assert_array_equal(memory.rows, again.rows)
+    assert memory.produced == again.produced == 150

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learning process: draws from the shared replay buffer, updates, publishes weights, writes checkpoints.
+
+It shares with the acting process four pieces of memory, and a pipe for requests:
+
+    replay     transitions              acting appends, learning draws
+    weights    the actor's parameters   learning publishes some fifty times a second, acting reads before each step
+    snapshot   all of `Sac` (bytes)     learning publishes twice a second; a successor starts from it
+    status     a few float64            updates, temperature, ...
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import time
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnContext
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from hydro_policy.checkpoint import save_checkpoint
+from hydro_policy.policy import Policy
+from hydro_policy.replay import ReplayBuffer
+from hydro_policy.run import RunDirectory, TrainingSettings
+from hydro_policy.sac import Sac
+from hydro_policy.shared import SharedBlob
+from hydro_policy.snapshot import dump, restore
+from hydro_policy.task import ACTIONS, OBSERVATIONS
+
+SNAPSHOT_PERIOD = 0.5  # s
+CHUNK = 8  # updates between looks at the pipe and publications, some 5 to 10 ms
+
+
+class LearnerMemory:
+    """The memory that both processes map; made by the acting one, handed to each learner it starts."""
+
+    def __init__(self, context: SpawnContext, settings: TrainingSettings) -> None:
+        self.capacity = settings.replay_capacity
+        hidden = settings.sac.hidden_size
+        parameters = 4 * (2 * (OBSERVATIONS + 8) * hidden + 2 * hidden * hidden + 64)  # bytes, of one network, generously
+
+        def block(size: int) -> Any:
+            return context.RawArray(ctypes.c_uint8, size)
+
+        self._replay = block(ReplayBuffer.memory_size(OBSERVATIONS, ACTIONS, self.capacity))
+        self._weights = block(SharedBlob.memory_size(parameters))
+        self._snapshot = block(SharedBlob.memory_size(16 * parameters + 16384))
+        self._status = block(64)
+
+    def replay(self) -> ReplayBuffer:
+        """The replay buffer on this memory."""
+        return ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
+
+    def weights(self) -> SharedBlob:
+        """The actor's flat parameters, float32."""
+        return SharedBlob(self._weights)
+
+    def snapshot(self) -> SharedBlob:
+        """All of `Sac`, as `snapshot.dump` gives it."""
+        return SharedBlob(self._snapshot)
+
+    def status(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """[updates, entropy coefficient, checkpoints written, 1 when ready]."""
+        return np.frombuffer(self._status, np.float64)
+
+
+UPDATES, ENTROPY, CHECKPOINTS, READY = range(4)  # places in status
+
+
+@dataclass(frozen=True)
+class SaveRequest:
+    """Write a checkpoint and the policy; with `best`, the policy also as the best so far."""
+
+    run: Path
+    trainer: dict[str, Any]
+    best: bool
+
+
+class Learner:
+    """The learning loop's state, without the process around it."""
+
+    def __init__(self, memory: LearnerMemory, settings: TrainingSettings, start: bytes | None) -> None:
+        self.settings = settings
+        self.sac = Sac(OBSERVATIONS, ACTIONS, settings.sac)
+        if start is not None:
+            restore(self.sac, start)
+        self.replay = memory.replay()
+        self._weights, self._snapshot, self._status = memory.weights(), memory.snapshot(), memory.status()
+        self._published = 0.0
+        self.publish(time.monotonic())
+
+    @property
+    def owed(self) -> int:
+        """Updates that the transitions so far entitle to and that are not done yet."""
+        learnt_from = self.replay.produced - self.settings.warmup_steps
+        return int(self.settings.updates_per_step * max(learnt_from, 0)) - self.sac.updates
+
+    def work(self) -> int:
+        """Up to `CHUNK` of the updates owed; returns how many were done."""
+        count = min(self.owed, CHUNK)
+        for _ in range(count):
+            self.sac.update(self.replay.sample(self.settings.sac.batch_size, self.sac.generator))
+        return max(count, 0)
+
+    def publish(self, now: float) -> None:
+        """Give the actor its weights, and twice a second a successor all it needs.
+
+        Raises
+        ------
+        FloatingPointError
+            The networks hold NaN or infinity: nothing is published, the supervisor starts anew from the last snapshot.
+        """
+        if not torch.isfinite(self.sac.actor_network.parameters.sum() + self.sac.critics.parameters.sum()):
+            raise FloatingPointError(f"the networks diverged at update {self.sac.updates}")
+        self._weights.publish(self.sac.actor_network.parameters.numpy().tobytes())
+        self._status[UPDATES], self._status[ENTROPY] = self.sac.updates, self.sac.entropy_coefficient
+        if now - self._published >= SNAPSHOT_PERIOD:
+            self._snapshot.publish(dump(self.sac))
+            self._published = now
+        self._status[READY] = 1.0
+
+    def save(self, request: SaveRequest) -> None:
+        """Write the checkpoint and the policy's file."""
+        write_run(request, dump(self.sac), self.replay, self.sac.actor_network.parameters.numpy(), self.settings)
+        self._status[CHECKPOINTS] += 1
+
+
+def write_run(
+    request: SaveRequest, learner: bytes, replay: ReplayBuffer, parameters: np.ndarray, settings: TrainingSettings
+) -> None:
+    """Checkpoint, policy.safetensors, and checkpoints/best if asked for."""
+    run = RunDirectory(request.run)
+    save_checkpoint(run.latest, learner, replay, request.trainer)
+    policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
+    policy.load_flat(parameters)
+    notes = {key: request.trainer.get(key) for key in ("episode", "total_steps", "last_rmse")}
+    run.best.mkdir(parents=True, exist_ok=True)
+    for path in (run.policy, *([run.best / "policy.safetensors"] if request.best else [])):
+        policy.save(path, settings.task.gains, notes)
+
+
+def run_learner(memory: LearnerMemory, settings: TrainingSettings, start: bytes | None, requests: Connection) -> None:
+    """Body of the learning process; ends on None from the pipe, or when the acting process is gone."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal; the acting process ends us in order
+    os.nice(10)
+    torch.set_num_threads(1)
+    torch.set_grad_enabled(False)
+    learner = Learner(memory, settings, start)
+    last: SaveRequest | None = None
+    while True:
+        worked = learner.work()
+        if worked:
+            learner.publish(time.monotonic())
+        try:
+            while requests.poll(0.0 if worked else 0.002):
+                request = requests.recv()
+                if request is None:
+                    return
+                last = request
+                learner.save(request)
+        except EOFError:  # the acting process died without a word: keep what was learnt
+            if last is not None:
+                learner.save(last)
+            return

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of one training run, and its settings as YAML.
+
+    runs/NAME/
+        config.yaml            settings; `--resume` reads them back
+        policy.safetensors     the policy as it acts, rewritten after each episode (`policy` module)
+        checkpoints/latest/    learner.safetensors, replay.npy, trainer.json (`checkpoint` module)
+        checkpoints/best/      the policy of the episode with the lowest force RMSE so far
+        bag/                   the recording
+        evaluation.json, tracking.png, gains.png, log.txt
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_policy.sac import SacSettings
+from hydro_policy.task import GainRange, TaskSettings
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingSettings:
+    """A run: how long, how much is learnt per step, how much is remembered."""
+
+    episodes: int = 160
+    """Episodes of the run (paper: 160). Range [1, 1e6]."""
+    updates_per_step: float = 1.0
+    """Gradient updates owed per policy step; the learner catches up in pauses. Range [0, 100]."""
+    warmup_steps: int = 500
+    """Policy steps before learning starts; they act with the initial, broad policy. Range [1, 1e6]."""
+    replay_capacity: int = 288_000
+    """Transitions remembered (the paper's whole training). Range [65, 1e8]."""
+    seed: int = 0
+    """Seed of references and exploration in the actor. Range [0, 2^63)."""
+    sac: SacSettings = field(default_factory=SacSettings)
+    task: TaskSettings = field(default_factory=TaskSettings)
+
+    def __post_init__(self) -> None:
+        if self.episodes < 1 or self.updates_per_step < 0 or self.warmup_steps < 1:
+            raise ValueError("episodes and warmup_steps are at least 1, updates_per_step is not negative")
+
+
+@dataclass(frozen=True)
+class RunDirectory:
+    """Where the files of a run lie."""
+
+    path: Path
+
+    config = property(lambda self: self.path / "config.yaml")
+    policy = property(lambda self: self.path / "policy.safetensors")
+    latest = property(lambda self: self.path / "checkpoints" / "latest")
+    best = property(lambda self: self.path / "checkpoints" / "best")
+    bag = property(lambda self: self.path / "bag")
+    evaluation = property(lambda self: self.path / "evaluation.json")
+    tracking_plot = property(lambda self: self.path / "tracking.png")
+    log = property(lambda self: self.path / "log.txt")
+
+    def create(self) -> RunDirectory:
+        """Make the folders.
+
+        Raises
+        ------
+        FileExistsError
+            There is a run here already.
+        """
+        if self.config.exists():
+            raise FileExistsError(f"{self.path} holds a run already: continue it with --resume {self.path}, or name another")
+        for folder in (self.latest, self.best):
+            folder.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def save_settings(self, settings: TrainingSettings) -> None:
+        """Write config.yaml."""
+        self.config.write_text(yaml.safe_dump(asdict(settings), sort_keys=False))
+
+    def load_settings(self) -> TrainingSettings:
+        """Read config.yaml back.
+
+        Raises
+        ------
+        ValueError
+            There is none, or it does not hold the settings of a run.
+        """
+        try:
+            values: dict[str, Any] = yaml.safe_load(self.config.read_text())
+            task, sac = values.pop("task"), values.pop("sac")
+            gains = GainRange(**_numbers(task.pop("gains")))
+            return TrainingSettings(
+                **_numbers(values), sac=SacSettings(**_numbers(sac)), task=TaskSettings(**_numbers(task), gains=gains)
+            )
+        except (OSError, KeyError, TypeError, AttributeError, ValueError, yaml.YAMLError) as error:
+            raise ValueError(f"{self.path} holds no run to resume: {error}") from error
+
+
+def new_run(parent: Path, name: str | None) -> RunDirectory:
+    """runs/NAME, by default named after date and time."""
+    return RunDirectory(parent / (name or datetime.now().strftime("%Y%m%d-%H%M%S")))
+
+
+def _numbers(values: dict[str, Any]) -> dict[str, Any]:
+    """PyYAML reads 1e-3 as text; numbers are numbers here."""
+    return {key: float(value) if isinstance(value, str) else value for key, value in values.items()}

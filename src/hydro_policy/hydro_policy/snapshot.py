@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All of `Sac` as bytes and back: the same bytes go to shared memory twice a second and into checkpoints.
+
+The bytes are a safetensors file: each network and each Adam moment as one flat float32 tensor, the random generator's state as
+uint8, and the counters as JSON under the header key "hydro". No pickle.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+
+from safetensors.torch import load, save
+from torch import Tensor
+
+from hydro_policy.mlp import FlatAdam
+from hydro_policy.sac import Sac, SacSettings
+
+
+def dump(sac: Sac) -> bytes:
+    """Everything that the next update depends on."""
+    tensors = {"generator": sac.generator.get_state(), "target_critics": sac.target_critics.parameters}
+    counters = {"updates": sac.updates}
+    for name, optimizer in _optimizers(sac).items():
+        tensors |= {f"{name}.{key}": tensor for key, tensor in _tensors(optimizer).items()}
+        counters[f"{name}.steps"] = optimizer.steps
+    header = {"counters": counters, "settings": asdict(sac.settings)}
+    return bytes(save(tensors, {"hydro": json.dumps(header)}))
+
+
+def restore(sac: Sac, blob: bytes) -> None:
+    """Continue from `dump`: later updates are the same bit for bit.
+
+    Raises
+    ------
+    ValueError
+        The bytes belong to networks of another shape.
+    """
+    tensors, counters = load(blob), _header(blob)["counters"]
+    _copy("target_critics", sac.target_critics.parameters, tensors)
+    sac.generator.set_state(tensors["generator"])
+    sac.updates = counters["updates"]
+    for name, optimizer in _optimizers(sac).items():
+        for key, tensor in _tensors(optimizer).items():
+            _copy(f"{name}.{key}", tensor, tensors)
+        optimizer.steps = counters[f"{name}.steps"]
+
+
+def settings_of(blob: bytes) -> SacSettings:
+    """The settings that a dump was made with."""
+    return SacSettings(**_header(blob)["settings"])
+
+
+def _header(blob: bytes) -> dict[str, dict[str, int]]:
+    length = int.from_bytes(blob[:8], "little")
+    header: dict[str, dict[str, int]] = json.loads(json.loads(blob[8 : 8 + length])["__metadata__"]["hydro"])
+    return header
+
+
+def _optimizers(sac: Sac) -> dict[str, FlatAdam]:
+    return {"actor": sac.actor_optimizer, "critics": sac.critic_optimizer, "entropy": sac.entropy_optimizer}
+
+
+def _tensors(optimizer: FlatAdam) -> dict[str, Tensor]:
+    return {
+        "parameters": optimizer.parameters,
+        "first_moment": optimizer.first_moment,
+        "second_moment": optimizer.second_moment,
+    }
+
+
+def _copy(name: str, target: Tensor, tensors: dict[str, Tensor]) -> None:
+    if tensors[name].shape != target.shape:
+        raise ValueError(f"{name} holds {tuple(tensors[name].shape)} numbers, this network {tuple(target.shape)}")
+    target.copy_(tensors[name])

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The acting side's handle on the learning process: start, watch, restart, stop. None of its calls waits but `stop`."""
+
+from __future__ import annotations
+
+import multiprocessing
+import time
+from collections import deque
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+import numpy as np
+from hydro_bridge.signals import FloatArray
+
+from hydro_policy.checkpoint import Checkpoint
+from hydro_policy.learner import CHECKPOINTS, ENTROPY, READY, UPDATES, LearnerMemory, SaveRequest, run_learner, write_run
+from hydro_policy.run import RunDirectory, TrainingSettings
+
+RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds, and it is not bad luck
+STOP_TIMEOUT = 15.0  # s, for the last checkpoint
+
+
+class LearnerSupervisor:
+    """Owns the shared memory and one learning process at a time.
+
+    Parameters
+    ----------
+    settings
+        Of the run.
+    run
+        Where checkpoints go.
+    resumed
+        Checkpoint to go on from, or None.
+    """
+
+    def __init__(self, settings: TrainingSettings, run: RunDirectory, resumed: Checkpoint | None = None) -> None:
+        self._context = multiprocessing.get_context("spawn")  # fork would copy the middleware's threads half alive
+        self._settings, self._run = settings, run
+        self._memory = LearnerMemory(self._context, settings)
+        self.replay = self._memory.replay()
+        self._weights, self._snapshot, self._status = self._memory.weights(), self._memory.snapshot(), self._memory.status()
+        if resumed is not None:
+            self.replay.restore(resumed.replay, resumed.produced)
+            self._snapshot.publish(resumed.learner)
+        self._deaths: deque[float] = deque()
+        self.restarts = 0
+        self._start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the learning process runs."""
+        return self._process.is_alive()
+
+    @property
+    def pid(self) -> int | None:
+        """Of the learning process."""
+        return self._process.pid
+
+    @property
+    def ready(self) -> bool:
+        """Whether the present learning process has published weights."""
+        return bool(self._status[READY])
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+        return int(self._status[UPDATES])
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """alpha."""
+        return float(self._status[ENTROPY])
+
+    @property
+    def checkpoints(self) -> int:
+        """Checkpoints written since the start."""
+        return int(self._status[CHECKPOINTS])
+
+    def new_weights(self) -> FloatArray | None:
+        """The actor's flat parameters if there are newer ones than at the last call, else None."""
+        blob = self._weights.read()
+        return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
+
+    def revive(self) -> str | None:
+        """If the learner died, start another from its last snapshot; returns what to tell the user, or None.
+
+        Raises
+        ------
+        RuntimeError
+            It keeps dying.
+        """
+        if self.alive:
+            return None
+        now, code = time.monotonic(), self._process.exitcode
+        self._deaths.append(now)
+        while now - self._deaths[0] > RESTART_WINDOW:
+            self._deaths.popleft()
+        if len(self._deaths) > RESTARTS:
+            raise RuntimeError(f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s (exit code {code})")
+        self.restarts += 1
+        self._requests.close()
+        self._start()
+        how = f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
+        return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
+
+    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
+        """Ask for a checkpoint; False if the learner is not there to hear it."""
+        try:
+            self._requests.send(SaveRequest(self._run.path, trainer, best))
+            return True
+        except OSError:
+            return False
+
+    def stop(self, trainer: dict[str, Any]) -> None:
+        """Write the last checkpoint and end the process; if it is dead or hangs, write the checkpoint from here."""
+        before, asked = self.checkpoints, self.save(trainer)
+        try:
+            self._requests.send(None)
+        except OSError:
+            asked = False
+        self._process.join(STOP_TIMEOUT if asked else 0.5)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        if self.checkpoints == before:
+            snapshot, weights = self._snapshot.latest(), self._weights.latest()
+            if snapshot is not None and weights is not None:
+                request = SaveRequest(self._run.path, trainer, False)
+                write_run(request, snapshot, self.replay, np.frombuffer(weights, np.float32), self._settings)
+
+    def _start(self) -> None:
+        self._status[READY] = 0.0
+        self._requests: Connection
+        self._requests, theirs = self._context.Pipe()
+        arguments = (self._memory, self._settings, self._snapshot.latest(), theirs)
+        self._process: BaseProcess = self._context.Process(target=run_learner, args=arguments, name="learner", daemon=True)
+        self._process.start()
+        theirs.close()

@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The task as a Markov decision process: observation (eq. obs), reward (eq. reward), action as gains (eq. policy_action).
+
+    observation  13 numbers, each (value - center) / scale with the fixed numbers below, so that a policy's file is complete
+    action       2 numbers in [-1, 1], mapped linearly to [delta_kp, delta_ki]
+    step         10 box samples of 1 ms; an episode is 1800 steps, 18 s
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, Waveform
+
+SAMPLES_PER_STEP = 10
+"""Box samples per policy step: 1 kHz control, 100 Hz policy."""
+
+ACTIONS = 2
+
+_NORMALIZATION: tuple[tuple[str, float, float], ...] = (  # name, center, scale: the middle and the reach of normal runs
+    ("hydraulic_force", 0.0, 300.0),  # N
+    ("hydraulic_force_rate", 0.0, 3770.0),  # N/s: 300 N at 2 Hz
+    ("load_force", 0.0, 300.0),
+    ("load_force_rate", 0.0, 3770.0),
+    ("pressure_a", 8.5e6, 5.5e6),  # Pa: 3 to 14 MPa
+    ("pressure_b", 8.5e6, 5.5e6),
+    ("piston_position", 0.04, 0.015),  # m: 300 N on 20 kN/m about mid-stroke
+    ("piston_velocity", 0.0, 0.19),  # m/s: that at 2 Hz
+    ("reference_force", 0.0, 300.0),
+    ("reference_force_rate", 0.0, 3770.0),
+    ("error", 0.0, 30.0),  # N: an order below the reference, or the policy would hardly see it
+    ("previous_action_kp", 0.0, 1.0),
+    ("previous_action_ki", 0.0, 1.0),
+)
+OBSERVATION_NAMES = tuple(name for name, _, _ in _NORMALIZATION)
+OBSERVATION_CENTER: FloatArray = np.array([center for _, center, _ in _NORMALIZATION])
+OBSERVATION_SCALE: FloatArray = np.array([scale for _, _, scale in _NORMALIZATION])
+OBSERVATIONS = len(OBSERVATION_NAMES)
+
+LOAD_FORCE, LOAD_FORCE_RATE = STATE_FIELDS.index("load_force"), STATE_FIELDS.index("load_force_rate")
+REFERENCE, REFERENCE_RATE = STATE_FIELDS.index("reference_force"), STATE_FIELDS.index("reference_force_rate")
+_PLANT = len(PLANT_FIELDS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainRange:
+    """What the action may do to the gains: [-1, 1] covers [min, max] (paper Table training_agent)."""
+
+    delta_kp_min: float = 0.0
+    """1/s. Range [-300, 300]."""
+    delta_kp_max: float = 75.0
+    """1/s, above delta_kp_min. Range [-300, 300]; with the paper's base gain 15, 285 gives the wide authority K_p <= 300."""
+    delta_ki_min: float = 0.0
+    """1/s^2. Range [-100, 100]."""
+    delta_ki_max: float = 10.0
+    """1/s^2, above delta_ki_min. Range [-100, 100]."""
+
+    def gains(self, action: FloatArray) -> tuple[float, float]:
+        """(delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""
+        kp, ki = (0.5 * (min(max(float(a), -1.0), 1.0) + 1.0) for a in action)
+        return (
+            self.delta_kp_min + kp * (self.delta_kp_max - self.delta_kp_min),
+            self.delta_ki_min + ki * (self.delta_ki_max - self.delta_ki_min),
+        )
+
+    def action(self, delta_kp: float, delta_ki: float) -> FloatArray:
+        """The action [2] that gives these gains; not clamped."""
+        low = np.array((self.delta_kp_min, self.delta_ki_min))
+        high = np.array((self.delta_kp_max, self.delta_ki_max))
+        return np.asarray(2.0 * (np.array((delta_kp, delta_ki)) - low) / (high - low) - 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskSettings:
+    """Reward, gains, episodes (paper eq. reward, Table training_agent; units from docs/physics.md)."""
+
+    error_weight: float = 100.0
+    """Q_1, on the square of e / force_scale. Range [0, 1e6]."""
+    error_rate_weight: float = 4000.0
+    """Q_2, on the square of e' / force_rate_scale. Range [0, 1e6]."""
+    force_scale: float = 300.0
+    """N. Range (0, 1e5]."""
+    force_rate_scale: float = 300.0 * 2.0 * math.pi * 2.0
+    """N/s: 300 N at 2 Hz. Range (0, 1e6]."""
+    trip_penalty: float = 1000.0
+    """Taken from the reward when the box trips (force limit, sensor fault), which ends the episode. Range [0, 1e6]."""
+    steps_per_episode: int = 1800
+    """Policy steps, 10 ms each. Range [10, 1e6]."""
+    amplitude_min: float = 200.0
+    """N. Range (0, 1000]."""
+    amplitude_max: float = 300.0
+    """N. Range (0, 1000]."""
+    frequency_min: float = 0.5
+    """Hz. Range (0, 10]."""
+    frequency_max: float = 2.0
+    """Hz. Range (0, 10]."""
+    gains: GainRange = field(default_factory=GainRange)
+
+    def reward(self, error: FloatArray, error_rate: FloatArray) -> float:
+        """Eq. reward, averaged over the step's samples: e [n] in N, e' [n] in N/s.
+
+        The paper prints the reward at one instant. The load cell's derivative carries noise of the size of e' itself, so
+        the mean over the ten samples that the action acted on has a tenth of the variance and the same expectation.
+        """
+        e, de = error / self.force_scale, error_rate / self.force_rate_scale
+        return -float(self.error_weight * np.dot(e, e) + self.error_rate_weight * np.dot(de, de)) / len(error)
+
+    def draw_reference(self, rng: np.random.Generator) -> ReferenceSignal:
+        """A sine with amplitude and frequency drawn uniformly from the ranges."""
+        return ReferenceSignal(
+            waveform=Waveform.SINE,
+            amplitude=float(rng.uniform(self.amplitude_min, self.amplitude_max)),
+            frequency=float(rng.uniform(self.frequency_min, self.frequency_max)),
+        )
+
+
+def observe(sample: FloatArray, previous_action: FloatArray) -> FloatArray:
+    """Eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (13,).
+
+    Parameters
+    ----------
+    sample
+        One sample in the order of `STATE_FIELDS`, shape (14,), SI units.
+    previous_action
+        Shape (2,), within [-1, 1].
+    """
+    observation = np.empty(OBSERVATIONS)
+    observation[:_PLANT] = sample[:_PLANT]
+    observation[_PLANT] = sample[REFERENCE]
+    observation[_PLANT + 1] = sample[REFERENCE_RATE]
+    observation[_PLANT + 2] = sample[REFERENCE] - sample[LOAD_FORCE]
+    observation[_PLANT + 3 :] = previous_action
+    observation -= OBSERVATION_CENTER
+    observation /= OBSERVATION_SCALE
+    return observation

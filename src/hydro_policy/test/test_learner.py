@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learning process as it runs: weights arrive, its death costs nothing, its checkpoints hold."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_policy.checkpoint import load_checkpoint
+from hydro_policy.policy import load_policy
+from hydro_policy.run import RunDirectory, TrainingSettings
+from hydro_policy.sac import Sac, SacSettings
+from hydro_policy.shared import SharedBlob
+from hydro_policy.snapshot import restore
+from hydro_policy.supervisor import LearnerSupervisor
+from hydro_policy.task import OBSERVATIONS
+
+SETTINGS = TrainingSettings(warmup_steps=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
+
+
+def transitions(count: int) -> np.ndarray:
+    rows = np.random.default_rng(count).normal(size=(count, 30)).astype(np.float32)
+    rows[:, -1] = 0.0
+    return rows
+
+
+def wait(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "waited in vain"
+        time.sleep(0.01)
+
+
+def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "run").create()
+    learner = LearnerSupervisor(SETTINGS, run)
+    try:
+        wait(lambda: learner.ready)
+        assert learner.new_weights() is not None
+        learner.replay.extend(transitions(600))
+        wait(lambda: learner.updates == 500)  # one update per step after the warm-up
+        assert learner.new_weights() is not None
+        assert learner.new_weights() is None, "the same weights are not news"
+        time.sleep(0.6)
+        learner.replay.extend(transitions(50))  # moves the half-second snapshot on
+        wait(lambda: learner.updates == 550)
+
+        assert learner.pid is not None
+        os.kill(learner.pid, signal.SIGKILL)
+        wait(lambda: not learner.alive)
+        learner.replay.extend(transitions(50))  # acting goes on meanwhile
+        message = learner.revive()
+        assert message is not None and "signal 9" in message and learner.restarts == 1
+        assert learner.revive() is None
+        wait(lambda: learner.ready)
+        assert learner.updates >= 500, "it starts from the last snapshot, not from nothing"
+        wait(lambda: learner.updates == 600)
+    finally:
+        learner.stop({"episode": 5})
+    assert not learner.alive
+    checkpoint = load_checkpoint(run.latest)
+    assert checkpoint.produced == 700 and checkpoint.trainer == {"episode": 5}
+    sac = Sac(OBSERVATIONS, 2, SETTINGS.sac)
+    restore(sac, checkpoint.learner)
+    assert sac.updates == 600
+    policy, _, notes = load_policy(run.policy)
+    np.testing.assert_array_equal(policy.weights[0].astype(np.float32), sac.actor_network.weights[0][0].numpy())
+    assert notes["episode"] == 5
+
+    resumed = LearnerSupervisor(SETTINGS, run, checkpoint)
+    try:
+        wait(lambda: resumed.ready)
+        assert resumed.updates == 600 and resumed.replay.produced == 700
+        assert resumed.pid is not None
+        os.kill(resumed.pid, signal.SIGKILL)
+        wait(lambda: not resumed.alive)
+    finally:
+        resumed.stop({"episode": 6})  # nobody there: the acting side writes the checkpoint itself
+    assert load_checkpoint(run.latest).trainer == {"episode": 6}
+
+
+def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
+    learner = LearnerSupervisor(SETTINGS, RunDirectory(tmp_path / "run").create())
+    try:
+        with pytest.raises(RuntimeError, match="died 6 times"):
+            for _ in range(6):
+                assert learner.pid is not None
+                os.kill(learner.pid, signal.SIGKILL)
+                wait(lambda: not learner.alive)
+                learner.revive()
+    finally:
+        learner.stop({})
+
+
+def test_a_torn_blob_is_no_news_and_the_last_whole_one_stays() -> None:
+    memory = bytearray(SharedBlob.memory_size(100))
+    writer, reader = SharedBlob(memory), SharedBlob(memory)
+    assert reader.read() is None and reader.latest() is None
+    writer.publish(b"first")
+    assert reader.read() == b"first" and reader.read() is None
+    writer.publish(b"second")
+    memory[64 + 16] ^= 0xFF  # a writer killed while it wrote into the slot of the second (version 2: slot 0)
+    assert reader.read() is None
+    assert reader.latest() == b"first"
+    writer.publish(b"third")
+    assert reader.read() == b"third"
+    with pytest.raises(ValueError, match="do not fit"):
+        writer.publish(bytes(200))
