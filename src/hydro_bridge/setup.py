@@ -8,7 +8,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed"]},
+    package_data={name: ["py.typed", "schemas.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -20,6 +20,7 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="The outside world as topics: serial link to the MicroLabBox, recorder, replayer, bag reader.",
     license="Apache-2.0",
+    extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
             "bridge = hydro_bridge.nodes.bridge:main",

@@ -16,7 +16,7 @@ from hydro_bridge.signals import Command, CorrectionStatus, ReferenceSignal, Wav
 DECIDED = frozenset(
     {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
 )
-"""Statuses with which the filter did decide; NAN and STALE say that it could not."""
+"""Statuses with which the filter did decide. NAN and STALE say that it could not, BYPASSED that it was told not to."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +53,7 @@ class GuardCounts:
     not_finite: int = 0
     clamped: int = 0
     undecided: int = 0
-    """Corrections with status NAN or STALE."""
+    """Corrections with status NAN, STALE or BYPASSED."""
     references_refused: int = 0
     stale_correction: int = 0
     """Commands for which the correction was stale."""
@@ -75,7 +75,7 @@ class CommandGuard:
     _delta_u: float = 0.0
     _corrects: int = 0
     _correction_at: float = -inf
-    _reference: ReferenceSignal = ReferenceSignal()
+    _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
     _arm: bool = False
     _troubles: set[str] = field(default_factory=set)
     _events: list[str] = field(default_factory=list)
@@ -171,7 +171,9 @@ class CommandGuard:
         return min(max(value, low), high)
 
     def _stale_sentence(self) -> str:
-        outcome = "base gains, no correction" if self.settings.require_filter else "UNFILTERED gains pass, no correction"
+        outcome = (
+            "base gains, no correction" if self.settings.require_filter else "UNFILTERED gains pass, no correction"
+        )
         return f"no correction for {1e3 * self.settings.correction_age_max:g} ms: {outcome}"
 
     def _tell(self, trouble: str, present: bool, began: str, ended: str) -> None:

@@ -18,7 +18,7 @@ from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
 
-from cobs import cobs
+from cobs import cobs  # type: ignore[import-untyped]
 
 from hydro_bridge.signals import STATE_FIELDS, Command, ReferenceSignal, Waveform
 
@@ -209,7 +209,8 @@ def negotiate(hello: Hello) -> int:
 
 
 def _wrap(body: bytes) -> bytes:
-    return b"\0" + cobs.encode(body + _CRC.pack(crc32(body))) + b"\0"
+    stuffed: bytes = cobs.encode(body + _CRC.pack(crc32(body)))
+    return b"\0" + stuffed + b"\0"
 
 
 def _single(value: float) -> float:
@@ -222,7 +223,7 @@ def _state(fields: tuple[float, ...]) -> State:
 
 
 def _command(fields: tuple[float, ...]) -> CommandFrame:
-    bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase = fields[4:]
+    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase) = fields[4:]
     if waveform > Waveform.SMOOTH_STEP:
         raise Malformed(f"waveform {waveform}")
     reference = ReferenceSignal(

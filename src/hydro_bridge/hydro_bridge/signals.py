@@ -42,7 +42,12 @@ PLANT_FIELDS: tuple[str, ...] = STATE_FIELDS[:8]
 """The state x of the paper (eq. state_def)."""
 
 STATE_DTYPE = np.dtype(
-    [("time", np.float64), ("sequence", np.uint32), *((name, np.float64) for name in STATE_FIELDS), ("flags", np.uint32)],
+    [
+        ("time", np.float64),
+        ("sequence", np.uint32),
+        *((name, np.float64) for name in STATE_FIELDS),
+        ("flags", np.uint32),
+    ],
     align=True,
 )
 """One sample. Padded so that every float is aligned (numba and SIMD want that): 136 bytes."""
