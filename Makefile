@@ -1,28 +1,58 @@
 # SPDX-License-Identifier: Apache-2.0
-# The two commands: `make train` and `make test`. Both set up a fresh machine first.
+# The two commands: `make train` and `make test`. Every target but help and clean first sets up a fresh machine.
 
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
+# PYTHON=python3.12 chooses the interpreter of a first set-up; later the environment's own is taken.
 PYTHON ?= $(shell [ -x .venv/bin/python ] && echo .venv/bin/python || echo python3)
-# Every recipe that runs the packages starts with this.
-SOURCED = source install/setup.bash
-export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+# Further words for the command behind a target: make train ARGS="--hours 2", make test ARGS="-k bag".
+ARGS ?=
+SOURCED := source install/setup.bash &&
+CORES := setup $(wildcard src/hydro_*/hydro_*)
 
-.PHONY: help setup build train test check fast-tests bench fuzz colcon-test format clean
+# A test's graph stays on this machine and apart from a bench that runs on the default domain.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+test fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
+
+.PHONY: help setup build train test check lint fast-tests colcon-test bench fuzz format clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-setup:  ## environment, pinned wheels, built packages; quick when nothing changed (PYTHON=python3.12 chooses the interpreter)
+setup:  ## environment, pinned wheels, built packages; at once when nothing changed
 	@$(PYTHON) -m setup.bootstrap
 
 build: setup  ## the same: rebuilds after a change of messages, executables, launch or config files
 
-train: setup  ## train on whichever plant publishes; without one, on the simulation
-	@$(SOURCED) && ros2 run hydro_policy trainer --demo
+train: setup  ## train on whichever plant publishes; where none does, on the simulation
+	@$(SOURCED) ros2 run hydro_policy trainer --demo $(ARGS)
+
+test: lint  ## all checks and all tests
+	@$(SOURCED) .venv/bin/python -m pytest $(ARGS)
+
+check: lint fast-tests  ## format, lint, types, import rules and the fast tests
+
+lint: setup
+	@.venv/bin/ruff format --check .
+	@.venv/bin/ruff check .
+	@.venv/bin/mypy $(CORES)
+	@$(SOURCED) .venv/bin/lint-imports
+
+fast-tests: setup
+	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph" $(ARGS)
+
+colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build farm runs them
+	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src --ctest-args --pytest-args " $(ARGS)" \
+	  && .venv/bin/python -m colcon test-result --verbose
+
+bench: setup  ## the measured speeds: see benchmarks/
+	@$(SOURCED) for file in benchmarks/*.py; do .venv/bin/python $$file || exit; done
+
+fuzz: setup  ## the decoders and parsers on hostile bytes, for longer than in the tests
+	@$(SOURCED) HYPOTHESIS_PROFILE=fuzz .venv/bin/python -m pytest -m "" -k "fuzz or hostile or never_raises" $(ARGS)
 
 format: setup  ## rewrite the sources in the house format
 	@.venv/bin/ruff format . && .venv/bin/ruff check --fix .
 
 clean:  ## remove what is built; the environment stays (`rm -r .venv` removes that too)
-	rm -rf build install log .cache/setup
+	rm -rf build install log .cache

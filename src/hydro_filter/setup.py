@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from glob import glob
 
 from setuptools import find_packages, setup
@@ -20,6 +21,7 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="Contraction certificate and the QP that corrects the valve current.",
     license="Apache-2.0",
+    extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
             "filter = hydro_filter.nodes.filter:main",

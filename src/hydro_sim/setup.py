@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: Apache-2.0
 from glob import glob
 
 from setuptools import find_packages, setup
@@ -20,6 +21,7 @@ setup(
     maintainer_email="hydro@users.noreply.github.com",
     description="The bench as a model: hydraulics, what the box runs, the sim node, and an emulated MicroLabBox.",
     license="Apache-2.0",
+    extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
             "sim = hydro_sim.nodes.sim:main",

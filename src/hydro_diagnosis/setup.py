@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+from setuptools import find_packages, setup
+
+name = "hydro_diagnosis"
+
+setup(
+    name=name,
+    version="0.1.0",
+    packages=find_packages(exclude=["test"]),
+    package_data={name: ["py.typed", "data/*"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + name]),
+        ("share/" + name, ["package.xml"]),
+    ],
+    zip_safe=False,
+    maintainer="hydro engineers",
+    maintainer_email="hydro@users.noreply.github.com",
+    description="Locate, name, size and model the physics that the simulation leaves out.",
+    license="Apache-2.0",
+    extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
+    entry_points={
+        "console_scripts": [
+            "diagnose = hydro_diagnosis.cli:main",
+            "calibrate = hydro_diagnosis.calibrate:main",
+        ],
+    },
+)
