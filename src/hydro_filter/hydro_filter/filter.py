@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contraction filter: one bench sample in, one correction of the valve current out, whatever the sample holds.
+
+    sample ──> Certificate ──> a, b ──> QpFilter ──> delta_u, status
+                 Metric, Dynamics, Controller          bounds: what the valve has left
+
+The bounds hold for what the valve gets: sat(u_nom) + du within +-u_max. A nominal current beyond the limit is the valve's to
+cut, not a reason to correct.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite, nan
+from typing import NamedTuple
+
+from hydro_bridge.signals import CorrectionStatus
+from hydro_filter.certificate import Certificate
+from hydro_filter.controller import ForceLaw
+from hydro_filter.dynamics import AnalyticDynamics
+from hydro_filter.metric import MetricDesign, constant_metric
+from hydro_filter.qp import QpFilter
+from hydro_filter.sample import Sample
+from hydro_filter.state import state_scale
+from hydro_sim.bench import Bench
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterSettings:
+    """How the filter decides."""
+
+    contraction_rate: float = 0.1
+    """lambda [1/s] of the certificate, [0, 50]; the paper's 0.1."""
+    noise_floor: float = 1.8
+    """N, force errors up to it are taken for noise, [0, 100]; three standard deviations of the load cell."""
+    state_age_max: float = 5e-3
+    """s, an older state is not acted upon, [0.001, 0.1]."""
+    bypass: bool = False
+    """Correct nothing and say so in every correction: status BYPASSED."""
+
+
+class Result(NamedTuple):
+    """What the filter says about one sample."""
+
+    delta_u: float
+    """A, finite, 0 unless status is MODIFIED or RELAXED."""
+    before: float
+    """M_c [1/s] without the correction; NaN if it was not evaluated or not finite."""
+    after: float
+    """M_c [1/s] with it."""
+    status: CorrectionStatus
+
+
+class ContractionFilter:
+    """Assembles certificate and QP. Never raises on a sample.
+
+    Parameters
+    ----------
+    certificate
+        Metric, model and law; `for_bench` makes the analytic ones.
+    current_max
+        u_max [A] of the valve.
+    settings
+        Rates here win over nothing: `certificate` carries lambda and the noise floor.
+    """
+
+    def __init__(self, certificate: Certificate, current_max: float, settings: FilterSettings | None = None) -> None:
+        self.certificate = certificate
+        self.current_max = current_max
+        self.settings = settings or FilterSettings()
+        self.qp = QpFilter()
+
+    @classmethod
+    def for_bench(
+        cls, bench: Bench, settings: FilterSettings | None = None, design: MetricDesign | None = None
+    ) -> ContractionFilter:
+        """The filter of the analytic bench with its constant metric (raises as `loop_weight`)."""
+        settings = settings or FilterSettings()
+        certificate = Certificate(
+            metric=constant_metric(bench, design),
+            dynamics=AnalyticDynamics(bench),
+            controller=ForceLaw(bench),
+            scale=state_scale(bench),
+            contraction_rate=settings.contraction_rate,
+            noise_floor=settings.noise_floor,
+            current_max=bench.valve_current_max,
+        )
+        return cls(certificate, bench.valve_current_max, settings)
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """Decide about a sample that is `age` [s] old."""
+        if self.settings.bypass:
+            before = -self.certificate.evaluate(sample).b
+            return Result(0.0, before, before, CorrectionStatus.BYPASSED)
+        if not age <= self.settings.state_age_max:
+            return Result(0.0, nan, nan, CorrectionStatus.STALE)
+        line = self.certificate.evaluate(sample)
+        applied = min(max(sample.nominal_current, -self.current_max), self.current_max)
+        change, status = self.qp.solve(line.a, line.b, -self.current_max - applied, self.current_max - applied)
+        if not all(map(isfinite, (*sample.state, sample.nominal_current))):
+            return Result(0.0, nan, nan, CorrectionStatus.NAN)
+        if status is CorrectionStatus.NAN:
+            return Result(0.0, -line.b, -line.b, status)
+        # sat(u_nom + delta_u) = sat(u_nom) + change
+        delta_u = change + (applied - sample.nominal_current) if change else 0.0
+        return Result(delta_u, -line.b, line.value(change), status)

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The smallest correction that satisfies the certificate: min |du| so that a du <= b and low <= du <= high (paper, QP of eq. v).
+
+`closed_form` is the answer in one line of algebra: the oracle that every solution of OSQP is held against, and the fallback
+when OSQP has none. `QpFilter` asks OSQP. Neither ever divides by `a`: scaled to the bounds, a vanishing slope with b < 0 is an
+infeasible problem like any other.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import osqp
+from numba import njit
+from scipy.sparse import csc_matrix
+
+from hydro_bridge.signals import CorrectionStatus
+
+PASS, MODIFIED, RELAXED, INFEASIBLE, NAN = (
+    int(status)
+    for status in (
+        CorrectionStatus.PASS,
+        CorrectionStatus.MODIFIED,
+        CorrectionStatus.RELAXED,
+        CorrectionStatus.INFEASIBLE,
+        CorrectionStatus.NAN,
+    )
+)
+
+LEAST_IMPROVEMENT = 0.01
+"""A correction at the valve's limit that removes less than this share of the violation is not worth a full stroke: none is made."""
+
+AGREEMENT = 1e-6
+"""Largest distance of OSQP's solution from the closed form, relative to the bounds; beyond it the closed form is taken."""
+
+
+class Correction(NamedTuple):
+    """What the QP decided."""
+
+    delta_u: float
+    """A; 0 if not finite, infeasible, or nothing had to be done."""
+    status: CorrectionStatus
+
+
+def closed_form(a: float, b: float, low: float, high: float) -> Correction:
+    """Solve the QP by algebra.
+
+    Parameters
+    ----------
+    a, b
+        Half-line a du <= b, [1/A/s] and [1/s].
+    low, high
+        Bounds of du [A], low <= 0 <= high.
+
+    Returns
+    -------
+    Correction
+        PASS: du = 0 satisfies it. MODIFIED: du = b/a. RELAXED: du at the bound next to b/a. INFEASIBLE: no bound within reach
+        removes a share of `LEAST_IMPROVEMENT` of the violation; du = 0. NAN: an argument is not finite, or zero is not
+        within the bounds; du = 0.
+    """
+    delta_u, status = _closed_form(a, b, low, high)
+    return Correction(delta_u, CorrectionStatus(status))
+
+
+@njit(cache=True)
+def _closed_form(a, b, low, high):
+    if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(low) and math.isfinite(high) and low <= 0.0 <= high):
+        return 0.0, NAN
+    if b >= 0.0:
+        return 0.0, PASS
+    bound = low if a > 0.0 else high
+    reach = a * bound  # the smallest a du there is, 0 or less
+    if reach <= b:
+        return b / a, MODIFIED  # |b/a| <= |bound|: a cannot vanish here
+    if reach > LEAST_IMPROVEMENT * b:
+        return 0.0, INFEASIBLE
+    return bound, RELAXED
+
+
+@dataclass
+class QpCounts:
+    """How OSQP fared."""
+
+    solved: int = 0
+    infeasible: int = 0
+    """OSQP and the closed form agree that the certificate cannot be restored."""
+    fallbacks: int = 0
+    """OSQP failed or disagreed; the closed form was taken."""
+
+
+class QpFilter:
+    """The QP by OSQP, warm-started from the last solution and started afresh after any status but solved.
+
+    The problem is scaled: du by the larger bound, the half-line by its slope, so that the tolerances mean the same for every
+    state of the bench.
+    """
+
+    def __init__(self) -> None:
+        self.counts = QpCounts()
+        self._rows = np.array([1.0, 1.0])  # the half-line's slope, the bounds'
+        self._lower = np.array([-np.inf, -1.0])
+        self._upper = np.array([0.0, 1.0])
+        self._solver = osqp.OSQP()
+        self._solver.setup(
+            csc_matrix([[1.0]]),
+            np.zeros(1),
+            csc_matrix(self._rows[:, np.newaxis]),
+            self._lower,
+            self._upper,
+            verbose=False,
+            eps_abs=1e-9,
+            eps_rel=1e-9,
+            max_iter=500,
+            check_termination=5,
+            adaptive_rho=False,
+            rho=1.0,
+            scaling=0,
+            polishing=False,
+        )
+
+    def solve(self, a: float, b: float, low: float, high: float) -> Correction:
+        """As `closed_form`, by OSQP. Never raises; `counts` tells how often OSQP had no answer."""
+        oracle = closed_form(a, b, low, high)
+        if oracle.status in (CorrectionStatus.PASS, CorrectionStatus.NAN):
+            return oracle  # du = 0 is optimal, or there is no problem to solve
+        span = max(-low, high)
+        solution = self._ask(a, b, low, high, span) if span > 0.0 else math.nan
+        if oracle.status is CorrectionStatus.MODIFIED:
+            if abs(solution - oracle.delta_u) <= AGREEMENT * span:
+                self.counts.solved += 1
+                return Correction(min(max(solution, low), high), oracle.status)
+            self.counts.fallbacks += 1
+        elif math.isnan(solution):
+            self.counts.infeasible += 1
+        else:
+            self.counts.fallbacks += 1
+        return oracle
+
+    def _ask(self, a: float, b: float, low: float, high: float, span: float) -> float:
+        """OSQP's du [A], NaN if it finds none."""
+        slope = abs(a) * span
+        self._rows[0] = math.copysign(1.0, a) if slope > 0.0 else 0.0
+        # du is within +-1 here: a level beyond that is out of reach however far, and -2 says so without large numbers
+        self._upper[0] = b / slope if slope > -0.5 * b else -2.0
+        self._lower[1], self._upper[1] = low / span, high / span
+        try:
+            self._solver.update(Ax=self._rows, l=self._lower, u=self._upper)
+            result = self._solver.solve(raise_error=False)
+        except (RuntimeError, ValueError):
+            self._restart()
+            return math.nan
+        if result.info.status_val != osqp.SolverStatus.OSQP_SOLVED:
+            self._restart()
+            return math.nan
+        return float(result.x[0]) * span
+
+    def _restart(self) -> None:
+        self._solver.warm_start(x=np.zeros(1), y=np.zeros(2))

@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the filter reads of one bench sample."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hydro_bridge.signals import PLANT_FIELDS, FloatArray
+
+
+class Sample(NamedTuple):
+    """The state and what the force law made of it, SI units."""
+
+    state: FloatArray
+    """x (paper eq. state_def), shape (8,)."""
+    nominal_current: float
+    """u_nom [A], before correction and saturation."""
+    reference_force: float
+    """f_r [N]."""
+    proportional_gain: float
+    """K_p + delta K_p [1/s]."""
+
+    @classmethod
+    def of(cls, record: np.void) -> Sample:
+        """From a record of `hydro_bridge.signals.STATE_DTYPE`."""
+        state = np.array([record[name] for name in PLANT_FIELDS], dtype=np.float64)
+        gain, force = float(record["proportional_gain"]), float(record["reference_force"])
+        return cls(state, float(record["nominal_valve_current"]), force, gain)

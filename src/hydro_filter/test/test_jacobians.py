@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A, B and K against central differences, and the dynamics against the simulation's equations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import FloatArray
+from hydro_filter import dynamics
+from hydro_filter.controller import ForceLaw
+from hydro_filter.dynamics import AnalyticDynamics
+from hydro_filter.sample import Sample
+from hydro_filter.state import STATES, state_scale
+from hydro_sim import force_law, hydraulics
+from hydro_sim.bench import Bench
+
+CURRENTS = (-0.04, -0.004, 0.003, 0.05)
+
+
+def differences(f: Callable[[FloatArray], FloatArray], at: FloatArray, scale: FloatArray) -> FloatArray:
+    """df/dx by central differences of fourth order."""
+    columns = []
+    for i in range(len(at)):
+        step = np.zeros(len(at))
+        step[i] = 1e-4 * scale[i]
+        near, far = f(at + step) - f(at - step), f(at + 2 * step) - f(at - 2 * step)
+        columns.append((8.0 * near - far) / (12.0 * step[i]))
+    return np.stack(columns, axis=-1)
+
+
+def rate(bench: Bench, state: FloatArray, current: float) -> FloatArray:
+    out = np.empty(STATES)
+    dynamics.state_rate(bench.constants(), state, current, out)
+    return out
+
+
+@pytest.mark.parametrize("current", CURRENTS)
+def test_state_matrix_is_the_derivative_of_the_dynamics(bench: Bench, states: FloatArray, current: float) -> None:
+    scale = state_scale(bench)
+    for state in states:
+        exact = AnalyticDynamics(bench).linearize(state, current).state_matrix
+        numeric = differences(lambda x: rate(bench, x, current), state, scale)
+        normalized = (exact - numeric) * scale / scale[:, np.newaxis]
+        assert np.abs(normalized).max() <= 1e-8 * np.abs(exact * scale / scale[:, np.newaxis]).max()
+
+
+@pytest.mark.parametrize("current", CURRENTS)
+def test_input_vector_is_the_derivative_of_the_dynamics(bench: Bench, states: FloatArray, current: float) -> None:
+    for state in states:
+        exact = AnalyticDynamics(bench).linearize(state, current).input_vector
+        numeric = differences(lambda u: rate(bench, state, u[0]), np.array([current]), np.array([1.0]))[:, 0]
+        np.testing.assert_allclose(exact / state_scale(bench), numeric / state_scale(bench), rtol=1e-8, atol=1e-6)
+
+
+@pytest.mark.parametrize("current", CURRENTS)
+def test_force_law_gradient_is_its_derivative(bench: Bench, states: FloatArray, current: float) -> None:
+    law = ForceLaw(bench)
+    constants, gain = bench.constants()[0], -35.0
+    for state in states:
+        reference, integral, integral_gain = 120.0, 3.0, 4.0
+
+        def nominal(x: FloatArray, wanted_rate: float) -> float:
+            error = reference - x[2]
+            return float(
+                force_law.nominal_current(constants, x, error, integral, wanted_rate, gain, integral_gain, law.gain_floor)
+            )
+
+        # the reference's rate that makes this state's nominal current the wanted one
+        h = hydraulics.velocity_term(constants, state[6], state[7])
+        g = hydraulics.input_gain(constants, state[6], state[4], state[5], current)
+        wanted_rate = h + max(g, law.gain_floor) * current - gain * (reference - state[2]) - integral_gain * integral
+        assert nominal(state, wanted_rate) == pytest.approx(current, rel=1e-9)
+        exact = law.gradient(Sample(state, current, reference, gain)) * state_scale(bench)
+        numeric = differences(lambda x: np.array(nominal(x, wanted_rate)), state, state_scale(bench)) * state_scale(bench)
+        np.testing.assert_allclose(exact, numeric, rtol=1e-7, atol=1e-9)
+
+
+@pytest.mark.parametrize("current", CURRENTS)
+def test_dynamics_agree_with_the_simulated_plant(bench: Bench, states: FloatArray, current: float) -> None:
+    """On consistent states the eight rows are the time derivatives of what the simulation integrates."""
+    constants = bench.constants()[0]
+
+    def measured(y: FloatArray) -> FloatArray:
+        force, load = hydraulics.hydraulic_force(constants, y[0], y[1]), hydraulics.load_force(constants, y[2])
+        h = hydraulics.velocity_term(constants, y[2], y[3])
+        force_rate = h + hydraulics.input_gain(constants, y[2], y[0], y[1], current) * current
+        return np.array([force, force_rate, load, bench.spring_stiffness * y[3], *y[:4]])
+
+    for state in states:
+        physical = np.array([*state[4:8], 0.0, 0.0])
+        flow = np.empty(hydraulics.STATES)
+        hydraulics.rates(constants, physical, current, flow)
+        step = 1e-7  # s, along the flow
+        numeric = (measured(physical + step * flow) - measured(physical - step * flow)) / (2.0 * step)
+        scale = state_scale(bench)
+        error = (rate(bench, measured(physical), current) - numeric) / scale
+        assert np.abs(error).max() <= 1e-5 * np.abs(numeric / scale).max()

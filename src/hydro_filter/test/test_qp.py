@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""OSQP against the closed form, and the closed form against its own conditions."""
+
+from __future__ import annotations
+
+from math import inf, nan
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import CorrectionStatus
+from hydro_filter.qp import LEAST_IMPROVEMENT, QpFilter, closed_form
+
+U_MAX = 0.05
+LIMIT = 1e-6  # A, of the issue's 1e-4
+
+
+def cases(count: int, seed: int) -> np.ndarray:
+    """a, b, low, high over thirty decades of slope, with zeros, signs and valves at their limit; shape (count, 4)."""
+    rng = np.random.default_rng(seed)
+    a = rng.choice([-1.0, 1.0], count) * 10.0 ** rng.uniform(-15, 15, count)
+    a[rng.random(count) < 0.05] = 0.0
+    # half of the cases near where b/a meets a bound, the rest anywhere
+    near = rng.random(count) < 0.5
+    b = np.where(near, -np.abs(a) * U_MAX * 10.0 ** rng.uniform(-3, 2.5, count), rng.normal(size=count) * 10.0 ** rng.uniform(-9, 6, count))
+    applied = rng.choice([-U_MAX, 0.0, U_MAX, nan], count)
+    applied = np.where(np.isnan(applied), rng.uniform(-U_MAX, U_MAX, count), applied)
+    return np.column_stack([a, b, -U_MAX - applied, U_MAX - applied])
+
+
+def compare(count: int, seed: int) -> QpFilter:
+    qp = QpFilter()
+    seen = set()
+    for a, b, low, high in cases(count, seed):
+        exact, solved = closed_form(a, b, low, high), qp.solve(a, b, low, high)
+        assert solved.status is exact.status, (a, b, low, high)
+        assert abs(solved.delta_u - exact.delta_u) <= LIMIT, (a, b, low, high)
+        assert low <= solved.delta_u <= high
+        seen.add(solved.status)
+    assert seen == set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.BYPASSED}
+    return qp
+
+
+def test_osqp_agrees_with_the_closed_form() -> None:
+    qp = compare(10_000, seed=1)
+    assert qp.counts.solved > 2000
+    assert qp.counts.infeasible > 2000
+    assert qp.counts.fallbacks == 0
+
+
+@pytest.mark.slow
+def test_osqp_agrees_with_the_closed_form_a_hundred_thousand_times() -> None:
+    assert compare(100_000, seed=2).counts.fallbacks == 0
+
+
+def test_closed_form_is_feasible_and_smallest() -> None:
+    """Against a grid of the admissible corrections, which knows no algebra."""
+    for a, b, low, high in cases(2000, seed=3):
+        delta_u, status = closed_form(a, b, low, high)
+        grid = np.concatenate([np.linspace(low, high, 401), [0.0]])
+        slack = 1e-9 * (abs(b) + abs(a) * U_MAX)
+        fitting = grid[a * grid <= b]
+        if status in (CorrectionStatus.PASS, CorrectionStatus.MODIFIED):
+            assert a * delta_u <= b + slack
+            assert fitting.size == 0 or abs(delta_u) <= np.abs(fitting).min() + 1e-12
+        else:
+            assert fitting.size == 0
+            best = (a * grid).min()
+            wanted = best if best <= LEAST_IMPROVEMENT * b else 0.0
+            assert a * delta_u == pytest.approx(wanted, rel=1e-9, abs=1e-300)
+
+
+@pytest.mark.parametrize("position", range(4))
+@pytest.mark.parametrize("value", [nan, inf, -inf])
+def test_what_is_not_finite_gives_no_correction(position: int, value: float) -> None:
+    arguments = [1.0, -0.01, -0.05, 0.05]
+    arguments[position] = value
+    assert QpFilter().solve(*arguments) == (0.0, CorrectionStatus.NAN)
+
+
+@pytest.mark.parametrize("a", [0.0, 1e-300, -1e-300, 5e-324])
+def test_a_vanishing_slope_is_infeasible_not_a_full_stroke(a: float) -> None:
+    assert QpFilter().solve(a, -1.0, -0.05, 0.05) == (0.0, CorrectionStatus.INFEASIBLE)
+
+
+def test_a_valve_at_its_limit_has_nothing_left() -> None:
+    assert QpFilter().solve(-1.0, -0.01, -0.1, 0.0) == (0.0, CorrectionStatus.INFEASIBLE)
+    assert QpFilter().solve(-1.0, -0.2, -0.05, 0.05) == (0.05, CorrectionStatus.RELAXED)
+
+
+def test_a_failed_problem_does_not_disturb_the_next() -> None:
+    qp, fresh = QpFilter(), QpFilter()
+    qp.solve(0.0, -1.0, -0.05, 0.05)
+    qp.solve(nan, -1.0, -0.05, 0.05)
+    assert qp.solve(2.0, -0.05, -0.05, 0.05) == fresh.solve(2.0, -0.05, -0.05, 0.05)
+
+
+def test_the_closed_form_stands_in_when_osqp_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    qp = QpFilter()
+    monkeypatch.setattr(qp, "_solver", None)  # every call into OSQP now raises
+    monkeypatch.setattr(qp, "_ask", lambda *problem: nan)
+    assert qp.solve(2.0, -0.05, -0.05, 0.05) == closed_form(2.0, -0.05, -0.05, 0.05)
+    assert qp.counts.fallbacks == 1
