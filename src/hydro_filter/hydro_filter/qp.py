@@ -129,13 +129,12 @@ class QpFilter:
             return oracle  # du = 0 is optimal, or there is no problem to solve
         span = max(-low, high)
         solution = self._ask(a, b, low, high, span) if span > 0.0 else math.nan
-        if oracle.status is CorrectionStatus.MODIFIED:
-            if abs(solution - oracle.delta_u) <= AGREEMENT * span:
-                self.counts.solved += 1
-                return Correction(min(max(solution, low), high), oracle.status)
-            self.counts.fallbacks += 1
-        elif math.isnan(solution):
+        restored = oracle.status is CorrectionStatus.MODIFIED
+        if math.isnan(solution) and not restored:
             self.counts.infeasible += 1
+        elif abs(solution - oracle.delta_u) <= AGREEMENT * span:
+            self.counts.solved += 1
+            return Correction(min(max(solution, low), high), oracle.status) if restored else oracle
         else:
             self.counts.fallbacks += 1
         return oracle

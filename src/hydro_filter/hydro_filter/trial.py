@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter in the loop without a graph: plant, box and filter sample by sample, with the graph's delays.
+
+::
+
+    k:   tick(x_k) -> BenchState_k -> filter -> delta_u_k          plant holds u_k -> x_{k+1}
+    k+1: receive(delta_u_k)  tick(x_{k+1})                         a correction acts one sample after its state
+
+Gains change at 100 Hz. The five numbers of the paper's Table val_cont come from `gammas`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hydro_bridge.signals import STATE_DTYPE, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, StateArray
+from hydro_filter.filter import ContractionFilter, Result
+from hydro_filter.sample import Sample
+from hydro_sim.bench import Bench
+from hydro_sim.box import Box
+from hydro_sim.hydraulics import SAMPLE
+from hydro_sim.offline import POLICY_SAMPLES
+from hydro_sim.plant import Plant
+
+
+class Run(NamedTuple):
+    """What happened; a run ends with the sample at which the box tripped."""
+
+    states: StateArray
+    """Records of `STATE_DTYPE`, shape (samples,)."""
+    results: list[Result]
+    """One per sample."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the box never tripped (force limit, sensor range)."""
+        return not int(self.states["flags"][-1]) & Flag.TRIPPED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One closed loop to try."""
+
+    bench: Bench
+    """What box and filter believe."""
+    reference: ReferenceSignal
+    gains: FloatArray
+    """K_p [1/s], K_i [1/s^2] in force at 100 Hz, shape (policy steps, 2)."""
+    seed: int = 0
+    """Of the plant's noise."""
+
+
+def run(trial: Trial, plant: Plant, contraction_filter: ContractionFilter) -> Run:
+    """Run a trial; a filter with `bypass` set shows what happens without it."""
+    box = Box(trial.bench)
+    changes = np.asarray(trial.gains) - (box.config.base_kp, box.config.base_ki)
+    states = np.empty(len(changes) * POLICY_SAMPLES, STATE_DTYPE)
+    results: list[Result] = []
+    box.receive(Command(), 0.0)
+    measurement, delta_u = plant.reset(trial.seed), 0.0
+    for k in range(len(states)):
+        delta_kp, delta_ki = (float(change) for change in changes[k // POLICY_SAMPLES])
+        command = Command(
+            arm=True, delta_kp=delta_kp, delta_ki=delta_ki, delta_u=delta_u, reference=trial.reference, filter_fresh=True
+        )
+        box.receive(command, k * SAMPLE)
+        states[k] = box.tick(measurement, k * SAMPLE)
+        results.append(contraction_filter.correct(Sample.of(states[k])))
+        delta_u = results[-1].delta_u
+        if int(states["flags"][k]) & Flag.TRIPPED:
+            return Run(states[: k + 1], results)
+        measurement = plant.step(float(states["valve_current"][k]))
+    return Run(states, results)
+
+
+class Gammas(NamedTuple):
+    """The paper's Table val_cont, with the shares named by what they count (docs/physics.md, decisions)."""
+
+    correction: float
+    """gamma_1: mean |delta_u| over u_max."""
+    violated_before: float
+    """gamma_2: share of samples with M_c > 0 without the correction."""
+    mean_before: float
+    """gamma_3: mean M_c [1/s] without it."""
+    violated_after: float
+    """gamma_4: share with M_c > 0 under it."""
+    mean_after: float
+    """gamma_5: mean M_c [1/s] under it."""
+
+
+def gammas(results: list[Result], current_max: float, tolerance: float = 1e-6) -> Gammas:
+    """The five numbers over all samples that were evaluated; M_c within `tolerance` [1/s] of zero holds."""
+    skipped = (CorrectionStatus.NAN, CorrectionStatus.STALE)
+    table = np.array([result[:3] for result in results if result.status not in skipped])
+    correction, before, after = np.abs(table[:, 0]) / current_max, table[:, 1], table[:, 2]
+    shares = (before > tolerance).mean(), (after > tolerance).mean()
+    return Gammas(
+        float(correction.mean()), float(shares[0]), float(before.mean()), float(shares[1]), float(after.mean())
+    )
