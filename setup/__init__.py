@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Set-up of a fresh machine, standard library only: `python3 -m setup.bootstrap` (what `make setup` calls).
 
-`host` looks at the machine, `venv` makes the environment, `wheels` adapts the ROS wheels to it, `workspace` builds the packages, `stamp` tells
-what is already done, `progress` runs and reports the steps. `ros2` is the stand-in command, copied into the environment.
+`plan` orders the steps, `host` looks at the machine, `venv` makes the environment, `wheels` adapts the ROS wheels to
+it, `workspace` builds the packages, `stamp` tells what is already done, `progress` runs and reports the steps,
+`layout` says where things are. `ros2` is the stand-in command, copied into the environment.
 """

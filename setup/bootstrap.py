@@ -4,7 +4,7 @@
 Usage: python3 -m setup.bootstrap [--force]
 """
 
-# This file must parse on old Pythons, to say in a sentence that they are too old: so no `from __future__` and late imports.
+# This file must parse on old Pythons, to say in a sentence that they are too old: no `from __future__`, late imports.
 import sys
 
 OLDEST, NEWEST = (3, 10), (3, 13)
@@ -14,7 +14,8 @@ def python_complaint(version):
     """Return a sentence if packages cannot run on Python `version`, a tuple starting (major, minor); else None."""
     if OLDEST <= tuple(version[:2]) <= NEWEST:
         return None
-    return "Python {}.{} found, but 3.10 to 3.13 is needed: name one, as in `make setup PYTHON=python3.12`.".format(*version)
+    sentence = "Python {}.{} found, but 3.10 to 3.13 is needed: name one, as in `make setup PYTHON=python3.12`."
+    return sentence.format(*version[:2])
 
 
 def main():

@@ -29,7 +29,7 @@ FOREIGN = (
 def sourced_ros(environment: Mapping[str, str], venv: Path) -> Path | None:
     """Return the prefix of the ROS 2 Jazzy that is sourced here, or None.
 
-    A sourced one sets `ROS_DISTRO=jazzy` and `AMENT_PREFIX_PATH`, and has a `ros2` on PATH that is not our stand-in.
+    A sourced one sets `ROS_DISTRO` and `AMENT_PREFIX_PATH`, and has a `ros2` on PATH that is not our stand-in.
 
     Raises
     ------
@@ -37,12 +37,14 @@ def sourced_ros(environment: Mapping[str, str], venv: Path) -> Path | None:
         If another distribution is sourced: its libraries would mix with ours.
     """
     distribution = environment.get("ROS_DISTRO")
-    ros2 = shutil.which("ros2", path=_without(environment.get("PATH", ""), venv / "bin"))
-    if not distribution or ros2 is None or not environment.get("AMENT_PREFIX_PATH"):
+    if not distribution or not environment.get("AMENT_PREFIX_PATH"):
         return None
     if distribution != "jazzy":
-        raise SetupError(f"ROS 2 {distribution} is sourced, but hydro needs Jazzy: open a shell without it, or source Jazzy.")
-    return Path(ros2).resolve().parent.parent
+        raise SetupError(
+            f"ROS 2 {distribution} is sourced, but hydro needs Jazzy: source Jazzy, or open a shell without."
+        )
+    ros2 = shutil.which("ros2", path=_without(environment.get("PATH", ""), venv / "bin"))
+    return Path(ros2).resolve().parent.parent if ros2 else None
 
 
 def build_environment(environment: Mapping[str, str], venv: Path, ros: Path | None) -> dict[str, str]:
@@ -63,10 +65,10 @@ def require_tools(ros: Path | None) -> None:
     Raises
     ------
     SetupError
-        If the venv module, a C++ compiler or make is missing, or there are no ROS wheels for this machine; the sentence says what to do.
+        If the venv module, a C++ compiler or make is missing, or there are no ROS wheels for this machine.
     """
     if ros is None and (platform.system(), platform.machine()) != ("Linux", "x86_64"):
-        raise SetupError("the ROS wheels are for Linux on x86_64: here, install ROS 2 Jazzy, source it, and run this again.")
+        raise SetupError("the ROS wheels are for Linux on x86_64: install and source ROS 2 Jazzy, then run this again.")
     version = f"{sys.version_info.major}.{sys.version_info.minor}"
     if importlib.util.find_spec("venv") is None or importlib.util.find_spec("ensurepip") is None:
         raise SetupError(f"Python's venv module is missing: `apt install python{version}-venv`, then run this again.")

@@ -17,7 +17,7 @@ from setup.progress import Steps
 
 
 def carry_out(layout: Layout = HERE, *, force: bool = False) -> None:
-    """Bring the checkout up to date. Interrupted anywhere, the next call goes on: a stamp is written only after its step."""
+    """Bring the checkout up to date; interrupted anywhere, the next call goes on, as a stamp follows its step."""
     ros = host.sourced_ros(os.environ, layout.venv)
     wheels_digest = _wheels_digest(layout, ros)
     build_digest = _build_digest(layout, wheels_digest)
@@ -56,12 +56,14 @@ def _make_environment(layout: Layout, ros: Path | None, steps: Steps) -> None:
 
 
 def _brings_colcon(layout: Layout) -> bool:
-    return subprocess.run([str(layout.python), "-c", "import colcon_core, colcon_ros"], capture_output=True, check=False).returncode == 0
+    probe = [str(layout.python), "-c", "import colcon_core, colcon_ros"]
+    return subprocess.run(probe, capture_output=True, check=False).returncode == 0
 
 
 def _wheels_digest(layout: Layout, ros: Path | None) -> str:
-    files = [*layout.root.glob("requirements*.txt"), layout.root / "constraints.txt", *(layout.root / "setup").glob("*.py")]
-    return stamp.digest([f"python {sys.version}", f"base {sys.base_prefix}", f"ros {ros}", f"at {layout.root}"], files)
+    pins = [*layout.root.glob("requirements*.txt"), layout.root / "constraints.txt"]
+    words = [f"python {sys.version}", f"base {sys.base_prefix}", f"ros {ros}", f"at {layout.root}"]
+    return stamp.digest(words, [*pins, *(layout.root / "setup").glob("*.py")])
 
 
 def _build_digest(layout: Layout, wheels_digest: str) -> str:

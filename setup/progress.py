@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 import time
@@ -37,42 +38,57 @@ class Steps:
 
 
 def run_logged(command: Sequence[str], log: Path, environment: Mapping[str, str], hint: str = "") -> None:
-    """Run `command` with its output in `log`; while a person watches, a dot a few seconds apart says that it lives.
+    """Run `command` with its output in `log`; whoever watches sees the time and the last line of it.
 
     Raises
     ------
     SetupError
-        If it exits other than 0; the sentence ends with the last line it wrote and the name of the log.
+        If it exits other than 0; the sentence quotes what went wrong and names the log.
     """
     log.parent.mkdir(parents=True, exist_ok=True)
-    with log.open("wb") as output:
-        process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT, env=dict(environment))
+    with log.open("wb") as out:
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, env=environment
+        )
         try:
-            _wait(process)
+            _wait(process, log)
         except BaseException:
             process.terminate()
             process.wait()
             raise
     if process.returncode != 0:
-        raise SetupError(f"{_spell(command)} failed ({_last_line(log)}). {hint}The whole output is in {log}.")
+        raise SetupError(f"{_spell(command)} failed: {_complaint(log)}. {hint}The whole output is in {log}.")
 
 
-def _wait(process: subprocess.Popen[bytes], every: float = 5.0) -> None:
+def _wait(process: subprocess.Popen[bytes], log: Path) -> None:
+    started = time.monotonic()
     while True:
         try:
-            process.wait(timeout=every)
-            return
+            process.wait(timeout=0.5)
         except subprocess.TimeoutExpired:
-            if sys.stdout.isatty():
-                print(".", end="", flush=True)
+            _show(f"{time.monotonic() - started:4.0f} s  {(_lines(log) or [''])[-1]}")
+        else:
+            _show("")
+            return
+
+
+def _show(text: str) -> None:
+    """Write behind the cursor and leave it where it is."""
+    if sys.stdout.isatty():
+        width = max(0, shutil.get_terminal_size().columns - 60)
+        print(f"\x1b7 {text[:width]}\x1b[K\x1b8", end="", flush=True)
+
+
+def _lines(log: Path) -> list[str]:
+    return [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
+
+
+def _complaint(log: Path) -> str:
+    lines = _lines(log)
+    errors = [line for line in lines if line.lower().startswith(("error", "fatal", "cmake error"))]
+    return (errors or lines or ["no output"])[-1][:300].rstrip(".")
 
 
 def _spell(command: Sequence[str]) -> str:
     words = [Path(command[0]).name, *command[1:]]
     return "`" + " ".join(words[:5]) + (" ...`" if len(words) > 5 else "`")
-
-
-def _last_line(log: Path) -> str:
-    lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    errors = [line for line in lines if line.lower().startswith(("error", "fatal"))]
-    return (errors or lines or ["no output"])[-1][:300]

@@ -33,11 +33,12 @@ def executables_of(package: str) -> dict[str, str]:
     try:
         return executables(get_package_prefix(package), package)
     except (PackageNotFoundError, ValueError) as error:
-        raise UsageError(f"package '{package}' not found: is the workspace sourced (`source install/setup.bash`)?") from error
+        sentence = f"package '{package}' not found: is the workspace sourced (`source install/setup.bash`)?"
+        raise UsageError(sentence) from error
 
 
 def run(arguments: list[str]) -> None:
-    """List a package's executables, or become one of them: same process, so signals and the exit status are the node's own."""
+    """List a package's executables, or become one of them: signals and the exit status are then the node's own."""
     if not arguments or arguments[0] in ("-h", "--help"):
         print(USAGE)
         return
@@ -69,7 +70,7 @@ def main(arguments: list[str]) -> int:
         elif arguments[:2] == ["pkg", "executables"]:
             list_executables(arguments[2:])
         else:
-            raise UsageError(f"`ros2 {' '.join(arguments[:2])}` needs a full ROS 2 Jazzy; here only `ros2 run` and `ros2 pkg executables` exist.")
+            raise UsageError(f"`ros2 {' '.join(arguments[:2])}` needs a full ROS 2 Jazzy; see `ros2 --help`.")
     except UsageError as error:
         print(f"ros2: {error}", file=sys.stderr)
         return 2

@@ -8,13 +8,22 @@ from collections.abc import Iterable
 from pathlib import Path
 
 # What a built package depends on. Python modules are linked into the installation, so editing them needs no build.
-CONTENT = ("package.xml", "setup.py", "setup.cfg", "CMakeLists.txt", "msg/*.msg", "srv/*.srv", "action/*.action", "resource/*")
+CONTENT = (
+    "package.xml",
+    "setup.py",
+    "setup.cfg",
+    "CMakeLists.txt",
+    "msg/*.msg",
+    "srv/*.srv",
+    "action/*.action",
+    "resource/*",
+)
 # Files linked one by one: their names count, their text does not.
 NAMES = ("launch/*", "config/*")
 
 
 def digest(words: Iterable[str], contents: Iterable[Path] = (), names: Iterable[Path] = ()) -> str:
-    """Return a digest of some words, some files' names and contents, and some files' names alone; order does not count within each."""
+    """Return a digest of words, of files (names and contents) and of bare file names; order does not matter."""
     sha = hashlib.sha256()
     for word in sorted(words):
         sha.update(f"word {word}\n".encode())

@@ -24,17 +24,20 @@ def clean_environment() -> dict[str, str]:
 
 
 def is_usable(layout: Layout, system_packages: bool) -> bool:
-    """Say whether the environment stands, has pip, and was made from this Python; one cut short while being made does not count."""
+    """Say whether the environment stands here, whole, and was made from this Python.
+
+    One whose making was cut short has no pip; one that was moved with its checkout has a pip that names another place.
+    """
     settings = _settings(layout.venv / "pyvenv.cfg")
     if settings.get("include-system-site-packages") != str(system_packages).lower():
         return False
-    probe = "import sys, pip; print(*sys.version_info[:3])"
-    command = [str(layout.python), "-c", probe]
+    command = [str(layout.python), "-c", "import sys, pip; print(*sys.version_info[:3])"]
     try:
         answer = subprocess.run(command, capture_output=True, text=True, env=clean_environment(), check=False)
+        belongs_here = str(layout.venv) in (layout.venv / "bin" / "pip").read_text()
     except OSError:
         return False
-    return answer.stdout.split() == [str(part) for part in sys.version_info[:3]]
+    return belongs_here and answer.stdout.split() == [str(part) for part in sys.version_info[:3]]
 
 
 def create(layout: Layout, system_packages: bool) -> None:

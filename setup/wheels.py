@@ -53,7 +53,8 @@ def repair_include_paths(prefix: Path, python_include: str, numpy_include: str) 
 def include_folders(layout: Layout) -> tuple[str, str]:
     """Return the (Python, numpy) include folders of the environment."""
     code = "import sysconfig, numpy; print(sysconfig.get_path('include')); print(numpy.get_include())"
-    answer = subprocess.run([str(layout.python), "-c", code], capture_output=True, text=True, check=True, env=clean_environment())
+    command = [str(layout.python), "-c", code]
+    answer = subprocess.run(command, capture_output=True, text=True, check=True, env=clean_environment())
     python_include, numpy_include = answer.stdout.splitlines()
     return python_include, numpy_include
 

@@ -11,7 +11,10 @@ from setup.progress import run_logged
 
 
 def build(layout: Layout, environment: Mapping[str, str]) -> None:
-    """Build every package below `src/` into `install/`; colcon runs on the environment's Python, which the executables inherit."""
+    """Build every package below `src/` into `install/`.
+
+    Colcon runs on the environment's Python, whichever colcon it is: that Python is the one the executables start with.
+    """
     command = [str(layout.python), "-m", "colcon", "--log-base", str(layout.root / "log"), "build"]
     command += ["--base-paths", str(layout.root / "src"), "--build-base", str(layout.root / "build")]
     command += ["--install-base", str(layout.install), "--symlink-install", "--metas", str(layout.root / "colcon.meta")]

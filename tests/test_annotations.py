@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every function of the packages is annotated, except those that numba compiles and types by itself."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+MODULES = sorted(path for path in ROOT.glob("src/hydro_*/hydro_*/**/*.py"))
+COMPILED = ("njit", "vectorize", "guvectorize", "cfunc")
+
+
+def is_compiled(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:
+    return any(name in ast.unparse(decorator) for decorator in function.decorator_list for name in COMPILED)
+
+
+def missing(function: ast.FunctionDef | ast.AsyncFunctionDef) -> list[str]:
+    arguments = function.args
+    named = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs, arguments.vararg, arguments.kwarg]
+    bare = [
+        word.arg for word in named if word is not None and word.annotation is None and word.arg not in ("self", "cls")
+    ]
+    return bare if function.returns else [*bare, "return"]
+
+
+def functions(tree: ast.AST) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
+    """Return the functions to check: none inside a compiled one."""
+    found: list[ast.FunctionDef | ast.AsyncFunctionDef] = []
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            if is_compiled(node):
+                continue
+            found.append(node)
+        found += functions(node)
+    return found
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(ROOT / "src")))
+def test_functions_are_annotated(path: Path) -> None:
+    tree = ast.parse(path.read_text())
+    lacking = {f"{function.name} (line {function.lineno})": missing(function) for function in functions(tree)}
+    assert {name: words for name, words in lacking.items() if words} == {}
