@@ -201,7 +201,7 @@ class ForceOffset:
 
 @dataclass(frozen=True, kw_only=True)
 class SensorLag:
-    """Low-pass in a sensor's amplifier; replaces the bench's load_cell_bandwidth on load_force."""
+    """Low-pass in a sensor's amplifier, by its natural frequency; on load_force it takes the place of the bench's."""
 
     bandwidth: float = quantity(unit="Hz", low=2.0, high=2000.0)
     sensor: str = choice("load_force", *SENSORS)

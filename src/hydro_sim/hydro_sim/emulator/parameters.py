@@ -159,7 +159,7 @@ def _sensors(p: np.void, bench: TruthBench, sensors: TruthSensors, effects: Effe
     for error in effects.pressure_sensor_bias:
         p["sensor_bias"][SENSORS.index("pressure_" + error.chamber)] = error.pressure
     if bench.load_cell_bandwidth is not None:
-        _lag(p, "load_force", 2, bench.load_cell_bandwidth, math.sqrt(0.5))
+        _lag(p, "load_force", 2, bench.load_cell_bandwidth, bench.load_cell_damping)
     for lag in effects.sensor_lag:
         _lag(p, lag.sensor, lag.order, lag.bandwidth, lag.damping)
 

@@ -14,6 +14,7 @@ from hydro_sim.emulator.effects import (
     FrictionPresliding,
     FrictionStribeck,
     LeakageInternal,
+    SensorLag,
     ValveLag,
 )
 from hydro_sim.emulator.outside import Outside
@@ -43,6 +44,7 @@ class TruthBench:
     spring_stiffness: float = quantity(2e4, unit="N/m", low=0.0, high=1e8)
     spring_rest_position: float = quantity(0.04, unit="m", low=0.0, high=10.0)
     load_cell_bandwidth: float | None = quantity(25.0, unit="Hz", low=2.0, high=2000.0)  # null: ideal amplifier
+    load_cell_damping: float = quantity(0.7071067811865476, low=0.3, high=2.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,6 +85,7 @@ def profile(name: str) -> TruthConfig:
             friction_stribeck=FrictionStribeck(breakaway_force=5.0, velocity=0.01),
             friction_presliding=FrictionPresliding(stiffness=5e5),
             leakage_internal=LeakageInternal(coefficient=1e-13),
+            sensor_lag=(SensorLag(sensor="load_force", bandwidth=25.0, damping=0.5),),
         )
     )
 

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`Machine`: box and truth plant together, one sample at a time; both the real-time loop and the offline path run it.
+
+Sample k: the box reads x_k at box time k ms and decides u_k; the plant holds u_k until sample k + 1.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, Command, FloatArray, StateArray
+from hydro_sim import box_kernel
+from hydro_sim.bench import Bench
+from hydro_sim.box import BoxConfig, fill_command
+from hydro_sim.emulator import truth
+from hydro_sim.emulator.parameters import SAMPLE_TIME
+from hydro_sim.emulator.truth_config import TruthConfig
+
+
+@njit(cache=True)
+def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, physical):
+    """One sample of box and plant in place.
+
+    Parameters
+    ----------
+    bench, settings, box
+        Records of the box, shape (1,) each: what it believes, its settings, its state.
+    plant
+        Tuple of the plant's records, shape (1,) each: parameters, differentiation, state, sensors.
+    scratch
+        Work space of the plant, shape (3, 8).
+    noise
+        Standard normal numbers for the reading after this sample, shape (`truth.NOISE_COLUMNS`,).
+    time
+        Box time [s] of this sample.
+    sample
+        Output: record of `STATE_DTYPE`, shape (1,).
+    clean, physical
+        Outputs: the reading without noise, shape (8,); `truth.TRUTH_FIELDS`, shape (12,). Both at `time`.
+    """
+    parameters, differentiation, state, chain = plant
+    clean[:] = chain[0].clean
+    truth.physical(state, physical)
+    box_kernel.tick(bench, settings, box, chain[0].measurement, time, sample)
+    truth.advance(parameters, differentiation, state, chain, scratch, noise, sample[0].valve_current)
+
+
+class Machine:
+    """An emulated bench with its box.
+
+    Parameters
+    ----------
+    config
+        The truth.
+    bench
+        What the box believes; absent: the nominal bench.
+    box
+        Settings of the box.
+    seed
+        Of noise and random force.
+    """
+
+    def __init__(
+        self, config: TruthConfig, bench: Bench | None = None, box: BoxConfig | None = None, seed: int = 0
+    ) -> None:
+        believed = bench or Bench.nominal()
+        self.plant = truth.TruthPlant(config, seed)
+        self.records = (self.plant.parameters, self.plant.differentiation, self.plant.state, self.plant.chain)
+        self.bench = believed.constants()
+        self.settings = (box or BoxConfig()).constants(believed)
+        self.box = np.zeros(1, box_kernel.STATE_DTYPE)
+        box_kernel.reset(self.box)
+        self.clean, self.physical = np.empty(len(PLANT_FIELDS)), np.empty(len(truth.TRUTH_FIELDS))
+        self.samples = 0
+        self._command = np.zeros(1, box_kernel.COMMAND_DTYPE)
+
+    @property
+    def time(self) -> float:
+        """Box time [s] of the coming sample."""
+        return self.samples * SAMPLE_TIME
+
+    def receive(self, command: Command) -> None:
+        """Take a command that arrived since the last sample."""
+        fill_command(self._command, command)
+        box_kernel.receive(self.settings, self.box, self._command, self.time)
+
+    def tick(self) -> np.void:
+        """One sample; returns a record of `STATE_DTYPE`. `clean` and `physical` then hold what belongs to it."""
+        sample: StateArray = np.empty(1, STATE_DTYPE)
+        noise = self.plant.noise.row()
+        work = self.plant.work
+        exchange(
+            self.bench, self.settings, self.box, self.records, work, noise, self.time, sample, self.clean, self.physical
+        )
+        self.samples += 1
+        record: np.void = sample[0]
+        return record
+
+    def run(
+        self, commands: npt.NDArray[np.void], which: npt.NDArray[np.int64]
+    ) -> tuple[StateArray, FloatArray, FloatArray]:
+        """Many samples in one compiled loop, with a command before each.
+
+        Parameters
+        ----------
+        commands
+            Records of `box_kernel.COMMAND_DTYPE`, shape (m,).
+        which
+            Index into `commands` for each sample, shape (n,).
+
+        Returns
+        -------
+        Samples of `STATE_DTYPE`, shape (n,); readings without noise, shape (n, 8); `truth.TRUTH_FIELDS`, shape (n, 12).
+        """
+        count = len(which)
+        states = np.empty(count, STATE_DTYPE)
+        clean, physical = np.empty((count, len(PLANT_FIELDS))), np.empty((count, len(truth.TRUTH_FIELDS)))
+        noise = self.plant.noise.rows(count)
+        box = (self.bench, self.settings, self.box)
+        _run(box, self.records, self.plant.work, noise, self.samples, commands, which, states, clean, physical)
+        self.samples += count
+        return states, clean, physical
+
+
+@njit(cache=True)
+def _run(box, plant, scratch, noise, first, commands, which, states, clean, physical):
+    bench, settings, memory = box
+    for k in range(len(which)):
+        time = (first + k) * SAMPLE_TIME
+        box_kernel.receive(settings, memory, commands[which[k] : which[k] + 1], time)
+        exchange(
+            bench, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k]
+        )
