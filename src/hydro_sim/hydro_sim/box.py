@@ -120,7 +120,7 @@ class Box:
 
         Its `valve_current` is what to hold until the next sample; always finite and within the valve's limit.
         """
-        output: StateArray = np.empty(1, STATE_DTYPE)
+        output: StateArray = np.zeros(1, STATE_DTYPE)
         box_kernel.tick(self.bench, self.settings, self.state, measurement, time, output)
         sample: np.void = output[0]
         return sample

@@ -78,7 +78,7 @@ def simulate(
     measurement = plant.reset(seed)
     if isinstance(plant, AnalyticPlant):
         return _compiled(plant, box, schedule, gains, correction)
-    output = np.empty(schedule.samples, STATE_DTYPE)
+    output = np.zeros(schedule.samples, STATE_DTYPE)
     for k in range(schedule.samples):
         delta_kp, delta_ki = gains[min(k // POLICY_SAMPLES, len(gains) - 1)]
         command = Command(
@@ -98,7 +98,7 @@ def simulate(
 def _compiled(plant: AnalyticPlant, box: Box, schedule: Schedule, gains: FloatArray, correction: FloatArray) -> StateArray:
     command = np.zeros(1, box_kernel.COMMAND_DTYPE)
     fill_command(command, Command(arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0))
-    output = np.empty(schedule.samples, STATE_DTYPE)
+    output = np.zeros(schedule.samples, STATE_DTYPE)
     noise = plant.noise.rows(schedule.samples)
     records = (plant.constants, plant.sensors, plant.state, box.bench, box.settings, box.state, command)
     _loop(*records, gains, correction, noise, output)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from math import nan, sqrt
+from pathlib import Path
+
+import pytest
+import yaml
+
+from hydro_sim.bench import BENCH_DTYPE, Bench
+
+
+def write(path: Path, **changes: object) -> Path:
+    content = {**Bench.nominal().to_mapping(), **changes}
+    path.write_text(yaml.safe_dump({key: value for key, value in content.items() if value is not ...}))
+    return path
+
+
+def test_shipped_bench_has_the_values_of_the_contract(bench: Bench) -> None:
+    assert bench.to_mapping() == {
+        "bulk_modulus": 1.34e9, "piston_area": 2e-4, "area_ratio": 0.609, "stroke": 0.08,
+        "supply_pressure": 16e6, "tank_pressure": 0.0,
+        "valve_nominal_flow": 1.67e-4, "valve_nominal_current": 0.05, "valve_nominal_pressure_drop": 7e6,
+        "valve_current_max": 0.05, "dead_volume_a": 2e-4, "dead_volume_b": 2e-4, "moving_mass": 1.2,
+        "viscous_friction": 60.0, "spring_stiffness": 20000.0, "spring_rest_position": 0.04, "load_cell_bandwidth": 25.0,
+    }  # fmt: skip
+    assert bench.valve_gain == pytest.approx(1.67e-4 / (0.05 * sqrt(3.5e6)), rel=1e-15)
+
+
+def test_bench_survives_a_file(bench: Bench, tmp_path: Path) -> None:
+    assert Bench.load(write(tmp_path / "bench.yaml")) == bench
+
+
+def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
+    path = write(tmp_path / "bench.yaml")
+    path.write_text(re.sub("bulk_modulus: .*", "bulk_modulus: 1.5e9", path.read_text()))
+    assert yaml.safe_load(path.read_text())["bulk_modulus"] == "1.5e9"
+    assert Bench.load(path).bulk_modulus == 1.5e9
+
+
+def test_optional_key_may_be_absent(tmp_path: Path) -> None:
+    bench = Bench.load(write(tmp_path / "bench.yaml", load_cell_bandwidth=...))
+    assert bench.load_cell_bandwidth is None
+    assert bench.constants()["load_cell_omega"][0] == 0.0
+    assert "load_cell_bandwidth" not in bench.to_mapping()
+
+
+def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
+    effects = [{"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}, {"id": "valve_deadband"}]
+    bench = Bench.load(write(tmp_path / "corrected.yaml", effects=effects))
+    assert bench.effects == tuple(effects)
+    assert bench.to_mapping()["effects"] == effects
+
+
+@pytest.mark.parametrize(
+    ("changes", "sentence"),
+    [
+        ({"bulk_modulos": 1e9}, "unknown key 'bulk_modulos'"),
+        ({"stroke": ...}, "key 'stroke' is missing"),
+        ({"stroke": "long"}, "stroke = 'long' is not a number"),
+        ({"stroke": -0.08}, "stroke = -0.08 is not a number in [0.001, 5] m"),
+        ({"moving_mass": nan}, "moving_mass = nan is not a number in [0.01, 10000] kg"),
+        ({"moving_mass": True}, "moving_mass = True is not a number in [0.01, 10000] kg"),
+        ({"moving_mass": None}, "moving_mass = None is not a number in [0.01, 10000] kg"),
+        ({"supply_pressure": 1e5, "tank_pressure": 2e5}, "tank_pressure 200000 Pa is not below supply_pressure 100000 Pa"),
+        ({"effects": "leak"}, "'effects' is a list of mappings, each with an 'id'"),
+        ({"effects": [{"parameters": {}}]}, "'effects' is a list of mappings, each with an 'id'"),
+    ],
+)
+def test_bad_bench_is_refused_in_one_sentence_with_file_and_key(
+    changes: dict[str, object], sentence: str, tmp_path: Path
+) -> None:
+    path = write(tmp_path / "bench.yaml", **changes)
+    with pytest.raises(ValueError) as refusal:
+        Bench.load(path)
+    assert str(refusal.value) == f"{path}: {sentence}"
+
+
+@pytest.mark.parametrize("content", [b"", b"- 1\n- 2\n", b"a: [1\n", b"\xff\xfe\x00"])
+def test_what_is_no_bench_is_refused_by_name(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match=re.escape(str(path))) as refusal:
+        Bench.load(path)
+    assert "\n" not in str(refusal.value)
+
+
+def test_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="nowhere.yaml: No such file"):
+        Bench.load(tmp_path / "nowhere.yaml")
+
+
+def test_compiled_code_reads_the_same_values(bench: Bench) -> None:
+    record = replace(bench, load_cell_bandwidth=10.0).constants()[0]
+    assert record["load_cell_omega"] == pytest.approx(62.83185307)
+    for name in set(BENCH_DTYPE.names or ()) - {"load_cell_omega"}:
+        assert record[name] == getattr(bench, name)

@@ -1,0 +1,244 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The failure table of docs/architecture.md, row by row, and arming."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf, nan
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hydro_bridge.signals import Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_sim.bench import Bench
+from hydro_sim.box import Box, BoxConfig
+from hydro_sim.plant import AnalyticPlant
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
+RUN = Command(arm=True, delta_kp=75.0, delta_ki=10.0, delta_u=1e-4, reference=SINE, filter_fresh=True)
+FAULTS = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT
+
+
+class Rig:
+    """A box on an analytic plant, on one clock."""
+
+    def __init__(self, bench: Bench, config: BoxConfig | None = None) -> None:
+        self.box, self.plant = Box(bench, config), AnalyticPlant(bench)
+        self.x = self.plant.reset(1)
+        self.k = 0
+
+    @property
+    def time(self) -> float:
+        return self.k * 1e-3
+
+    def go(self, samples: int, command: Command | None, **readings: float) -> np.ndarray:
+        """Run with a command every sample (None: the link is silent); `readings` overwrite x[int(name[1:])]."""
+        out = []
+        for _ in range(samples):
+            if command is not None:
+                self.box.receive(command, self.time)
+            x = self.x.copy()
+            for name, value in readings.items():
+                x[int(name[1:])] = value
+            out.append(self.box.tick(x, self.time))
+            self.x = self.plant.step(float(out[-1]["valve_current"]))
+            self.k += 1
+        return np.array(out)
+
+    def armed(self, seconds: float = 1.0) -> Rig:
+        self.go(1, Command())
+        run = self.go(round(1e3 * seconds), RUN)
+        assert run["flags"][-1] == Flag.ARMED
+        return self
+
+
+def flags(sample: np.void) -> Flag:
+    return Flag(int(sample["flags"]))
+
+
+def test_arming_does_not_jump(bench: Bench) -> None:
+    """From a bench that stands loaded: current, reference and its rate begin where the bench is."""
+    rig = Rig(bench)
+    rig.armed(1.25)
+    rig.go(200, replace(RUN, arm=False))
+    held = rig.x[2]
+    assert abs(held) > 100.0
+    run = rig.go(400, RUN)
+    assert run["reference_force"][0] == run["load_force"][0] == held
+    assert run["reference_force_rate"][0] == 0.0
+    moves = np.abs(np.diff(run["reference_force"]))
+    assert moves.max() < 8.0
+    assert abs(run["nominal_valve_current"][0]) < 2e-4
+    assert run["proportional_gain"][0] == 90.0
+
+
+def test_disarmed_current_is_zero_and_reference_rests_on_the_force(bench: Bench) -> None:
+    rig = Rig(bench)
+    run = rig.go(50, replace(RUN, arm=False))
+    assert not run["flags"].any()
+    assert not run["valve_current"].any() and not run["nominal_valve_current"].any()
+    np.testing.assert_array_equal(run["reference_force"], run["load_force"])
+    assert list(run["sequence"]) == list(range(50))
+
+
+def test_disarm_stops_at_once_and_rearming_starts_with_no_integral(bench: Bench) -> None:
+    rig = Rig(bench).armed()
+    off = rig.go(1, replace(RUN, arm=False))[0]
+    assert flags(off) == Flag(0) and off["valve_current"] == 0.0
+    assert flags(rig.go(1, RUN)[0]) == Flag.ARMED
+    assert abs(rig.box.state["integral"][0]) < 0.01
+
+
+def test_a_command_to_arm_before_any_disarm_trips(bench: Bench) -> None:
+    """A box that restarts under a graph that still says arm must not move."""
+    rig = Rig(bench)
+    run = rig.go(100, RUN)
+    assert set(run["flags"]) == {Flag.TRIPPED}
+    rig.go(1, Command())
+    assert flags(rig.go(1, RUN)[0]) == Flag.ARMED
+
+
+def test_commands_older_than_50_ms_leave_base_gains_and_no_correction(bench: Bench) -> None:
+    rig = Rig(bench).armed()
+    run = rig.go(150, None)
+    before, after = run[:48], run[52:]
+    assert not (before["flags"] & Flag.WATCHDOG).any() and (before["proportional_gain"] == 90.0).all()
+    assert (after["flags"] == Flag.ARMED | Flag.WATCHDOG | Flag.FILTER_STALE).all()
+    assert (after["proportional_gain"] == 15.0).all() and (after["integral_gain"] == 5.0).all()
+    np.testing.assert_array_equal(after["valve_current"], after["nominal_valve_current"])
+    np.testing.assert_allclose(before["valve_current"], before["nominal_valve_current"] + 1e-4)
+    assert flags(rig.go(1, RUN)[0]) == Flag.ARMED
+
+
+def test_commands_older_than_200_ms_trip_until_disarmed_and_armed_anew(bench: Bench) -> None:
+    rig = Rig(bench).armed()
+    run = rig.go(300, None)
+    assert (run["flags"][:198] & Flag.ARMED).all()
+    assert (run["flags"][202:] == Flag.TRIPPED | Flag.WATCHDOG | Flag.FILTER_STALE).all()
+    assert not run["valve_current"][202:].any()
+    assert set(rig.go(100, RUN)["flags"]) == {Flag.TRIPPED}
+    assert set(rig.go(5, Command())["flags"]) == {Flag.FILTER_STALE}
+    assert set(rig.go(100, RUN)["flags"]) == {Flag.ARMED}
+
+
+def test_a_silence_while_disarmed_also_asks_for_a_disarm(bench: Bench) -> None:
+    rig = Rig(bench)
+    rig.go(10, Command())
+    rig.go(300, None)
+    assert flags(rig.go(1, RUN)[0]) == Flag.TRIPPED
+
+
+@pytest.mark.parametrize("channel", range(8))
+@pytest.mark.parametrize("value", [nan, inf, -inf, 1e12])
+def test_an_impossible_measurement_trips_with_zero_current(channel: int, value: float, bench: Bench) -> None:
+    rig = Rig(bench).armed(0.1)
+    faulty = rig.go(1, RUN, **{f"x{channel}": value})[0]
+    assert flags(faulty) & ~Flag.FORCE_LIMIT == Flag.TRIPPED | Flag.SENSOR_FAULT
+    assert faulty["valve_current"] == 0.0
+    later = rig.go(20, RUN)
+    assert (later["flags"] & FAULTS == faulty["flags"] & FAULTS).all() and not later["valve_current"].any()
+    rig.go(1, Command())
+    assert flags(rig.go(1, RUN)[0]) == Flag.ARMED
+
+
+def test_a_fault_that_is_still_there_cannot_be_armed_away(bench: Bench) -> None:
+    rig = Rig(bench).armed(0.1)
+    rig.go(1, RUN, x4=nan)
+    assert flags(rig.go(1, Command(filter_fresh=True), x4=nan)[0]) == Flag.TRIPPED | Flag.SENSOR_FAULT
+    assert flags(rig.go(1, RUN, x4=nan)[0]) == Flag.TRIPPED | Flag.SENSOR_FAULT
+
+
+@pytest.mark.parametrize("force", [701.0, -701.0])
+def test_load_force_beyond_the_limit_trips(force: float, bench: Bench) -> None:
+    rig = Rig(bench).armed(0.1)
+    tripped = rig.go(1, RUN, x2=force)[0]
+    assert flags(tripped) == Flag.TRIPPED | Flag.FORCE_LIMIT
+    assert tripped["valve_current"] == 0.0
+
+
+def test_an_unstable_loop_ends_in_a_trip_and_not_in_the_end_stop(bench: Bench) -> None:
+    rig = Rig(bench)
+    rig.go(1, Command())
+    run = rig.go(4000, replace(RUN, delta_kp=235.0))
+    assert flags(run[-1]) == Flag.TRIPPED | Flag.FORCE_LIMIT
+    assert 0.0 < run["piston_position"].min() and run["piston_position"].max() < bench.stroke
+
+
+@pytest.mark.parametrize("field", ["delta_kp", "delta_ki", "delta_u"])
+def test_a_value_that_is_not_finite_becomes_the_safe_one_and_is_counted(field: str, bench: Bench) -> None:
+    rig = Rig(bench).armed(0.1)
+    run = rig.go(5, replace(RUN, **{field: nan}))
+    assert rig.box.refused == 5
+    assert np.isfinite(run["valve_current"]).all() and (run["flags"] == Flag.ARMED).all()
+    expected = {"delta_kp": (15.0, 15.0), "delta_ki": (90.0, 5.0), "delta_u": (90.0, 15.0)}[field]
+    assert (run["proportional_gain"][0], run["integral_gain"][0]) == expected
+
+
+def test_values_out_of_range_are_clamped(bench: Bench) -> None:
+    rig = Rig(bench).armed(0.1)
+    run = rig.go(1, replace(RUN, delta_kp=1e6, delta_ki=-1e6))[0]
+    assert (run["proportional_gain"], run["integral_gain"]) == (300.0, -20.0)
+    assert rig.box.refused == 2
+
+
+@pytest.mark.parametrize("change", [{"amplitude": nan}, {"frequency": 0.0}, {"frequency": inf}, {"offset": -inf}])
+def test_a_reference_that_cannot_be_played_is_refused(change: dict[str, float], bench: Bench) -> None:
+    rig = Rig(bench).armed()
+    run = rig.go(500, replace(RUN, reference=replace(SINE, **change)))
+    other = Rig(bench).armed().go(500, RUN)
+    np.testing.assert_array_equal(run["reference_force"], other["reference_force"])
+    assert rig.box.refused == 500
+
+
+def test_current_saturates_at_the_valves_limit_and_says_so(bench: Bench) -> None:
+    rig = Rig(bench).armed()
+    for delta_u, limit in ((0.1, 0.05), (-0.1, -0.05)):
+        sample = rig.go(1, replace(RUN, delta_u=delta_u))[0]
+        assert flags(sample) == Flag.ARMED | Flag.SATURATED
+        assert sample["valve_current"] == limit
+
+
+def test_no_fresh_filter_is_flagged(bench: Bench) -> None:
+    rig = Rig(bench).armed()
+    assert flags(rig.go(1, replace(RUN, filter_fresh=False))[0]) == Flag.ARMED | Flag.FILTER_STALE
+
+
+any_float = st.floats(allow_nan=True, allow_infinity=True)
+
+
+@given(x=st.lists(any_float, min_size=8, max_size=8), numbers=st.lists(any_float, min_size=7, max_size=7))
+@settings(max_examples=200, deadline=None)
+def test_whatever_comes_in_what_reaches_the_valve_is_finite(x: FloatArray, numbers: list[float]) -> None:
+    bench = Bench.nominal()
+    rig = Rig(bench)
+    rig.go(1, Command())
+    signal = ReferenceSignal(
+        waveform=Waveform.SINE, amplitude=numbers[3], offset=numbers[4], frequency=numbers[5], phase=numbers[6]
+    )
+    wild = Command(arm=True, delta_kp=numbers[0], delta_ki=numbers[1], delta_u=numbers[2], reference=signal)
+    assert np.isfinite(rig.go(5, wild)["valve_current"]).all()
+    rig.box.receive(wild, rig.time)
+    out = rig.box.tick(np.array(x), rig.time)
+    assert np.isfinite(out["valve_current"]) and abs(out["valve_current"]) <= bench.valve_current_max
+
+
+def test_sequence_wraps_at_32_bits(bench: Bench) -> None:
+    rig = Rig(bench)
+    rig.box.state["sequence"] = 2**32 - 1
+    assert list(rig.go(2, Command())["sequence"]) == [2**32 - 1, 0]
+
+
+def test_feedback_channel_is_a_setting(bench: Bench) -> None:
+    load, hydraulic = (Rig(bench, BoxConfig(feedback=channel)) for channel in ("load", "hydraulic"))  # type: ignore[arg-type]
+    for rig, field in ((load, "load_force"), (hydraulic, "hydraulic_force")):
+        rig.go(1, Command())
+        first = rig.go(1, RUN)[0]
+        assert first["reference_force"] == first[field]
+
+
+@pytest.mark.parametrize("bad", [{"base_kp": nan}, {"feedback": "both"}, {"hold_timeout": 0.3}])
+def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
+    with pytest.raises(ValueError, match=next(iter(bad))):
+        BoxConfig(**bad)  # type: ignore[arg-type]

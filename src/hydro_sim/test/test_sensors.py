@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim import sensors
+from hydro_sim.bench import Bench
+from hydro_sim.plant import AnalyticPlant
+from hydro_sim.sensors import CONDITIONING_DTYPE, Noise, Sensors
+
+
+def differentiated(position: FloatArray, settings: Sensors) -> FloatArray:
+    """Velocities, shape (n,), that the box finds for sampled positions, shape (n,)."""
+    constants, last, x = settings.constants(0.0), np.zeros(1, CONDITIONING_DTYPE), np.zeros(8)
+    raw = np.zeros(5)
+    raw[4] = position[0]
+    sensors.restart(last[0], raw, x)
+    velocity = [0.0]
+    for value in position[1:]:
+        raw[4] = value
+        sensors.condition(constants[0], last[0], raw, x)
+        velocity.append(x[7])
+    return np.array(velocity)
+
+
+@pytest.mark.parametrize("age", [5e-4, 1e-3, 2e-3])
+def test_a_velocity_is_as_old_as_its_setting_says(age: float) -> None:
+    times = 1e-3 * np.arange(400)
+    acceleration = 3.0
+    velocity = differentiated(0.5 * acceleration * times**2, Sensors(velocity_age=age))
+    np.testing.assert_allclose(velocity[100:], acceleration * (times[100:] - age), rtol=1e-9)
+
+
+def test_readings_have_the_stated_noise_and_steps(bench: Bench) -> None:
+    plant = AnalyticPlant(bench)
+    samples = np.array([plant.reset(seed) for seed in range(2000)])
+    spread = samples.std(axis=0)
+    assert spread[[0, 2]] == pytest.approx(0.6, rel=0.05)
+    assert spread[[4, 5]] == pytest.approx(6e3, rel=0.05)
+    steps = samples[:, 6] / 1e-6
+    np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
+
+def test_encoder_shows_whole_steps_only() -> None:
+    raw = np.array([0.0, 0.0, 0.0, 0.0, 0.0123456])
+    sensors.sense(Sensors().constants()[0], np.zeros(5), raw)
+    assert raw[4] == pytest.approx(0.012346, abs=1e-12)
+
+
+def test_ideal_sensors_show_the_truth(bench: Bench) -> None:
+    plant = AnalyticPlant(bench, noise=0.0)
+    plant.reset(3)
+    for _ in range(50):
+        x = plant.step(0.001)
+    y = plant.physical_state()
+    np.testing.assert_array_equal(x[[2, 4, 5, 6]], y[[4, 0, 1, 2]])
+
+
+def test_noise_is_the_same_however_many_rows_are_taken() -> None:
+    singly = Noise(7)
+    rows = np.array([singly.row() for _ in range(2500)])
+    together = Noise(7)
+    pieces = [together.row()[None], together.rows(10), together.rows(1500), together.row()[None], together.rows(988)]
+    np.testing.assert_array_equal(np.concatenate(pieces), rows)
+    assert not np.array_equal(Noise(8).rows(3), rows[:3])
+
+
+def test_impossible_settings_are_refused(bench: Bench) -> None:
+    with pytest.raises(ValueError, match="age of 0.0001 s is outside"):
+        Sensors(velocity_age=1e-4).constants()
+    with pytest.raises(ValueError, match="noise scale -1"):
+        AnalyticPlant(bench, noise=-1)
