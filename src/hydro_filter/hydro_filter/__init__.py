@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction certificate and the correction of the valve current that keeps it. What it can and cannot do: docs/safety.md.
+"""The contraction certificate and the correction of the valve current that keeps it.
 
-`state` has the state's layout and units, `sample` what is read of it; `dynamics`, `controller` and `metric` each hold a protocol
-and its analytic form; `certificate` puts them together to a half-line, `qp` finds the smallest correction on it, `filter` is
-the whole, one sample in and one correction out; `nodes` moves messages.
+What it can and cannot do: docs/safety.md.
+
+`state` has the state's layout and units, `sample` what is read of it; `dynamics`, `controller` and `metric` each hold
+a protocol and its analytic form; `certificate` puts them together to a half-line, `qp` finds the smallest correction
+on it, `filter` is the whole, one sample in and one correction out; `nodes` moves messages.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate of eq. cont_require_6 along the force error, and the half-line a du <= b that it leaves for the correction.
+"""The certificate of eq. cont_require_6 along the force error: the half-line a du <= b that it leaves.
 
     M_c = v' (M' + sym(M (A + B K)) + 2 lambda M) v          holds if M_c <= 0
     a   = 2 v' M B                                           M_c with du is a du - b
@@ -9,12 +9,12 @@ on normalized states, with v a displacement from the reference along the load fo
 
     v = [0, 0, -e, 0, 0, 0, 0, 0] / 300 N        e = f_r - f_l
 
-**Erratum.** The paper prints +e. M_c does not care, a does: du enters the displacement x - x_r with +B (eq. cont_require_8), and
-the load force's part of x - x_r is f_l - f_r = -e. With the printed sign the correction pushes the force away from its reference;
-a test closes the loop with both.
+**Erratum.** The paper prints +e. M_c does not care, a does: du enters the displacement x - x_r with +B (eq.
+cont_require_8), and the load force's part of x - x_r is f_l - f_r = -e. With the printed sign the correction pushes
+the force away from its reference; a test closes the loop with both.
 
-Near e = 0 the half-line vanishes with v. Errors within the load cell's noise are none: e passes a smooth dead zone, zero up to
-`noise_floor` and untouched from twice that.
+Near e = 0 the half-line vanishes with v. Errors within the load cell's noise are none: e passes a smooth dead zone,
+zero up to `noise_floor` and untouched from twice that.
 """
 
 from __future__ import annotations

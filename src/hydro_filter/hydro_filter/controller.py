@@ -6,9 +6,10 @@
     du/df_l  = -K_p / g                  du/dx_p  = -(dh/dx_p + u dg/dx_p) / g
     du/dx_p' = -(dh/dx_p') / g           du/dp_a  = -u (dg/dp_a) / g,  the same for p_b
 
-With F(x, u) = h + g u the right side of eq. q13, dh/dx + u dg/dx is dF/dx at held u, so K = -(dF/dx)/g except along f_l.
-As in `hydro_sim.force_law`, g is no less than a floor (there dg/dx = 0) and the position is one within the stroke.
-The integral is the law's own memory and no function of x: K_i has no place in K, and the certificate does not see it.
+With F(x, u) = h + g u the right side of eq. q13, dh/dx + u dg/dx is dF/dx at held u, so K = -(dF/dx)/g except along
+f_l. As in `hydro_sim.force_law`, g is no less than a floor (there dg/dx = 0) and the position is one within the
+stroke. The integral is the law's own memory and no function of x: K_i has no place in K, and the certificate does not
+see it.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ class ForceLaw:
     def __init__(self, bench: Bench, box: BoxConfig | None = None) -> None:
         box = box or BoxConfig()
         if box.feedback != "load":
-            raise ValueError(f"the certificate follows the load force; a law that feeds back {box.feedback!r} has no part in it")
+            raise ValueError(f"the certificate needs feedback of the load force, not {box.feedback!r}")
         self.constants = bench.constants()
         self.gain_floor = float(box.constants(bench)["gain_floor"][0])
 

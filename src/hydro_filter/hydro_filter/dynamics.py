@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """x' = f(x, u) on the paper's eight states, with exact Jacobians A = df/dx and B = df/du written out.
 
-The eight states describe a plant of four (f_h follows from the pressures, f_l and f_l' from the piston), so f is not unique
-off the consistent states. The choice here, row by row::
+The eight states describe a plant of four (f_h follows from the pressures, f_l and f_l' from the piston), so f is not
+unique off the consistent states. The choice here, row by row::
 
     f_h'   = h(x_p, x_p') + g(x_p, p_a, p_b) u         eq. q13, not the state f_h' itself
     f_h''  = d/dt (h + g u) at held u                  by the chain rule along x_p', x_p'', p_a', p_b'
@@ -10,9 +10,10 @@ off the consistent states. The choice here, row by row::
     f_l''  = k_s x_p''                                 x_p'' = (f_h - b x_p' - k_s (x_p - x_rest)) / m
     p_a', p_b', x_p' as in hydro_sim.hydraulics        x_p'' as above
 
-The spring's force on the mass is taken from the position, not from the load cell: then f_l enters the motion by the feedback
-alone, as it does on a bench whose load cell lags, and a displacement along f_l asks what the feedback does to it.
-Source: paper eq. q13-q15 with docs/physics.md's erratum; the derivation is checked against hydro_sim.hydraulics in the tests.
+The spring's force on the mass is taken from the position, not from the load cell: then f_l enters the motion by the
+feedback alone, as it does on a bench whose load cell lags, and a displacement along f_l asks what the feedback does to
+it. Source: paper eq. q13-q15 with docs/physics.md's erratum; the derivation is checked against hydro_sim.hydraulics in
+the tests.
 """
 
 from __future__ import annotations
@@ -168,7 +169,10 @@ def _chambers(bench, state, current, state_matrix, input_vector):
     gain_a, gain_b = flow_gains(bench, state[PRESSURE_A], state[PRESSURE_B], current)
     slope_a, slope_b, _, _ = land_slopes(bench, state[PRESSURE_A], state[PRESSURE_B], current)
     soft_a, soft_b = bench.bulk_modulus / volume_a, bench.bulk_modulus / volume_b
-    rate_a, rate_b = soft_a * (gain_a * current - area * velocity), soft_b * (ratio * area * velocity - gain_b * current)
+    rate_a, rate_b = (
+        soft_a * (gain_a * current - area * velocity),
+        soft_b * (ratio * area * velocity - gain_b * current),
+    )
     state_matrix[PRESSURE_A, PRESSURE_A] = soft_a * slope_a * current
     state_matrix[PRESSURE_A, POSITION] = -area / volume_a * rate_a
     state_matrix[PRESSURE_A, VELOCITY] = -soft_a * area

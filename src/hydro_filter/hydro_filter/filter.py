@@ -4,8 +4,8 @@
     sample ──> Certificate ──> a, b ──> QpFilter ──> delta_u, status
                  Metric, Dynamics, Controller          bounds: what the valve has left
 
-The bounds hold for what the valve gets: sat(u_nom) + du within +-u_max. A nominal current beyond the limit is the valve's to
-cut, not a reason to correct.
+The bounds hold for what the valve gets: sat(u_nom) + du within +-u_max. A nominal current beyond the limit is the
+valve's to cut, not a reason to correct.
 """
 
 from __future__ import annotations

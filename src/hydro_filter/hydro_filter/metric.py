@@ -13,10 +13,10 @@ R(x_p) = -(dh/dx_p') / k_s, w = k_s / m::
     A_c =[ -K_p    -tau R w    tau R b/m + K_p tau - 1  ]      z' = A_c z
          [   0         w                -b/m            ]
 
-Without the delay (tau = 0) this loop is unstable from K_p = b/m = 50 on: cancelling h takes away the oil's own damping, and the
-delay gives some of it back. P solves the Lyapunov equation (A_c + lambda I)' P + P (A_c + lambda I) = -Q at mid-stroke, and
-M = T' P T + eps I. A_c is affine in (K_p, R), so what holds at the corners of a range of gains and positions holds inside;
-which range that is, `contraction_rate` says and the tests check. Source: docs/safety.md.
+Without the delay (tau = 0) this loop is unstable from K_p = b/m = 50 on: cancelling h takes away the oil's own
+damping, and the delay gives some of it back. P solves the Lyapunov equation (A_c + lambda I)' P + P (A_c + lambda I) =
+-Q at mid-stroke, and M = T' P T + eps I. A_c is affine in (K_p, R), so what holds at the corners of a range of gains
+and positions holds inside; which range that is, `contraction_rate` says and the tests check. Source: docs/safety.md.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class MetricDesign:
 
 
 def loop_matrix(bench: Bench, *, position: float, proportional_gain: float, loop_delay: float) -> FloatArray:
-    """A_c of this module's docstring on normalized z [1/s], shape (3, 3), at piston position [m], gain [1/s], delay [s]."""
+    """A_c (module docstring) on normalized z [1/s], shape (3, 3), at a position [m], gain [1/s] and delay [s]."""
     ratio = -float(velocity_term(bench.constants()[0], position, 1.0)) / bench.spring_stiffness
     stiff, damp = bench.spring_stiffness / bench.moving_mass, bench.viscous_friction / bench.moving_mass
     late = loop_delay * ratio
@@ -137,7 +137,7 @@ def loop_weight(bench: Bench, design: MetricDesign) -> FloatArray:
         raise ValueError(f"K_p = {gain:g} 1/s does not decay at {design.decay:g} 1/s on this bench: no metric for it")
     weight = solve_continuous_lyapunov(shifted.T, -np.diag(design.weights))
     if weight[0, 1] <= 0.0:
-        raise ValueError("this metric does not couple load force and net force: it cannot tell what the feedback should do")
+        raise ValueError("this metric does not couple load force and net force: it says nothing about the feedback")
     return weight / weight[0, 0]
 
 
@@ -151,6 +151,7 @@ def constant_metric(bench: Bench, design: MetricDesign | None = None) -> Constan
 def gain_floor(matrix: FloatArray, contraction_rate: float) -> float:
     """The proportional gain [1/s] below which the certificate of a constant M = T'PT + eps I is violated.
 
-    kappa = lambda M_33 / M_31: with v along f_l alone, eq. cont_require_6 reads K_p >= kappa (derivation: docs/safety.md).
+    kappa = lambda M_33 / M_31: with v along f_l alone, eq. cont_require_6 reads K_p >= kappa (derivation:
+    docs/safety.md).
     """
     return float(contraction_rate * matrix[LOAD_FORCE, LOAD_FORCE] / matrix[LOAD_FORCE, HYDRAULIC_FORCE])

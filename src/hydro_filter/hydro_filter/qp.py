@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The smallest correction that satisfies the certificate: min |du| so that a du <= b and low <= du <= high (paper, QP of eq. v).
+"""The smallest correction that satisfies the certificate: min |du| so that a du <= b, low <= du <= high.
 
-`closed_form` is the answer in one line of algebra: the oracle that every solution of OSQP is held against, and the fallback
-when OSQP has none. `QpFilter` asks OSQP. Neither ever divides by `a`: scaled to the bounds, a vanishing slope with b < 0 is an
-infeasible problem like any other.
+`closed_form` is the answer in one line of algebra: the oracle that every solution of OSQP is held against, and the
+fallback when OSQP has none. `QpFilter` asks OSQP. Neither ever divides by `a`: scaled to the bounds, a vanishing slope
+with b < 0 is an infeasible problem like any other.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ PASS, MODIFIED, RELAXED, INFEASIBLE, NAN = (
 )
 
 LEAST_IMPROVEMENT = 0.01
-"""A correction at the valve's limit that removes less than this share of the violation is not worth a full stroke: none is made."""
+"""Share of the violation that a correction at the valve's limit must remove; else none is made."""
 
 AGREEMENT = 1e-6
-"""Largest distance of OSQP's solution from the closed form, relative to the bounds; beyond it the closed form is taken."""
+"""Distance of OSQP's solution from the closed form, relative to the bounds, beyond which the closed form is taken."""
 
 
 class Correction(NamedTuple):
@@ -58,9 +58,9 @@ def closed_form(a: float, b: float, low: float, high: float) -> Correction:
     Returns
     -------
     Correction
-        PASS: du = 0 satisfies it. MODIFIED: du = b/a. RELAXED: du at the bound next to b/a. INFEASIBLE: no bound within reach
-        removes a share of `LEAST_IMPROVEMENT` of the violation; du = 0. NAN: an argument is not finite, or zero is not
-        within the bounds; du = 0.
+        PASS: du = 0 satisfies it. MODIFIED: du = b/a. RELAXED: du at the bound next to b/a. INFEASIBLE: no bound
+        within reach removes a share of `LEAST_IMPROVEMENT` of the violation; du = 0. NAN: an argument is not finite,
+        or zero is not within the bounds; du = 0.
     """
     delta_u, status = _closed_form(a, b, low, high)
     return Correction(delta_u, CorrectionStatus(status))
@@ -68,7 +68,7 @@ def closed_form(a: float, b: float, low: float, high: float) -> Correction:
 
 @njit(cache=True)
 def _closed_form(a, b, low, high):
-    if not (math.isfinite(a) and math.isfinite(b) and math.isfinite(low) and math.isfinite(high) and low <= 0.0 <= high):
+    if not (math.isfinite(a) and math.isfinite(b) and -math.inf < low <= 0.0 <= high < math.inf):
         return 0.0, NAN
     if b >= 0.0:
         return 0.0, PASS
@@ -95,8 +95,8 @@ class QpCounts:
 class QpFilter:
     """The QP by OSQP, warm-started from the last solution and started afresh after any status but solved.
 
-    The problem is scaled: du by the larger bound, the half-line by its slope, so that the tolerances mean the same for every
-    state of the bench.
+    The problem is scaled: du by the larger bound, the half-line by its slope, so that the tolerances mean the same for
+    every state of the bench.
     """
 
     def __init__(self) -> None:

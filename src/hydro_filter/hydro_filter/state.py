@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The state's layout, and the units in which the certificate measures it.
 
-A metric adds squares of newtons, pascals and metres; it is well conditioned, and its certificate a number without a unit, only
-if each state is first divided by what it typically is::
+A metric adds squares of newtons, pascals and metres; it is well conditioned, and its certificate comparable between
+benches, only if each state is first divided by what it typically is::
 
     f_h     f_h'    f_l     f_l'    p_a          p_b          x_p          x_p'
     300 N   3770    300 N   3770    300 N/A_p    300 N/A_p    300 N/k_s    3770 N/s/k_s

@@ -64,7 +64,12 @@ def run(trial: Trial, plant: Plant, contraction_filter: ContractionFilter) -> Ru
     for k in range(len(states)):
         delta_kp, delta_ki = (float(change) for change in changes[k // POLICY_SAMPLES])
         command = Command(
-            arm=True, delta_kp=delta_kp, delta_ki=delta_ki, delta_u=delta_u, reference=trial.reference, filter_fresh=True
+            arm=True,
+            delta_kp=delta_kp,
+            delta_ki=delta_ki,
+            delta_u=delta_u,
+            reference=trial.reference,
+            filter_fresh=True,
         )
         box.receive(command, k * SAMPLE)
         states[k] = box.tick(measurement, k * SAMPLE)

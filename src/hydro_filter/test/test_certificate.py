@@ -107,6 +107,7 @@ def test_scale_makes_the_certificate_a_small_number(certificate: Certificate, st
 def test_a_higher_contraction_rate_asks_for_more(bench: Bench, states: FloatArray) -> None:
     at = sample(states[0], error=60.0, gain=5.0)
     results = [
-        ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=rate)).correct(at).delta_u for rate in (0.1, 1.0, 3.0)
+        ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=rate)).correct(at).delta_u
+        for rate in (0.1, 1.0, 3.0)
     ]
     assert results[0] == 0.0 < results[1] < results[2]

@@ -95,7 +95,7 @@ def test_correct_never_raises_and_never_leaves_the_valve(
 @pytest.mark.parametrize("current", [-0.3, -0.05, 0.0, 0.02, 0.05, 0.08, 0.3])
 @pytest.mark.parametrize("error", [-300.0, 300.0])
 def test_the_valve_gets_the_correction_that_was_decided(still: FloatArray, current: float, error: float) -> None:
-    """sat(u_nom + delta_u) restores the certificate, or stands at the limit; a law beyond the limit is cut, not corrected."""
+    """sat(u_nom + delta_u) restores the certificate or stands at the limit; a law beyond it is cut, not corrected."""
     result = FILTER.correct(at(still, error, -40.0, current))
     applied, wanted = np.clip(current, -U_MAX, U_MAX), np.clip(current + result.delta_u, -U_MAX, U_MAX)
     line = FILTER.certificate.evaluate(at(still, error, -40.0, current))
@@ -138,7 +138,7 @@ def test_stable_gains_are_left_alone(bench: Bench) -> None:
 
 
 def random_gains(seed: int, hold: int) -> FloatArray:
-    """18 s of the paper's 'Validate Unstable': K_p in [-40, 40], K_i in [-5, 5], each pair held for `hold` steps of 10 ms."""
+    """18 s of the paper's 'Validate Unstable': K_p in [-40, 40], K_i in [-5, 5], held for `hold` steps of 10 ms."""
     rng, draws = np.random.default_rng(seed), 1800 // hold
     return np.repeat(np.column_stack([rng.uniform(-40, 40, draws), rng.uniform(-5, 5, draws)]), hold, axis=0)
 

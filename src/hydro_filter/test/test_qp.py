@@ -22,7 +22,11 @@ def cases(count: int, seed: int) -> np.ndarray:
     a[rng.random(count) < 0.05] = 0.0
     # half of the cases near where b/a meets a bound, the rest anywhere
     near = rng.random(count) < 0.5
-    b = np.where(near, -np.abs(a) * U_MAX * 10.0 ** rng.uniform(-3, 2.5, count), rng.normal(size=count) * 10.0 ** rng.uniform(-9, 6, count))
+    b = np.where(
+        near,
+        -np.abs(a) * U_MAX * 10.0 ** rng.uniform(-3, 2.5, count),
+        rng.normal(size=count) * 10.0 ** rng.uniform(-9, 6, count),
+    )
     applied = rng.choice([-U_MAX, 0.0, U_MAX, nan], count)
     applied = np.where(np.isnan(applied), rng.uniform(-U_MAX, U_MAX, count), applied)
     return np.column_stack([a, b, -U_MAX - applied, U_MAX - applied])
