@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the bench is believed to be: `bench.yaml` as a checked, immutable value.
 
-Names, units and ranges stand once, in the fields of `Bench`; everything else (loading, checking, the record that compiled
-code reads) is derived from them. Values: docs/physics.md, "The nominal bench".
+Names, units and ranges stand once, in the fields of `Bench`; everything else (loading, checking, the record that
+compiled code reads) is derived from them. Values: docs/physics.md, "The nominal bench".
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Bench:
     load_cell_bandwidth: float | None = field(default=None, metadata={"unit": "Hz", "low": 1.0, "high": 1e4})
     """Second-order Butterworth low-pass in the load cell's amplifier; None: ideal."""
     effects: tuple[Mapping[str, Any], ...] = ()
-    """Effects beyond these equations that a diagnosis found (`corrected.yaml`); kept as read, simulated by who knows them."""
+    """Effects beyond these equations, found by a diagnosis (`corrected.yaml`); kept as read."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -167,19 +167,20 @@ def _check(key: str, value: object, metadata: Mapping[str, Any], *, optional: bo
         raise ValueError(f"{key} = {value!r} is not a number in [{low:g}, {high:g}] {unit}")
 
 
-def _number(key: object, value: object) -> object:
+def _number(key: object, value: Any) -> Any:
     """YAML 1.1 as PyYAML reads it takes 1e9 for text: texts become numbers here, anything else is checked by Bench."""
     if value is None or isinstance(value, bool):
         return value
     try:
-        return float(value)  # type: ignore[arg-type]
+        return float(value)
     except (TypeError, ValueError):
         raise ValueError(f"{key} = {value!r} is not a number") from None
 
 
-def _effects(value: object) -> tuple[Mapping[str, Any], ...]:
+def _effects(value: Any) -> tuple[Mapping[str, Any], ...]:
     if value is None:
         return ()
-    if not isinstance(value, (list, tuple)) or not all(isinstance(effect, Mapping) and "id" in effect for effect in value):
+    listed = isinstance(value, (list, tuple))
+    if not listed or not all(isinstance(effect, Mapping) and "id" in effect for effect in value):
         raise ValueError("'effects' is a list of mappings, each with an 'id'")
     return tuple(dict(effect) for effect in value)

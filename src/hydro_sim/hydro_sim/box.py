@@ -3,16 +3,16 @@
 
 ::
 
-    command ──receive──> arm, gains, correction, wanted reference        (checked and clamped here again)
-    measurement ──tick──> watchdog -> faults -> arming -> reference -> force law -> saturation ──> valve current, BenchState
+    command ──receive──> arm, gains, correction, wanted reference            (checked and clamped here again)
+    measurement ──tick──> watchdog, faults, arming, reference, force law, saturation ──> valve current, BenchState
 
                  arm, after a disarm was seen                    fault, or 200 ms without commands
     disarmed ────────────────────────────────> armed ──────────────────────────────────────────────> tripped
         ^  ^───────────── disarm ───────────────┘                                                      │
         └──────────────────────────────────────── disarm ──────────────────────────────────────────────┘
 
-An arm that comes before any disarm (the box restarted under a running graph, or the link was gone for 200 ms) trips: a person
-or the trainer must arm anew. Outcomes: the failure table of docs/architecture.md. Source: paper eq. fl_rl, docs/physics.md.
+An arm that comes before any disarm (the box restarted under a running graph, or the link was gone for 200 ms) trips: a
+person or the trainer must arm anew. Outcomes: the failure table of docs/architecture.md. Source: paper eq. fl_rl.
 """
 
 from __future__ import annotations
@@ -26,6 +26,12 @@ import numpy.typing as npt
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim import box_kernel, hydraulics
 from hydro_sim.bench import Bench
+
+RATE_RANGE = 1e8
+"""N/s, magnitude that a differentiated force can have: a load cell's full range within a tenth of a sample."""
+
+VELOCITY_RANGE = 10.0
+"""m/s, magnitude that a differentiated position can have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,15 +90,12 @@ class BoxConfig:
         still = hydraulics.input_gain(bench.constants()[0], rest[2], rest[0], rest[1], 1.0)
         record["gain_floor"] = self.gain_floor_share * still
         record["feedback_channel"] = 2 if self.feedback == "load" else 0
-        low, high = -self.position_margin, bench.stroke + self.position_margin
-        pressures = (self.pressure_min, self.pressure_max)
-        ranges = _symmetric(self.force_range, 1e8, self.force_range, 1e8) + [pressures, pressures, (low, high), (-10.0, 10.0)]
-        record["low"], record["high"] = np.array(ranges).T
+        force, rate = (-self.force_range, self.force_range), (-RATE_RANGE, RATE_RANGE)
+        pressure = (self.pressure_min, self.pressure_max)
+        position = (-self.position_margin, bench.stroke + self.position_margin)
+        ranges = (force, rate, force, rate, pressure, pressure, position, (-VELOCITY_RANGE, VELOCITY_RANGE))
+        record["low"], record["high"] = np.transpose(ranges)
         return record
-
-
-def _symmetric(*bounds: float) -> list[tuple[float, float]]:
-    return [(-bound, bound) for bound in bounds]
 
 
 class Box:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled inside of `hydro_sim.box`: one record each for settings, command and state, and what happens to them.
 
-The same compiled functions serve one call per millisecond and the offline loop, so both give the same numbers to the bit.
+The same compiled functions serve one call per millisecond and the offline loop: both give the same numbers to the bit.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ def _playable(signal):
 
 @njit(cache=True)
 def tick(bench, settings, states, measurement, time, outputs):
-    """One sample: `measurement` x of shape (8,) at box time [s]; fills `outputs`, a `STATE_DTYPE` record of shape (1,)."""
+    """One sample: `measurement` x, shape (8,), at box time [s]; fills `outputs`, shape (1,), a record of the signals."""
     state, limits, output = states[0], settings[0], outputs[0]
     late = _watch(state, limits, time)
     _follow_disarm(state)

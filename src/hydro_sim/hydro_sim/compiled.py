@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Keeps numba's caches honest when several modules are compiled into one another.
 
-numba recompiles a cached function when the function's own file changes, not when a function it calls does: after an edit of
-`hydraulics.py` the cached `plant.advance` would go on with the old equations. `forget_stale` empties a package's caches
-whenever any of its sources, or of the packages it calls into, has changed.
+numba recompiles a cached function when the function's own file changes, not when a function it calls does: after an
+edit of `hydraulics.py` the cached `plant.advance` would go on with the old equations. `forget_stale` empties a
+package's caches whenever any of its sources, or of the packages it calls into, has changed.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ STAMP = "sources.stamp"
 def forget_stale(*packages: Path) -> bool:
     """Delete the cached compilations under the first folder if a source under any of the folders changed since.
 
-    Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps its
-    caches elsewhere, and nothing is done: sources that cannot be written do not change.
+    Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps
+    its caches elsewhere, and nothing is done: sources that cannot be written do not change.
 
     Returns
     -------

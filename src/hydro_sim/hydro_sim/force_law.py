@@ -43,7 +43,7 @@ def nominal_current(bench, measurement, error, integral, reference_rate, proport
 
 @njit(cache=True)
 def integrate(integral, error, integral_gain, unlimited_current, current, period):
-    """The integral [N s] after one period [s]; it stands still while the error would push a saturated current further out."""
+    """The integral [N s] after one period [s]; it stands still while it would push a saturated current further out."""
     excess = unlimited_current - current
     if excess * integral_gain * error > 0.0:
         return integral

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bench's equations: servo valve, two oil chambers, mass, spring, load-cell amplifier. Compiled, on plain numbers.
 
-Everywhere here `bench` is one record of `hydro_sim.bench.BENCH_DTYPE` (`Bench.constants()[0]`) and the physical state is::
+Everywhere here `bench` is one record of `hydro_sim.bench.BENCH_DTYPE` (`Bench.constants()[0]`), the physical state is::
 
     y = [ p_a   p_b   x_p   x_p'   f_l behind the load cell's amplifier   its rate ]
           Pa    Pa    m     m/s    N                                      N/s
@@ -134,10 +134,10 @@ def rates(bench, y, current, out):
 
 @njit(cache=True)
 def advance(bench, y, current, duration, steps):
-    """Integrate y, shape (6,), in place over `duration` [s] at a held current [A] by `steps` Runge-Kutta steps of order 4.
+    """Integrate y, shape (6,), in place over `duration` [s] at a held current [A] by `steps` steps of classic RK4.
 
-    Pressures are kept from falling below zero (the oil cavitates there; it is not made to regain the lost volume). An ideal
-    load cell (omega 0) shows the spring's force as it is.
+    Pressures are kept from falling below zero: the oil cavitates there, and the volume it then lacks is not accounted
+    for. An ideal load cell (omega 0) shows the spring's force as it is.
     """
     step = duration / steps
     slopes = np.empty((4, STATES))

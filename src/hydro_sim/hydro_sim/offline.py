@@ -17,7 +17,8 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, ReferenceSignal, StateArray
-from hydro_sim import box_kernel, plant as plants
+from hydro_sim import box_kernel
+from hydro_sim import plant as plants
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box, BoxConfig, fill_command
 from hydro_sim.hydraulics import SAMPLE
@@ -95,7 +96,9 @@ def simulate(
     return output
 
 
-def _compiled(plant: AnalyticPlant, box: Box, schedule: Schedule, gains: FloatArray, correction: FloatArray) -> StateArray:
+def _compiled(
+    plant: AnalyticPlant, box: Box, schedule: Schedule, gains: FloatArray, correction: FloatArray
+) -> StateArray:
     command = np.zeros(1, box_kernel.COMMAND_DTYPE)
     fill_command(command, Command(arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0))
     output = np.zeros(schedule.samples, STATE_DTYPE)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A bench to step by the millisecond: the interface, and the analytic plant behind it.
 
-Order of a sample: the box reads x_k, decides u_k, and the plant holds u_k until x_{k+1}. A plant gives the finished measurement
-x of eq. state_def: a physical plant runs its five readings through `hydro_sim.sensors` as the box does, a learned model
-predicts all eight at once.
+Order of a sample: the box reads x_k, decides u_k, and the plant holds u_k until x_{k+1}. A plant gives the finished
+measurement x of eq. state_def: a physical plant runs its five readings through `hydro_sim.sensors` as the box does, a
+learned model predicts all eight at once.
 """
 
 from __future__ import annotations

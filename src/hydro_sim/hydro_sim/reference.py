@@ -10,8 +10,8 @@ MULTISINE   o + a sum_i w_i sin(2 pi f r_i t + i phase), r = sqrt(1, 3, 7, 13), 
 SMOOTH_STEP o -/+ a, half a period each; the edges are raised cosines that last an eighth of a period
 =========== ==========================================================================
 
-A new signal is faded in over 0.3 s, f_r = (1 - s) old + s new with s = 3 z^2 - 2 z^3; f_r' is its exact derivative. A change
-that comes during a fade waits for its end, and only the last one counts. Arming fades in from the measured force.
+A new signal is faded in over 0.3 s, f_r = (1 - s) old + s new with s = 3 z^2 - 2 z^3; f_r' is its exact derivative. A
+change that comes during a fade waits for its end, and only the last one counts. Arming fades in from the force.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SIGNAL_DTYPE = np.dtype(
 REFERENCE_DTYPE = np.dtype(
     [("old", SIGNAL_DTYPE), ("new", SIGNAL_DTYPE), ("wanted", SIGNAL_DTYPE), ("fade_start", np.float64)]
 )
-"""What the generator remembers: `new` is fading in over `old` since `fade_start`; `wanted` is what was last asked for."""
+"""What the generator remembers: `new` fades in over `old` from `fade_start` on; `wanted` is what was last asked for."""
 
 HOLD, SINE, MULTISINE = int(Waveform.HOLD), int(Waveform.SINE), int(Waveform.MULTISINE)
 

@@ -8,8 +8,8 @@
       | differentiated, lightly filtered (condition: the box)
     x        f_h  f_h'  f_l  f_l'  p_a  p_b  x_p  x_p'            PLANT_FIELDS, 8 (eq. state_def)
 
-A rate is r_k = a r_{k-1} + (1 - a) (z_k - z_{k-1}) / T. It lags by T/2 + T a/(1 - a) at low frequency, its *age*: the setting.
-The velocity's is 1 ms because the force law cancels the velocity term with it (docs/physics.md, "Why 2e-4 m3").
+A rate is r_k = a r_{k-1} + (1 - a) (z_k - z_{k-1}) / T. At low frequency it lags by T/2 + T a/(1 - a): its *age*, the
+setting. The velocity's is 1 ms because the force law cancels the velocity term with it (docs/physics.md).
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class Sensors:
     """s, [0.0005, 0.02]."""
 
     def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
-        """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal sensors)."""
+        """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""
         memories = _memory(self.force_rate_age), _memory(self.velocity_age)
         noises = scale * self.force_noise, scale * self.pressure_noise, scale * self.position_step
         return np.array([(*noises, *memories)], SENSORS_DTYPE)
@@ -70,7 +70,7 @@ class Noise:
 
     def __init__(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed)
-        self._block = np.empty((0, len(RAW_FIELDS)))
+        self._block: FloatArray = np.empty((0, len(RAW_FIELDS)))
         self._used = 0
 
     def row(self) -> FloatArray:
@@ -110,7 +110,7 @@ def restart(last, raw, measurement):
 
 @njit(cache=True)
 def condition(sensors, last, raw, measurement):
-    """One sample of the box: readings `raw`, shape (5,), into `measurement`, shape (8,), whose old rates are its memory."""
+    """One sample of the box: readings `raw`, shape (5,), into `measurement`, shape (8,), whose rates are its memory."""
     force, velocity = sensors.force_memory, sensors.velocity_memory
     measurement[1] = force * measurement[1] + (1.0 - force) * (raw[0] - last.force_h) / SAMPLE
     measurement[3] = force * measurement[3] + (1.0 - force) * (raw[1] - last.force_l) / SAMPLE

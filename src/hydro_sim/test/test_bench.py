@@ -24,7 +24,8 @@ def test_shipped_bench_has_the_values_of_the_contract(bench: Bench) -> None:
         "supply_pressure": 16e6, "tank_pressure": 0.0,
         "valve_nominal_flow": 1.67e-4, "valve_nominal_current": 0.05, "valve_nominal_pressure_drop": 7e6,
         "valve_current_max": 0.05, "dead_volume_a": 2e-4, "dead_volume_b": 2e-4, "moving_mass": 1.2,
-        "viscous_friction": 60.0, "spring_stiffness": 20000.0, "spring_rest_position": 0.04, "load_cell_bandwidth": 25.0,
+        "viscous_friction": 60.0, "spring_stiffness": 20000.0, "spring_rest_position": 0.04,
+        "load_cell_bandwidth": 25.0,
     }  # fmt: skip
     assert bench.valve_gain == pytest.approx(1.67e-4 / (0.05 * sqrt(3.5e6)), rel=1e-15)
 
@@ -64,7 +65,10 @@ def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
         ({"moving_mass": nan}, "moving_mass = nan is not a number in [0.01, 10000] kg"),
         ({"moving_mass": True}, "moving_mass = True is not a number in [0.01, 10000] kg"),
         ({"moving_mass": None}, "moving_mass = None is not a number in [0.01, 10000] kg"),
-        ({"supply_pressure": 1e5, "tank_pressure": 2e5}, "tank_pressure 200000 Pa is not below supply_pressure 100000 Pa"),
+        (
+            {"supply_pressure": 1e5, "tank_pressure": 2e5},
+            "tank_pressure 200000 Pa is not below supply_pressure 100000 Pa",
+        ),
         ({"effects": "leak"}, "'effects' is a list of mappings, each with an 'id'"),
         ({"effects": [{"parameters": {}}]}, "'effects' is a list of mappings, each with an 'id'"),
     ],
@@ -88,7 +92,7 @@ def test_what_is_no_bench_is_refused_by_name(content: bytes, tmp_path: Path) -> 
 
 
 def test_missing_file_is_named(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="nowhere.yaml: No such file"):
+    with pytest.raises(ValueError, match=r"nowhere\.yaml: No such file"):
         Bench.load(tmp_path / "nowhere.yaml")
 
 

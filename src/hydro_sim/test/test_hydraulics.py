@@ -112,7 +112,8 @@ def test_energy_is_conserved_with_a_closed_valve_and_no_friction(bench: Bench) -
     initial = hydraulics.volumes(record, start[2])
 
     def energy(y: FloatArray) -> float:
-        stored = 0.5 * free.moving_mass * y[3] ** 2 + 0.5 * free.spring_stiffness * (y[2] - free.spring_rest_position) ** 2
+        pressed = y[2] - free.spring_rest_position
+        stored = 0.5 * free.moving_mass * y[3] ** 2 + 0.5 * free.spring_stiffness * pressed**2
         for volume, first, pressure in zip(hydraulics.volumes(record, y[2]), initial, start[:2], strict=True):
             stored -= pressure * (volume - first) - free.bulk_modulus * (volume * log(volume / first) - volume + first)
         return float(stored)

@@ -55,7 +55,8 @@ def test_gains_change_every_ten_samples_and_the_last_ones_hold(bench: Bench) -> 
 
 def test_fixed_gains_track_on_the_nominal_bench_and_go_unstable_above_it(bench: Bench) -> None:
     def rmse(proportional_gain: float) -> float:
-        run = simulate(AnalyticPlant(bench), bench, Schedule(reference=SINE, gains=(proportional_gain, 15.0), seconds=4.0))
+        schedule = Schedule(reference=SINE, gains=(proportional_gain, 15.0), seconds=4.0)
+        run = simulate(AnalyticPlant(bench), bench, schedule)
         return float(np.sqrt(np.mean((run["reference_force"] - run["load_force"])[1000:] ** 2)))
 
     base, best, shaking = rmse(15.0), rmse(90.0), rmse(105.0)

@@ -105,7 +105,7 @@ def test_changes_at_any_time_leave_value_and_rate_continuous(changes: tuple[int,
 def test_only_the_last_change_within_a_fade_counts() -> None:
     state = generator(ReferenceSignal(offset=0.0))
     reference.begin(state[0], 0.0, 0.0)
-    changes = {400: ReferenceSignal(offset=100.0), 450: ReferenceSignal(offset=-300.0), 600: ReferenceSignal(offset=50.0)}
+    changes = {k: ReferenceSignal(offset=offset) for k, offset in ((400, 100.0), (450, -300.0), (600, 50.0))}
     values = trace(state, 1e-3 * np.arange(1200), changes)
     assert values[:, 0].min() == 0.0
     assert values[700:, 0].max() == 100.0
