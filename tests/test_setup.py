@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The parts of the set-up; nothing here installs anything."""
+
+from __future__ import annotations
+
+import ast
+import os
+import subprocess
+import sys
+import venv as python_venv
+from pathlib import Path
+
+import pytest
+
+from setup import bootstrap, host, plan, stamp, venv, wheels
+from setup.layout import Layout
+from setup.progress import SetupError, run_logged
+
+ROOT = Path(__file__).resolve().parent.parent
+EXPORT = 'INTERFACE_INCLUDE_DIRECTORIES "{root}/include/{name};{root}/lib/{name}/site-packages/numpy/_core/include"'
+
+
+@pytest.mark.parametrize(("tag", "name"), [("cp310-cp310", "python3.10"), ("cp313-cp313", "python3.13")])
+def test_stale_include_paths_are_repaired_once(tmp_path: Path, tag: str, name: str) -> None:
+    export = tmp_path / "share" / "std_msgs" / "cmake" / "export.cmake"
+    export.parent.mkdir(parents=True)
+    export.write_text(EXPORT.format(root=f"/opt/python/{tag}", name=name))
+    assert wheels.repair_include_paths(tmp_path, r"/a\1/include", "/b/numpy") == 1
+    assert r'INTERFACE_INCLUDE_DIRECTORIES "/a\1/include;/b/numpy"' in export.read_text()
+    assert wheels.repair_include_paths(tmp_path, r"/a\1/include", "/b/numpy") == 0
+
+
+def test_this_environment_has_no_stale_include_path_left() -> None:
+    prefix = Path(sys.prefix)
+    exports = [path.read_text() for path in prefix.glob("share/*/cmake/*.cmake")]
+    assert not any("/opt/python/" in text for text in exports)
+
+
+def test_sourcing_local_setup_twice_changes_nothing_more(tmp_path: Path) -> None:
+    layout = Layout(root=tmp_path / "with space")
+    layout.venv.mkdir(parents=True)
+    wheels.write_local_setup(layout)
+    script = '. "$0"; . "$0"; echo "$PATH"; echo "$AMENT_PREFIX_PATH"'
+    command = ["sh", "-euc", script, str(layout.venv / "local_setup.sh")]
+    answer = subprocess.run(command, env={"PATH": "/usr/bin:/bin"}, capture_output=True, text=True, check=True)
+    assert answer.stdout.splitlines() == [f"{layout.venv}/bin:/usr/bin:/bin", str(layout.venv)]
+
+
+def fake_ros(prefix: Path, distribution: str) -> dict[str, str]:
+    ros2 = prefix / "bin" / "ros2"
+    ros2.parent.mkdir(parents=True)
+    ros2.write_text("#!/bin/sh\n")
+    ros2.chmod(0o755)
+    return {"ROS_DISTRO": distribution, "AMENT_PREFIX_PATH": str(prefix), "PATH": f"{ros2.parent}:/usr/bin"}
+
+
+def test_sourced_jazzy_is_used(tmp_path: Path) -> None:
+    layout = Layout(root=tmp_path)
+    environment = fake_ros(tmp_path / "jazzy", "jazzy")
+    ros = host.sourced_ros(environment, layout.venv)
+    assert ros == tmp_path / "jazzy"
+    built_in = host.build_environment(environment, layout.venv, ros)
+    assert built_in["AMENT_PREFIX_PATH"] == str(tmp_path / "jazzy")
+    assert built_in["PATH"].startswith(f"{layout.venv}/bin:{tmp_path}/jazzy/bin")
+    names = [path.name for path in venv.requirement_files(layout, with_ros=False, with_build_tools=False)]
+    assert names == ["requirements.txt", "requirements-dev.txt"]
+
+
+def test_other_distribution_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SetupError, match="ROS 2 humble is sourced"):
+        host.sourced_ros(fake_ros(tmp_path / "humble", "humble"), tmp_path / ".venv")
+
+
+def test_stand_in_is_not_taken_for_a_sourced_ros(tmp_path: Path) -> None:
+    assert host.sourced_ros(fake_ros(tmp_path / ".venv", "jazzy"), tmp_path / ".venv") is None
+    assert host.sourced_ros({"PATH": "/usr/bin"}, tmp_path / ".venv") is None
+
+
+def test_wheels_are_built_on_alone(tmp_path: Path) -> None:
+    leaky = {"PATH": "/usr/bin", "PYTHONPATH": "/elsewhere", "LD_LIBRARY_PATH": "/elsewhere", "AMENT_PREFIX_PATH": "/x"}
+    built_in = host.build_environment(leaky, tmp_path / ".venv", None)
+    assert built_in == {
+        "PATH": f"{tmp_path}/.venv/bin:/usr/bin",
+        "AMENT_PREFIX_PATH": f"{tmp_path}/.venv",
+        "CMAKE_PREFIX_PATH": f"{tmp_path}/.venv",
+    }
+
+
+@pytest.mark.parametrize("missing", ["compiler", "make"])
+def test_missing_tool_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, missing: str) -> None:
+    for name in {"compiler": ["make"], "make": ["c++"]}[missing]:
+        (tmp_path / name).write_text("#!/bin/sh\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CXX", raising=False)
+    with pytest.raises(SetupError, match={"compiler": "apt install g", "make": "apt install make"}[missing]):
+        host.require_tools(tmp_path)
+
+
+@pytest.mark.parametrize("version", [(2, 7, 18), (3, 9, 18), (3, 14, 0)])
+def test_unsuitable_python_is_told_so(version: tuple[int, int, int]) -> None:
+    assert f"Python {version[0]}.{version[1]} found, but 3.10 to 3.13 is needed" in bootstrap.python_complaint(version)
+
+
+@pytest.mark.parametrize("minor", [10, 11, 12, 13])
+def test_suitable_python_is_taken(minor: int) -> None:
+    assert bootstrap.python_complaint((3, minor, 0)) is None
+
+
+def test_bootstrap_parses_on_old_pythons() -> None:
+    ast.parse((ROOT / "setup" / "bootstrap.py").read_text(), feature_version=(3, 6))
+
+
+def make_package(source: Path) -> Path:
+    package = source / "rig"
+    (package / "msg").mkdir(parents=True)
+    (package / "launch").mkdir()
+    (package / "rig").mkdir()
+    for name in ("package.xml", "setup.py", "msg/State.msg", "launch/rig.launch.py", "rig/core.py"):
+        (package / name).write_text("one")
+    return package
+
+
+@pytest.mark.parametrize(
+    ("file", "rebuilds"),
+    [
+        ("package.xml", True),
+        ("setup.py", True),
+        ("msg/State.msg", True),
+        ("msg/New.msg", True),
+        ("launch/new.launch.py", True),
+        ("launch/rig.launch.py", False),
+        ("rig/core.py", False),
+    ],
+)
+def test_only_what_a_build_reads_calls_for_one(tmp_path: Path, file: str, rebuilds: bool) -> None:
+    package = make_package(tmp_path)
+    contents, names = stamp.package_inputs(tmp_path)
+    before = stamp.digest(["same"], contents, names)
+    (package / file).write_text("two")
+    contents, names = stamp.package_inputs(tmp_path)
+    assert (stamp.digest(["same"], contents, names) != before) is rebuilds
+
+
+def test_stamp_is_current_only_for_its_own_digest(tmp_path: Path) -> None:
+    path = tmp_path / "step.stamp"
+    assert not stamp.is_current(path, "abc")
+    stamp.write(path, "abc")
+    assert stamp.is_current(path, "abc")
+    assert not stamp.is_current(path, "abd")
+    path.write_text("ab")
+    assert not stamp.is_current(path, "abc")
+
+
+def test_environment_cut_short_or_moved_is_not_usable(tmp_path: Path) -> None:
+    layout = Layout(root=tmp_path / "here")
+    assert not venv.is_usable(layout, system_packages=False)
+    python_venv.create(layout.venv, with_pip=False, symlinks=True)
+    assert not venv.is_usable(layout, system_packages=False)
+
+
+def test_failing_command_is_reported_with_its_error_and_log(tmp_path: Path) -> None:
+    log = tmp_path / "log" / "wheels.log"
+    with pytest.raises(SetupError) as raised:
+        run_logged(["sh", "-c", "echo fine; echo ERROR: no such wheel.; echo bye; exit 3"], log, os.environ)
+    assert str(raised.value).startswith("`sh -c ")
+    assert f"failed: ERROR: no such wheel. The whole output is in {log}." in str(raised.value)
+    assert log.read_text() == "fine\nERROR: no such wheel.\nbye\n"
+
+
+def test_set_up_checkout_is_left_alone_and_at_once(capsys: pytest.CaptureFixture[str]) -> None:
+    command = [sys.executable, "-m", "setup.bootstrap"]
+    answer = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False, timeout=2)
+    assert (answer.returncode, answer.stdout, answer.stderr) == (0, "", "")
+    assert plan.HERE.root == ROOT

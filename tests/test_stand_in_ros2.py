@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stand-in `ros2`, on an ament prefix made for the test."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROS2 = Path(__file__).resolve().parent.parent / "setup" / "ros2.py"
+
+
+@pytest.fixture
+def environment(tmp_path: Path) -> dict[str, str]:
+    """A prefix with one package, `rig`, and its executables."""
+    index = tmp_path / "share" / "ament_index" / "resource_index" / "packages"
+    index.mkdir(parents=True)
+    (index / "rig").touch()
+    folder = tmp_path / "lib" / "rig"
+    folder.mkdir(parents=True)
+    for name, body in {"echo": 'echo "$$: $@"; exit 7', "wait": "echo ready; exec sleep 60"}.items():
+        (folder / name).write_text(f"#!/bin/sh\n{body}\n")
+        (folder / name).chmod(0o755)
+    (folder / "notes.txt").write_text("not an executable")
+    return {**os.environ, "AMENT_PREFIX_PATH": str(tmp_path)}
+
+
+def ros2(environment: dict[str, str], *arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROS2), *arguments]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False, timeout=60)
+
+
+def test_run_hands_over_arguments_process_and_exit_status(environment: dict[str, str]) -> None:
+    command = [sys.executable, str(ROS2), "run", "rig", "echo", "--ros-args", "-p", "speed:=0", "two words"]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        out, _ = process.communicate(timeout=60)
+    assert out == f"{process.pid}: --ros-args -p speed:=0 two words\n"
+    assert process.returncode == 7
+
+
+def test_interrupt_reaches_the_node(environment: dict[str, str]) -> None:
+    command = [sys.executable, str(ROS2), "run", "rig", "wait"]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(timeout=10) == -signal.SIGINT
+
+
+def test_executables_are_listed(environment: dict[str, str]) -> None:
+    assert ros2(environment, "run", "rig").stdout.split() == ["echo", "wait"]
+    assert ros2(environment, "run", "rig", "--help").stdout.split() == ["echo", "wait"]
+    assert ros2(environment, "pkg", "executables", "rig").stdout == "rig echo\nrig wait\n"
+    assert ros2(environment, "pkg", "executables").stdout == "rig echo\nrig wait\n"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["run", "nothing", "echo"], "package 'nothing' not found"),
+        (["run", "../rig", "echo"], "package '../rig' not found"),
+        (["run", "rig", "ech"], "no executable 'ech'; it has: echo, wait"),
+        (["run", "rig", "notes.txt"], "no executable 'notes.txt'"),
+        (["topic", "list"], "`ros2 topic list` needs a full ROS 2 Jazzy"),
+        (["launch", "rig", "x.launch.py"], "`ros2 launch rig` needs a full ROS 2 Jazzy"),
+    ],
+)
+def test_what_it_cannot_do_it_says_in_a_sentence(
+    environment: dict[str, str], arguments: list[str], sentence: str
+) -> None:
+    answer = ros2(environment, *arguments)
+    assert answer.returncode == 2
+    assert sentence in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+def test_help_says_what_is_there(environment: dict[str, str]) -> None:
+    for words in ([], ["--help"], ["run", "--help"]):
+        answer = ros2(environment, *words)
+        assert answer.returncode == 0
+        assert "ros2 run PACKAGE EXECUTABLE" in answer.stdout
