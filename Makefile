@@ -45,8 +45,8 @@ colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build far
 	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src --ctest-args --pytest-args " $(ARGS)" \
 	  && .venv/bin/python -m colcon test-result --verbose
 
-bench: setup  ## the measured speeds: see benchmarks/
-	@$(SOURCED) for file in benchmarks/*.py; do .venv/bin/python $$file || exit; done
+bench: setup  ## the measured speeds (ARGS="NAME ..." for some of them)
+	@$(SOURCED) .venv/bin/python -m benchmarks $(ARGS)
 
 fuzz: setup  ## the decoders and parsers on hostile bytes, for longer than in the tests
 	@$(SOURCED) HYPOTHESIS_PROFILE=fuzz .venv/bin/python -m pytest -m "" -k "fuzz or hostile or never_raises" $(ARGS)
