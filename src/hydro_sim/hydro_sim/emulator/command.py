@@ -4,122 +4,146 @@
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from types import FrameType
 
 import yaml
 
-from hydro_bridge.recording import BagWriter, RecordingError
+from hydro_bridge.protocol import BoxInfo
+from hydro_bridge.recording import RecordingError
 from hydro_sim.bench import Bench
-from hydro_sim.emulator.offline import Recording, record_offline
-from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, Segment, fit_to, load_schedule
-from hydro_sim.emulator.settings import ConfigError, from_mapping, quantity, read_yaml
-from hydro_sim.emulator.truth_config import TruthConfig, load_truth, profile, truth_to_mapping
-
-
-@dataclass(frozen=True, kw_only=True)
-class Job:
-    """One offline recording; paths are relative to the working directory."""
-
-    out: str
-    truth: str | None = None  # absent: the default profile
-    schedule: str | None = None  # absent: 20 s with something of everything
-    bench: str | None = None  # what the box believes; absent: the nominal bench
-    noise_free: str | None = None  # .npz for scoring; absent: none
-    seconds: float | None = quantity(None, unit="s", low=1e-3, high=36000.0)  # absent: the schedule once
-    seed: int = quantity(0, low=0, high=2**62)
+from hydro_sim.box import BoxConfig
+from hydro_sim.emulator import jobs
+from hydro_sim.emulator.control import ControlPipe
+from hydro_sim.emulator.faults import PRESETS, load_faults
+from hydro_sim.emulator.link import BoxLink
+from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.realtime import Log, RealTime, raise_priority
+from hydro_sim.emulator.settings import ConfigError, from_mapping, read_yaml
+from hydro_sim.emulator.terminal import Terminal, default_link
+from hydro_sim.emulator.truth_config import truth_to_mapping
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status: 0, or 2 after one sentence on what cannot be used."""
     options = _parser().parse_args(arguments)
     try:
-        return _run(options)
+        if options.print_truth:
+            print(yaml.safe_dump(truth_to_mapping(jobs.truth(options.truth)), sort_keys=False), end="")
+        elif options.offline or options.batch:
+            for job in _jobs(options):
+                jobs.run(job)
+        else:
+            _serve(options)
     except (ConfigError, RecordingError, ValueError, OSError) as error:
         print(f"emulator: {error}", file=sys.stderr)
         return 2
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="emulator", description=__doc__, allow_abbrev=False)
     parser.add_argument("--truth", metavar="FILE", help="what the bench is made of (default: the default profile)")
     parser.add_argument("--bench", metavar="FILE", help="what the box believes (default: the nominal bench)")
-    parser.add_argument("--seconds", type=float, metavar="S", help="how long (default: until stopped; offline: the schedule)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="how long (default: until stopped)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of noise, random forces and link faults")
     parser.add_argument("--noise-free", metavar="FILE.npz", help="also write the run without noise, for scoring only")
     parser.add_argument("--print-truth", action="store_true", help="print the whole truth as YAML and stop")
-    offline = parser.add_argument_group("offline: record as fast as the machine computes, the same samples to the bit")
+    line = parser.add_argument_group("on a serial line, in real time")
+    line.add_argument("--link", type=Path, metavar="PATH", help=f"where the port appears (default: {default_link()})")
+    presets = ", ".join(PRESETS)
+    line.add_argument("--faults", default="clean", metavar="FILE", help=f"what goes wrong: a file, or one of {presets}")
+    line.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders such as 'unplug 2'")
+    offline = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
     offline.add_argument("--offline", action="store_true")
     offline.add_argument("--out", metavar="BAG", help="folder of the recording, made here")
-    offline.add_argument("--schedule", metavar="FILE", help="references and gains")
-    offline.add_argument("--batch", metavar="FILE", help="many recordings: a list of jobs with the options above as keys")
+    offline.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
+    offline.add_argument("--batch", metavar="FILE", help="many recordings: a list `jobs` with these options as keys")
     return parser
 
 
-def _run(options: argparse.Namespace) -> int:
-    if options.print_truth:
-        print(yaml.safe_dump(truth_to_mapping(_truth(options.truth)), sort_keys=False), end="")
-        return 0
-    if options.offline or options.batch:
-        for job in _jobs(options):
-            run_job(job)
-        return 0
-    raise ConfigError("the serial line comes next; use --offline")
-
-
-def _jobs(options: argparse.Namespace) -> list[Job]:
+def _jobs(options: argparse.Namespace) -> list[jobs.Job]:
     if options.batch:
         entries = read_yaml(options.batch).get("jobs")
         if not isinstance(entries, list):
             raise ConfigError(f"{options.batch} must hold a list under the key jobs")
-        return [from_mapping(Job, entry, f"jobs[{index}]") for index, entry in enumerate(entries)]
+        return [from_mapping(jobs.Job, entry, f"jobs[{index}]") for index, entry in enumerate(entries)]
     if not options.out:
         raise ConfigError("--offline needs --out, the folder of the recording")
     keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed")
-    return [from_mapping(Job, {key: getattr(options, key) for key in keys}, "emulator")]
+    return [from_mapping(jobs.Job, {key: getattr(options, key) for key in keys}, "emulator")]
 
 
-def run_job(job: Job) -> Recording:
-    """Record `job` into its folder and, if asked for, its noise-free file; prints one line."""
-    began = time.perf_counter()
-    config = _truth(job.truth)
-    bench = Bench.load(job.bench) if job.bench else Bench.nominal()
-    segments: Sequence[Segment] = load_schedule(job.schedule) if job.schedule else DEFAULT_SCHEDULE
-    if job.seconds is not None:
-        segments = fit_to(segments, job.seconds)
-    recording = record_offline(config, segments, bench=bench, seed=job.seed)
-    write_bag(job.out, recording, bench)
-    if job.noise_free:
-        recording.save_noise_free(job.noise_free)
-    seconds, wall = len(recording.states) * 1e-3, time.perf_counter() - began
-    print(f"{job.out}: {seconds:g} s of bench in {wall:.2f} s")
-    return recording
+def _serve(options: argparse.Namespace) -> None:
+    if options.out or options.schedule:
+        raise ConfigError("--out and --schedule record offline: add --offline")
+    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    box = BoxConfig()
+    machine = Machine(jobs.truth(options.truth), bench, box, options.seed)
+    machine.tick()  # compiles, before the clock starts
+    machine.plant.reset(options.seed)
+    machine.restart()
+    faults = load_faults(options.faults)
+    terminal = Terminal(options.link or default_link())
+    link = BoxLink(terminal, box_info(bench, box), faults, options.seed)
+    control = ControlPipe(options.control) if options.control else None
+    log = Log() if options.noise_free else None
+    status = _show if sys.stderr.isatty() else None
+    running = RealTime(machine, link, faults, control, log, status)
+    stop = _stopper()
+    print(
+        f"port {terminal.path}, 1 kHz, {raise_priority()}: ros2 run hydro_bridge bridge --port {terminal.path}",
+        flush=True,
+    )
+    try:
+        timing = running.run(options.seconds, lambda: bool(stop))
+    finally:
+        terminal.unplug()
+        if control is not None:
+            control.close()
+        if log is not None:
+            log.recording().save_noise_free(options.noise_free)
+    print(
+        f"{timing.samples} samples, {timing.late} late by more than 1 ms (worst {1e3 * timing.worst:.2f} ms, "
+        f"{timing.skipped:.1f} s skipped), {timing.cpu / max(timing.samples * 1e-3, 1e-3):.3f} s of CPU per second"
+    )
+    print(link.summary(), flush=True)
 
 
-def write_bag(folder: str | Path, recording: Recording, bench: Bench) -> None:
-    """Write what the bench recorded as a rosbag2 folder; the truth stays out of it.
+def box_info(bench: Bench, box: BoxConfig) -> BoxInfo:
+    """What the emulated box says about itself."""
+    return BoxInfo(
+        name="hydro emulator",
+        valve_current_max=bench.valve_current_max,
+        base_kp=box.base_kp,
+        base_ki=box.base_ki,
+        delta_kp_min=box.delta_kp_min,
+        delta_kp_max=box.delta_kp_max,
+        delta_ki_min=box.delta_ki_min,
+        delta_ki_max=box.delta_ki_max,
+        delta_u_max=box.delta_u_max,
+    )
 
-    Box time 0 becomes the present second of ROS time.
-    """
-    states = recording.states.copy()
-    states["time"] += float(int(time.time()))
-    attachments = {"bench.yaml": yaml.safe_dump(bench.to_mapping(), sort_keys=False).encode()}
-    with BagWriter(folder, metadata={"source": "hydro_sim emulator --offline"}, attachments=attachments) as bag:
-        bag.write_states(states)
+
+def _stopper() -> list[int]:
+    """A list that is no longer empty once somebody asked for the end."""
+    asked: list[int] = []
+
+    def ask(number: int, _: FrameType | None) -> None:
+        asked.append(number)
+
+    signal.signal(signal.SIGINT, ask)
+    signal.signal(signal.SIGTERM, ask)
+    return asked
 
 
-def _truth(path: str | None) -> TruthConfig:
-    return load_truth(path) if path else profile("default")
-
-
-def main_and_exit() -> Any:
-    """For `python -m`."""
-    raise SystemExit(main())
+def _show(line: str) -> None:
+    sys.stderr.write(f"\r{line}\x1b[K")
+    sys.stderr.flush()
 
 
 if __name__ == "__main__":
-    main_and_exit()
+    raise SystemExit(main())

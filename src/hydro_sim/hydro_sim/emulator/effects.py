@@ -107,7 +107,7 @@ class Ratio:
 
 @dataclass(frozen=True, kw_only=True)
 class ValveNullLeakage:
-    """Flow past worn edges, strongest at null, over all four edges. The profile falls with the spool's distance from null."""
+    """Flow past all four worn edges, strongest at null: a profile that falls with the spool's distance from null."""
 
     coefficient: float = quantity(unit="m3/s/sqrt(Pa)", low=0.0, high=1e-7)
     width: float = quantity(2e-3, unit="A", low=1e-5, high=0.05)
@@ -135,7 +135,7 @@ class LoadCellGain:
     """Gain error of one load cell."""
 
     ratio: float = quantity(low=0.2, high=5.0)
-    cell: str = choice("load", "hydraulic", "load")
+    cell: str = choice("load_force", "hydraulic_force", "load_force")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,7 +143,7 @@ class LoadCellBias:
     """Constant error of one load cell."""
 
     force: float = quantity(unit="N", low=-1000.0, high=1000.0)
-    cell: str = choice("load", "hydraulic", "load")
+    cell: str = choice("load_force", "hydraulic_force", "load_force")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -163,7 +163,7 @@ class SpringHardening:
 
 @dataclass(frozen=True, kw_only=True)
 class Backlash:
-    """Lost motion at the load, total width. `gap`: no force inside a gap about rest; `play`: the spring's end drags along."""
+    """Lost motion at the load, total width. `gap`: no force about rest; `play`: the spring's end is dragged along."""
 
     width: float = quantity(unit="m", low=0.0, high=0.01)
     form: str = choice("gap", "gap", "play")

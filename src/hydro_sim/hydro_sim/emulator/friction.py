@@ -41,7 +41,7 @@ def advance_bristle(p, bristle, velocity, level):
 
 @njit(cache=True)
 def dry_friction(p, velocity, bristle, level, other_force):
-    """Force [N] on the mass, against motion; `other_force` [N] is the sum of all others, which sticking must balance."""
+    """Force [N] on the mass, against motion; `other_force` [N] sums all others, which sticking must balance."""
     if level <= 0.0:
         return 0.0
     if p.friction_form == LUGRE:

@@ -73,13 +73,18 @@ class Machine:
         self.box = np.zeros(1, box_kernel.STATE_DTYPE)
         box_kernel.reset(self.box)
         self.clean, self.physical = np.empty(len(PLANT_FIELDS)), np.empty(len(truth.TRUTH_FIELDS))
-        self.samples = 0
+        self.samples = 0  # since the last power-up
         self._command = np.zeros(1, box_kernel.COMMAND_DTYPE)
 
     @property
     def time(self) -> float:
         """Box time [s] of the coming sample."""
         return self.samples * SAMPLE_TIME
+
+    def restart(self) -> None:
+        """Power-cycle the box: disarmed, sequence and clock from zero. The plant goes on."""
+        box_kernel.reset(self.box)
+        self.samples = 0
 
     def receive(self, command: Command) -> None:
         """Take a command that arrived since the last sample."""
@@ -130,6 +135,4 @@ def _run(box, plant, scratch, noise, first, commands, which, states, clean, phys
     for k in range(len(which)):
         time = (first + k) * SAMPLE_TIME
         box_kernel.receive(settings, memory, commands[which[k] : which[k] + 1], time)
-        exchange(
-            bench, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k]
-        )
+        exchange(bench, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k])

@@ -91,9 +91,7 @@ def _roomy(segments: Sequence[Segment]) -> BoxConfig:
     )
 
 
-def _schedule(
-    segments: Sequence[Segment], settings: BoxConfig
-) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64]]:
+def _schedule(segments: Sequence[Segment], settings: BoxConfig) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64]]:
     """Commands, shape (m + 1,), the first disarms; and which of them comes before each sample, shape (n,)."""
     commands = np.zeros(len(segments) + 1, box_kernel.COMMAND_DTYPE)
     fill_command(commands[:1], Command())
@@ -107,7 +105,9 @@ def _schedule(
             filter_fresh=True,
         )
         fill_command(commands[index + 1 : index + 2], command)
-    ends = [round(math.fsum(segment.seconds for segment in segments[: k + 1]) / SAMPLE_TIME) for k in range(len(segments))]
+    ends = [
+        round(math.fsum(segment.seconds for segment in segments[: k + 1]) / SAMPLE_TIME) for k in range(len(segments))
+    ]
     which = np.searchsorted(np.array(ends), np.arange(ends[-1]), side="right") + 1
     which[0] = 0
     return commands, which.astype(np.int64)

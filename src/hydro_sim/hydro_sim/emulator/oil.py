@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Oil in a chamber, by content instead of pressure.
 
-A chamber's state is its *content* W [m3]: the volume that its oil, free air included, would fill at zero gauge pressure. Mass is
-conserved exactly, and pressure follows from how far the content is squeezed::
+A chamber's state is its *content* W [m3]: the volume that its oil, free air included, would fill at zero gauge
+pressure. Mass is conserved exactly, and pressure follows from how far the content is squeezed::
 
     V + c p = W v(p)        v(p) = (1 - phi) exp(-p / beta) + phi (p_0 / (p_0 + p))^(1/n)
 
-with the chamber's volume V, the hoses' compliance c, the air fraction phi at atmospheric pressure p_0 and the exponent n. A
-flow q [m3/s] at the chamber's pressure changes the content by q / v(p). For phi = c = 0 this is p' = beta / V (q - V').
+with the chamber's volume V, the hoses' compliance c, the air fraction phi at atmospheric pressure p_0 and the exponent
+n. A flow q [m3/s] at the chamber's pressure changes the content by q / v(p). For phi = c = 0 this is
+p' = beta / V (q - V').
 """
 
 from __future__ import annotations

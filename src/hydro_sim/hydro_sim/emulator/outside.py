@@ -53,7 +53,7 @@ class CellCrosstalk:
 
     coefficient: float = quantity(unit="N/Pa", low=-1e-3, high=1e-3)
     chamber: str = choice("a", "a", "b")
-    cell: str = choice("load", "hydraulic", "load")
+    cell: str = choice("load_force", "hydraulic_force", "load_force")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_sim.emulator.effects import SENSORS, Effects, Ratio
 from hydro_sim.emulator.outside import Outside
@@ -20,28 +21,34 @@ DELAY_SAMPLES = 64  # ring of past commands; the largest transport delay is 50 m
 STATIC, SMOOTH, LUGRE = 1.0, 2.0, 3.0  # friction forms; 0 is none
 OFF = 1e30  # a position or a rate limit that is never reached
 
+# fmt: off
 _SCALARS = (
-    "area_a area_b stroke dead_volume_a dead_volume_b wall_compliance "
-    "bulk_modulus air_fraction air_exponent "
-    "source_pressure tank_pressure droop_resistance droop_time ripple_amplitude ripple_frequency "
-    "orifice gain_positive gain_negative gain_drift warm_change warm_time "
-    "overlap_positive overlap_negative softness null_leak null_width null_hyperbolic "
-    "valve_offset delay spool_order spool_frequency spool_damping spool_rate_limit "
-    "leak_internal leak_internal_orifice leak_external_a leak_external_b "
-    "mass viscous friction_form coulomb_positive coulomb_negative breakaway stribeck_velocity stribeck_exponent "
-    "bristle_stiffness bristle_damping rib_force rib_pitch seal_friction "
-    "stiffness hardening rest backlash backlash_play hysteresis_force hysteresis_deflection hysteresis_exponent "
-    "cushion_low cushion_low_stiffness cushion_high cushion_high_stiffness cushion_quadratic "
-    "force_offset hum_amplitude hum_frequency walk_force walk_time "
-    "crosstalk_hydraulic_a crosstalk_hydraulic_b crosstalk_load_a crosstalk_load_b "
-    "noise_force noise_pressure encoder_step"
-).split()
+    "area_a", "area_b", "stroke", "dead_volume_a", "dead_volume_b", "wall_compliance",
+    "bulk_modulus", "air_fraction", "air_exponent",
+    "source_pressure", "tank_pressure", "droop_resistance", "droop_time", "ripple_amplitude", "ripple_frequency",
+    "orifice", "gain_positive", "gain_negative", "gain_drift", "warm_change", "warm_time",
+    "overlap_positive", "overlap_negative", "softness", "null_leak", "null_width", "null_hyperbolic",
+    "valve_offset", "delay", "spool_order", "spool_frequency", "spool_damping", "spool_rate_limit",
+    "leak_internal", "leak_internal_orifice", "leak_external_a", "leak_external_b",
+    "mass", "viscous", "friction_form", "coulomb_positive", "coulomb_negative", "breakaway", "stribeck_velocity",
+    "stribeck_exponent",
+    "bristle_stiffness", "bristle_damping", "rib_force", "rib_pitch", "seal_friction",
+    "stiffness", "hardening", "rest", "backlash", "backlash_play", "hysteresis_force", "hysteresis_deflection",
+    "hysteresis_exponent",
+    "cushion_low", "cushion_low_stiffness", "cushion_high", "cushion_high_stiffness", "cushion_quadratic",
+    "force_offset", "hum_amplitude", "hum_frequency", "walk_force", "walk_time",
+    "crosstalk_hydraulic_force_a", "crosstalk_hydraulic_force_b", "crosstalk_load_force_a", "crosstalk_load_force_b",
+    "noise_force", "noise_pressure", "encoder_step",
+)
+# fmt: on
 _ARRAYS = ("lag_order", "lag_frequency", "lag_damping", "sensor_gain", "sensor_bias")  # one entry per SENSORS
 
-PARAMETERS = np.dtype([(name, np.float64) for name in _SCALARS] + [(name, np.float64, (len(SENSORS),)) for name in _ARRAYS])
+PARAMETERS = np.dtype(
+    [(name, np.float64) for name in _SCALARS] + [(name, np.float64, (len(SENSORS),)) for name in _ARRAYS]
+)
 
 
-def compile_parameters(config: TruthConfig) -> np.ndarray:
+def compile_parameters(config: TruthConfig) -> npt.NDArray[np.void]:
     """Numbers of the compiled plant, shape (1,) of `PARAMETERS`, SI units."""
     record = np.zeros(1, PARAMETERS)
     p = record[0]
@@ -153,9 +160,9 @@ def _sensors(p: np.void, bench: TruthBench, sensors: TruthSensors, effects: Effe
     p["encoder_step"] = sensors.encoder_step
     p["sensor_gain"] = 1.0
     for gain in effects.load_cell_gain:
-        p["sensor_gain"][SENSORS.index(gain.cell + "_force")] = gain.ratio
+        p["sensor_gain"][SENSORS.index(gain.cell)] = gain.ratio
     for bias in effects.load_cell_bias:
-        p["sensor_bias"][SENSORS.index(bias.cell + "_force")] = bias.force
+        p["sensor_bias"][SENSORS.index(bias.cell)] = bias.force
     for error in effects.pressure_sensor_bias:
         p["sensor_bias"][SENSORS.index("pressure_" + error.chamber)] = error.pressure
     if bench.load_cell_bandwidth is not None:

@@ -31,8 +31,8 @@ CHAIN = np.dtype(
 @njit(cache=True)
 def _collect(p, state, readings):
     a, b = state.pressure_a, state.pressure_b
-    readings[0] = state.hydraulic_force + p.crosstalk_hydraulic_a * a + p.crosstalk_hydraulic_b * b
-    readings[1] = state.load_force + p.crosstalk_load_a * a + p.crosstalk_load_b * b
+    readings[0] = state.hydraulic_force + p.crosstalk_hydraulic_force_a * a + p.crosstalk_hydraulic_force_b * b
+    readings[1] = state.load_force + p.crosstalk_load_force_a * a + p.crosstalk_load_force_b * b
     readings[2] = a
     readings[3] = b
     readings[4] = state.y[2]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`TruthPlant`: the emulated bench behind the interface of `hydro_sim.plant.Plant`, and the sample that it is made of."""
+"""`TruthPlant`: the emulated bench behind the interface of `hydro_sim.plant.Plant`."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class NoiseStream:
 
     def __init__(self, seed: int) -> None:
         self._generator = np.random.default_rng(seed)
-        self._rows = np.empty((0, NOISE_COLUMNS))
+        self._rows: FloatArray = np.empty((0, NOISE_COLUMNS))
         self._next = 0
 
     def row(self) -> FloatArray:

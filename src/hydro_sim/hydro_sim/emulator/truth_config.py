@@ -49,7 +49,7 @@ class TruthBench:
 
 @dataclass(frozen=True, kw_only=True)
 class TruthSensors:
-    """Noise as standard deviations of one 1 kHz sample, the encoder's step, and the ages of the rates that the box makes.
+    """Noise as standard deviations of one sample, the encoder's step, and the ages of the rates that the box makes.
 
     The differentiation is the box's, not the bench's: it is the code of `hydro_sim.sensors`, as for every plant.
     """
@@ -64,7 +64,7 @@ class TruthSensors:
 
 @dataclass(frozen=True, kw_only=True)
 class TruthConfig:
-    """The emulated bench. Without arguments it is the `nominal` profile: exactly the nominal bench plus sensor noise."""
+    """The emulated bench. Without arguments it is the `nominal` profile: the nominal bench plus sensor noise."""
 
     bench: TruthBench = field(default_factory=TruthBench)
     sensors: TruthSensors = field(default_factory=TruthSensors)
@@ -96,8 +96,8 @@ def truth_from_mapping(data: Mapping[str, Any], where: str = "truth") -> TruthCo
     Parameters
     ----------
     data
-        Keys `profile` (nominal | default, the default), `bench`, `sensors`, `effects`, `outside`. The last four change single
-        entries of the profile: an effect given replaces the profile's, `null` turns it off.
+        Keys `profile` (nominal | default, the default), `bench`, `sensors`, `effects`, `outside`. The last four change
+        single entries of the profile: an effect given replaces the profile's, `null` turns it off.
     where
         Name of the source, for messages.
 

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What can go wrong on a serial line, with seeded chances: one `FaultyLine` for each direction.
+
+Chances are per frame. What passes a line is one frame up (box to bridge), and down whatever one read gave, mostly one.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hydro_sim.emulator.settings import ConfigError, from_mapping, quantity, read_yaml
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Something that happens once."""
+
+    at: float = quantity(unit="s", low=0.0, high=1e6)  # after the start of the emulator
+    stall: float = quantity(0.0, unit="s", low=0.0, high=60.0)  # nothing passes for so long, then all that waited
+    unplug: float = quantity(0.0, unit="s", low=0.0, high=3600.0)  # the port is gone for so long
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkFaults:
+    """Chances per frame, both directions alike, and events. All zero: a clean line."""
+
+    corrupt: float = quantity(0.0, low=0.0, high=1.0)  # one to eight bits flip
+    lose: float = quantity(0.0, low=0.0, high=1.0)  # one byte is missing
+    truncate: float = quantity(0.0, low=0.0, high=1.0)  # the end is missing
+    drop: float = quantity(0.0, low=0.0, high=1.0)  # all of it is missing
+    duplicate: float = quantity(0.0, low=0.0, high=1.0)  # it comes twice
+    reorder: float = quantity(0.0, low=0.0, high=1.0)  # it comes after the next
+    noise: float = quantity(0.0, low=0.0, high=1.0)  # up to 64 random bytes before it
+    events: tuple[Event, ...] = ()
+
+
+PRESETS = {
+    "clean": LinkFaults(),
+    "noisy": LinkFaults(corrupt=0.005, lose=0.002, drop=0.005, duplicate=0.002, reorder=0.002),
+    "awful": LinkFaults(
+        corrupt=0.05,
+        lose=0.02,
+        truncate=0.02,
+        drop=0.05,
+        duplicate=0.02,
+        reorder=0.02,
+        noise=0.02,
+        events=(Event(at=3.0, stall=0.03), Event(at=6.0, stall=0.3), Event(at=10.0, unplug=2.0)),
+    ),
+}
+CHANCES = ("corrupt", "lose", "truncate", "drop", "duplicate", "reorder", "noise")
+
+
+def load_faults(name: str) -> LinkFaults:
+    """`LinkFaults` of a preset's name or a YAML file; raises ConfigError if it is neither."""
+    if name in PRESETS:
+        return PRESETS[name]
+    if not Path(name).exists():
+        raise ConfigError(f"--faults {name} is neither a file nor one of {', '.join(PRESETS)}")
+    return from_mapping(LinkFaults, read_yaml(name), Path(name).name)
+
+
+class FaultyLine:
+    """One direction of the line.
+
+    Parameters
+    ----------
+    faults
+        Chances; may be replaced at any time.
+    generator
+        Where chance comes from.
+    """
+
+    LIMIT = 1 << 16  # bytes that wait during a stall; what is more is lost
+
+    def __init__(self, faults: LinkFaults, generator: np.random.Generator) -> None:
+        self.faults = faults
+        self.counts = dict.fromkeys((*CHANCES, "overflow"), 0)
+        self._random = generator
+        self._held = b""
+        self._waiting: deque[bytes] = deque()
+        self._stalled_until = 0.0
+
+    def stall(self, until: float) -> None:
+        """Let nothing pass until this time [s]."""
+        self._stalled_until = max(self._stalled_until, until)
+
+    def clear(self) -> None:
+        """Forget what waits: the plug was pulled."""
+        self._waiting.clear()
+        self._held = b""
+        self._stalled_until = 0.0
+
+    def carry(self, chunk: bytes, now: float) -> bytes:
+        """What comes out of the line at time `now` [s] when `chunk`, possibly empty, goes in."""
+        out = self._disturb(chunk) if chunk and self._any() else chunk
+        if now < self._stalled_until:
+            if sum(map(len, self._waiting)) + len(out) <= self.LIMIT:
+                self._waiting.append(out)
+            else:
+                self.counts["overflow"] += 1
+            return b""
+        if self._waiting:
+            out = b"".join(self._waiting) + out
+            self._waiting.clear()
+        return out
+
+    def _any(self) -> bool:
+        return bool(self._held) or any(getattr(self.faults, name) for name in CHANCES)
+
+    def _happens(self, name: str) -> bool:
+        chance = getattr(self.faults, name)
+        happens = chance > 0.0 and self._random.random() < chance
+        self.counts[name] += happens
+        return bool(happens)
+
+    def _disturb(self, frame: bytes) -> bytes:
+        if self._happens("drop"):
+            return self._released()
+        data = bytearray(frame)
+        if self._happens("corrupt"):
+            for bit in self._random.integers(0, 8 * len(data), self._random.integers(1, 9)):
+                data[bit // 8] ^= 1 << bit % 8
+        if self._happens("lose"):
+            del data[self._random.integers(len(data))]
+        if self._happens("truncate"):
+            del data[self._random.integers(len(data) + 1) :]
+        out = bytes(data)
+        if self._happens("noise"):
+            out = self._random.bytes(int(self._random.integers(1, 65))) + out
+        if self._happens("duplicate"):
+            out += out
+        if not self._held and self._happens("reorder"):
+            self._held = out
+            return b""
+        return out + self._released()
+
+    def _released(self) -> bytes:
+        held, self._held = self._held, b""
+        return held

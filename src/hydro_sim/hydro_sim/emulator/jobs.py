@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Offline recordings as files: from names of files to a rosbag2 folder, and the noise-free log apart from it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import yaml
+
+from hydro_bridge.recording import BagWriter
+from hydro_sim.bench import Bench
+from hydro_sim.emulator.offline import Recording, record_offline
+from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, Segment, fit_to, load_schedule
+from hydro_sim.emulator.settings import quantity
+from hydro_sim.emulator.truth_config import TruthConfig, load_truth, profile
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One offline recording; paths are relative to the working directory."""
+
+    out: str
+    truth: str | None = None  # absent: the default profile
+    schedule: str | None = None  # absent: 20 s with something of everything
+    bench: str | None = None  # what the box believes; absent: the nominal bench
+    noise_free: str | None = None  # .npz for scoring; absent: none
+    seconds: float | None = quantity(None, unit="s", low=1e-3, high=36000.0)  # absent: the schedule once
+    seed: int = quantity(0, low=0, high=2**62)
+
+
+def run(job: Job) -> Recording:
+    """Record `job` into its folder and, if asked for, its noise-free file; prints one line."""
+    began = time.perf_counter()
+    config = truth(job.truth)
+    bench = Bench.load(job.bench) if job.bench else Bench.nominal()
+    segments: Sequence[Segment] = load_schedule(job.schedule) if job.schedule else DEFAULT_SCHEDULE
+    if job.seconds is not None:
+        segments = fit_to(segments, job.seconds)
+    recording = record_offline(config, segments, bench=bench, seed=job.seed)
+    write_bag(job.out, recording, bench)
+    if job.noise_free:
+        recording.save_noise_free(job.noise_free)
+    print(f"{job.out}: {len(recording.states) * 1e-3:g} s of bench in {time.perf_counter() - began:.2f} s", flush=True)
+    return recording
+
+
+def write_bag(folder: str | Path, recording: Recording, bench: Bench) -> None:
+    """Write what the bench recorded as a rosbag2 folder; the truth stays out of it.
+
+    Box time 0 becomes the present second of ROS time.
+    """
+    states = recording.states.copy()
+    states["time"] += float(int(time.time()))
+    attachments = {"bench.yaml": yaml.safe_dump(bench.to_mapping(), sort_keys=False).encode()}
+    with BagWriter(folder, metadata={"source": "hydro_sim emulator --offline"}, attachments=attachments) as bag:
+        bag.write_states(states)
+
+
+def truth(path: str | None) -> TruthConfig:
+    """Truth of a YAML file, or the default profile."""
+    return load_truth(path) if path else profile("default")

@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated bench in real time: one sample per millisecond against absolute deadlines."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, FloatArray
+from hydro_sim.emulator.control import ControlPipe, obey
+from hydro_sim.emulator.faults import LinkFaults
+from hydro_sim.emulator.link import BoxLink
+from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.offline import Recording, noise_free_states
+from hydro_sim.emulator.parameters import SAMPLE_TIME
+from hydro_sim.emulator.settings import ConfigError
+from hydro_sim.emulator.truth import TRUTH_FIELDS
+
+_PERIOD_NS = round(SAMPLE_TIME * 1e9)
+_GIVE_UP_NS = 100 * _PERIOD_NS  # behind by more than this (the machine slept): do not catch up
+_CONTROL_EVERY = 20  # samples between looks at the control pipe
+_PR_SET_TIMERSLACK = 29
+
+
+@dataclass
+class Timing:
+    """How well the deadlines were met."""
+
+    samples: int = 0
+    late: int = 0  # samples that began more than a period late
+    worst: float = 0.0  # s, latest beginning
+    skipped: float = 0.0  # s that the bench's clock fell behind because the machine was away for longer than 0.1 s
+    cpu: float = 0.0  # s
+
+
+class Log:
+    """Samples and truth of a run, in blocks; for scoring only."""
+
+    BLOCK = 10_000
+
+    def __init__(self) -> None:
+        self._blocks: list[tuple[np.ndarray, FloatArray, FloatArray]] = []  # type: ignore[type-arg]
+        self._filled = self.BLOCK
+
+    def add(self, sample: np.void, clean: FloatArray, physical: FloatArray) -> None:
+        """Keep one sample."""
+        if self._filled == self.BLOCK:
+            arrays = (np.empty((self.BLOCK, len(PLANT_FIELDS))), np.empty((self.BLOCK, len(TRUTH_FIELDS))))
+            self._blocks.append((np.empty(self.BLOCK, STATE_DTYPE), *arrays))
+            self._filled = 0
+        states, cleans, physicals = self._blocks[-1]
+        states[self._filled], cleans[self._filled], physicals[self._filled] = sample, clean, physical
+        self._filled += 1
+
+    def recording(self) -> Recording:
+        """All samples so far."""
+        if not self._blocks:
+            self._blocks.append((np.empty(0, STATE_DTYPE), np.empty((0, len(PLANT_FIELDS))), np.empty((0, 12))))
+        count = self.BLOCK * (len(self._blocks) - 1) + min(self._filled, len(self._blocks[-1][0]))
+        states, cleans, physical = (np.concatenate(parts)[:count] for parts in zip(*self._blocks, strict=True))
+        return Recording(states=states, noise_free=noise_free_states(states, cleans), physical=physical)
+
+
+@dataclass
+class RealTime:
+    """The running emulator."""
+
+    machine: Machine
+    link: BoxLink
+    faults: LinkFaults
+    control: ControlPipe | None = None
+    log: Log | None = None
+    status: Callable[[str], None] | None = None  # takes one line a second
+
+    def __post_init__(self) -> None:
+        self.timing = Timing()
+        self._events = sorted(self.faults.events, key=lambda event: event.at)
+
+    def run(self, seconds: float | None, stopped: Callable[[], bool]) -> Timing:
+        """Run for `seconds`, or until `stopped`; returns how well the deadlines were met."""
+        count = None if seconds is None else round(seconds / SAMPLE_TIME)
+        timing, cpu = self.timing, time.process_time()
+        gc.collect()
+        gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
+        try:
+            start = time.monotonic_ns()
+            while (count is None or timing.samples < count) and not stopped():
+                start = self._wait(start + timing.samples * _PERIOD_NS, start)
+                self._sample(timing.samples * SAMPLE_TIME)
+                timing.samples += 1
+                if self.status is not None and timing.samples % 1000 == 0:
+                    timing.cpu = time.process_time() - cpu
+                    self.status(self._line())
+        finally:
+            gc.enable()
+        timing.cpu = time.process_time() - cpu
+        return timing
+
+    def _wait(self, deadline: int, start: int) -> int:
+        """Sleep until the deadline [ns]; returns the start, moved if the machine was away for long."""
+        left = deadline - time.monotonic_ns()
+        if left > 0:
+            time.sleep(left * 1e-9)
+            left = deadline - time.monotonic_ns()
+        self.timing.worst = max(self.timing.worst, -left * 1e-9)
+        if -left > _PERIOD_NS:
+            self.timing.late += 1
+        if -left > _GIVE_UP_NS:
+            self.timing.skipped += -left * 1e-9
+            return start - left
+        return start
+
+    def _sample(self, now: float) -> None:
+        while self._events and self._events[0].at <= now:
+            event = self._events.pop(0)
+            if event.stall:
+                self.link.stall(event.stall, now)
+            if event.unplug:
+                self.link.unplug(event.unplug, now)
+        if self.control is not None and self.timing.samples % _CONTROL_EVERY == 0:
+            self._obey(now)
+        command = self.link.poll(now)
+        if command is not None:
+            self.machine.receive(command)
+        sample = self.machine.tick()
+        self.link.send(sample, now)
+        if self.log is not None:
+            self.log.add(sample, self.machine.clean, self.machine.physical)
+        self.sample = sample
+
+    def _obey(self, now: float) -> None:
+        assert self.control is not None
+        for order in self.control.lines():
+            try:
+                obey(order, self.machine, self.link, now)
+            except ConfigError as error:
+                print(f"emulator: {error}", file=sys.stderr)
+
+    def _line(self) -> str:
+        sample, timing = self.sample, self.timing
+        flags = int(sample["flags"])
+        mode = "tripped" if flags & 8 else "armed" if flags & 1 else "disarmed"
+        port = "open" if self.link.terminal.opened else "closed" if self.link.terminal.plugged else "unplugged"
+        return (
+            f"{timing.samples / 1000:6.0f} s  port {port:9}  {mode:8}  f_r {sample['reference_force']:7.1f} N  "
+            f"f_l {sample['load_force']:7.1f} N  late {timing.late}  blocked {self.link.report.blocked}  "
+            f"CPU {100 * timing.cpu / (timing.samples * SAMPLE_TIME):.0f} %"
+        )
+
+
+def raise_priority() -> str:
+    """Ask the kernel for real-time scheduling and exact timers; returns what it granted, in words."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; 50 us by default
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
+        return "SCHED_FIFO 40"
+    except (OSError, AttributeError):
+        pass
+    with contextlib.suppress(OSError):
+        return f"nice {os.nice(-10)}"
+    return "normal priority (no permission for more)"
+
+
+def save(log: Log, path: str | Path) -> None:
+    """Write the noise-free log of a run, as `Recording.save_noise_free` does."""
+    log.recording().save_noise_free(path)

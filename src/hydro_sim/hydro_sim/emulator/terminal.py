@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A pseudo-terminal behind a fixed name, that behaves like a serial adapter: plugged, unplugged, and never waiting."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import tempfile
+import tty
+from pathlib import Path
+
+from hydro_sim.emulator.settings import ConfigError
+
+_READ_SIZE = 65536
+
+
+def default_link() -> Path:
+    """Where the port appears when nobody says otherwise: one place per user."""
+    return Path(tempfile.gettempdir()) / f"hydro-bench-{os.getuid()}"
+
+
+class Terminal:
+    """The box's end of a pseudo-terminal pair; the other end appears as a link at `path`.
+
+    Parameters
+    ----------
+    path
+        Where the port appears. A link that stands there is replaced, anything else is left alone.
+
+    Raises
+    ------
+    ConfigError
+        If `path` is taken by something that is no link, or its folder cannot be written.
+    """
+
+    def __init__(self, path: Path) -> None:
+        if os.path.lexists(path) and not path.is_symlink():
+            raise ConfigError(f"{path} exists and is no link: give another place with --link")
+        self.path = path
+        self._master: int | None = None
+        self._port = ""
+        self._poll = select.poll()
+        self.plug()
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the port is there."""
+        return self._master is not None
+
+    @property
+    def opened(self) -> bool:
+        """Whether somebody has the port open."""
+        return self._master is not None and not any(event & select.POLLHUP for _, event in self._poll.poll(0))
+
+    def plug(self) -> None:
+        """Make a new pair and point the link at it; nothing happens if it is plugged."""
+        if self._master is not None:
+            return
+        master, slave = os.openpty()
+        tty.setraw(slave)
+        os.set_blocking(master, False)
+        self._port = os.ttyname(slave)
+        os.close(slave)  # so that the kernel tells whether somebody else has it open
+        self._master = master
+        self._poll.register(master, select.POLLHUP)
+        self._show()
+
+    def _show(self) -> None:
+        scratch = self.path.with_name(f".{self.path.name}.{os.getpid()}")
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                scratch.unlink()
+            scratch.symlink_to(self._port)
+            os.replace(scratch, self.path)
+        except OSError as error:
+            raise ConfigError(f"{self.path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
+
+    def unplug(self) -> None:
+        """Take the port away: whoever has it open sees a hang-up, the link is gone."""
+        if self._master is None:
+            return
+        self._poll.unregister(self._master)
+        os.close(self._master)
+        self._master = None
+        with contextlib.suppress(OSError):
+            if os.readlink(self.path) == self._port:  # not that of an emulator that came after
+                self.path.unlink()
+
+    def read(self) -> bytes:
+        """What has arrived; nothing if nothing has, or nobody is there."""
+        if self._master is None:
+            return b""
+        try:
+            return os.read(self._master, _READ_SIZE)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            if error.errno == errno.EIO:  # nobody has the port open
+                return b""
+            raise
+
+    def write(self, data: bytes) -> int:
+        """Write what fits without waiting; returns how many bytes did."""
+        if self._master is None:
+            return 0
+        try:
+            return os.write(self._master, data)
+        except BlockingIOError:
+            return 0
