@@ -89,7 +89,7 @@ def _playable(signal):
 
 @njit(cache=True)
 def tick(bench, settings, states, measurement, time, outputs):
-    """One sample: `measurement` x, shape (8,), at box time [s]; fills `outputs`, shape (1,), a record of the signals."""
+    """One sample: `measurement` x, shape (8,), at box time [s]; fills `outputs`, shape (1,), of BenchState."""
     state, limits, output = states[0], settings[0], outputs[0]
     late = _watch(state, limits, time)
     _follow_disarm(state)

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ROS side of every plant that takes commands: the bridge's serial line and the simulation differ behind it only.
+
+::
+
+    /hydro/gains, /hydro/correction, /hydro/reference ──> guard ─┐
+    /hydro/arm ───────────────────────────────────────> arm      ├─ PlantSide (a serial line, a simulation)
+    /hydro/state <────────────────────────────────── publish_state ┘
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+from hydro_bridge.guard import CommandGuard
+from hydro_bridge.ros import (
+    ARM_SERVICE,
+    CORRECTION,
+    CORRECTION_QOS,
+    GAINS,
+    GAINS_QOS,
+    REFERENCE,
+    REFERENCE_QOS,
+    STATE,
+    STATE_QOS,
+    DiagnosticsPublisher,
+    StateMessage,
+    Status,
+    reference_from_message,
+)
+from hydro_msgs.msg import BenchState, Correction, Gains, ReferenceSignal
+
+
+class PlantSide(Protocol):
+    """What a plant node moves messages for; it runs in a thread of its own."""
+
+    guard: CommandGuard
+
+    @property
+    def lock(self) -> AbstractContextManager[Any]:
+        """Held while the guard is told or asked."""
+
+    def send(self, corrects: int | None = None) -> None:
+        """A new command may go down now; `corrects` is the sample whose correction has just come."""
+
+    def arm(self, arm: bool) -> str:
+        """Arm or disarm, and wait for the box to confirm; why it did not, or nothing."""
+
+    def status(self) -> Status:
+        """How it is doing, for /diagnostics."""
+
+
+class PlantNode(Node):
+    """Publishes /hydro/state, takes gains, corrections, reference and arming.
+
+    Call `connect` once the plant's side exists; nothing is subscribed before.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._publisher = self.create_publisher(BenchState, STATE, STATE_QOS)
+        self._state = StateMessage()
+
+    def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
+        """Take commands for `side`, and report on it; `clock` is the guard's [s]."""
+        self.side, self._now = side, clock
+        self.create_subscription(Gains, GAINS, self._on_gains, GAINS_QOS)
+        self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
+        self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)
+        self.create_service(SetBool, ARM_SERVICE, self._on_arm)
+        self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.diagnostics = DiagnosticsPublisher(self, side.status)
+
+    def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
+        """Publish one sample; `values` in STATE_FIELDS order. Called from one thread only, the plant's."""
+        self._publisher.publish(self._state.fill(stamp_ns, sequence, values, flags))
+
+    def _on_gains(self, message: Gains) -> None:
+        with self.side.lock:
+            self.side.guard.set_gains(message.delta_kp, message.delta_ki, self._now())
+
+    def _on_correction(self, message: Correction) -> None:
+        with self.side.lock:
+            self.side.guard.set_correction(message.delta_u, message.status, message.sequence, self._now())
+        self.side.send(message.sequence)
+
+    def _on_reference(self, message: ReferenceSignal) -> None:
+        signal = reference_from_message(message)
+        if signal is None:
+            self.get_logger().warning(f"reference refused, the last one stays: unknown waveform {message.waveform}")
+            return
+        with self.side.lock:
+            self.side.guard.set_reference(signal)
+
+    def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        trouble = self.side.arm(request.data)
+        response.success, response.message = not trouble, trouble or ("armed" if request.data else "disarmed")
+        self.get_logger().info(response.message)
+        return response
+
+    def _tell_events(self) -> None:
+        with self.side.lock:
+            events = self.side.guard.take_events()
+        for event in events:
+            self.get_logger().warning(event)

@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one place for plots: style, colors, the units people read, and the plot of a run.
+
+Figures are drawn without a screen (Agg) and saved; nothing here touches matplotlib's global state, so that a
+notebook's own style stays.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from cycler import cycler
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from hydro_bridge.signals import Flag, FloatArray, StateArray
+
+BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GRAY = (
+    "#0072b2",
+    "#e69f00",
+    "#009e73",
+    "#d55e00",
+    "#cc79a7",
+    "#56b4e9",
+    "#8a8f98",
+)
+"""Okabe and Ito's colors: told apart by everyone, also in print."""
+
+UNITS: dict[str, tuple[str, str, float]] = {
+    "hydraulic_force": ("hydraulic force", "N", 1.0),
+    "hydraulic_force_rate": ("hydraulic force rate", "kN/s", 1e-3),
+    "load_force": ("load force", "N", 1.0),
+    "load_force_rate": ("load force rate", "kN/s", 1e-3),
+    "pressure_a": ("pressure A", "MPa", 1e-6),
+    "pressure_b": ("pressure B", "MPa", 1e-6),
+    "piston_position": ("piston position", "mm", 1e3),
+    "piston_velocity": ("piston velocity", "mm/s", 1e3),
+    "valve_current": ("valve current", "mA", 1e3),
+    "nominal_valve_current": ("nominal", "mA", 1e3),
+    "reference_force": ("reference", "N", 1.0),
+    "reference_force_rate": ("reference rate", "kN/s", 1e-3),
+    "proportional_gain": (r"$K_p$", "1/s", 1.0),
+    "integral_gain": (r"$K_i$", "1/s²", 1.0),
+}
+"""How a field of BenchState is shown: name, unit, factor from SI."""
+
+STYLE: dict[str, Any] = {
+    "axes.axisbelow": True,
+    "axes.edgecolor": "#5b6068",
+    "axes.grid": True,
+    "axes.labelcolor": "#2b2f36",
+    "axes.prop_cycle": cycler(color=[BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GRAY]),
+    "axes.spines.right": False,
+    "axes.spines.top": False,
+    "axes.titlelocation": "left",
+    "axes.titlesize": 11,
+    "axes.titleweight": "semibold",
+    "figure.constrained_layout.use": True,
+    "figure.dpi": 150,
+    "font.size": 9,
+    "grid.color": "#e3e5e8",
+    "grid.linewidth": 0.7,
+    "legend.frameon": False,
+    "legend.handlelength": 1.4,
+    "lines.linewidth": 1.2,
+    "xtick.color": "#5b6068",
+    "ytick.color": "#5b6068",
+}
+
+SHADES = ((Flag.TRIPPED, RED, "tripped"), (Flag.WATCHDOG, ORANGE, "watchdog"), (Flag.SATURATED, GRAY, "saturated"))
+"""Flags that are worth a shade behind a plot, the gravest first."""
+
+
+@contextmanager
+def figure(
+    path: str | Path, rows: int = 1, *, size: tuple[float, float], **layout: Any
+) -> Iterator[tuple[Figure, Any]]:
+    """Open a figure of `rows` axes above one another (shape (rows,)) in the house style; saved to `path` at the end.
+
+    Parameters
+    ----------
+    path
+        File to write, its suffix decides the format; missing folders are made.
+    rows
+        Number of axes.
+    size
+        Width and height [inch].
+    layout
+        Passed on to `Figure.subplots`.
+    """
+    with mpl.rc_context(STYLE):
+        drawing = Figure(figsize=size)
+        FigureCanvasAgg(drawing)
+        yield drawing, drawing.subplots(rows, 1, squeeze=False, **layout)[:, 0]
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        drawing.savefig(path)
+
+
+def draw(axes: Axes, states: StateArray, field: str, *, error_of: str | None = None, **style: Any) -> None:
+    """Draw a field over time in the unit people read; with `error_of`, that field minus this one."""
+    name, unit, factor = UNITS[field]
+    values = states[field] if error_of is None else states[error_of] - states[field]
+    axes.plot(states["time"], factor * values, label=style.pop("label", name), **style)
+    axes.set_ylabel(f"[{unit}]")
+
+
+def shade(axes: Axes, states: StateArray, *, named: bool = True) -> None:
+    """Shade where the box was tripped, without commands or at the valve's limit; `named`: with an entry in the legend."""
+    time = np.asarray(states["time"])
+    for flag, color, name in SHADES:
+        for i, (first, last) in enumerate(stretches((states["flags"] & flag) != 0)):
+            label = name if named and i == 0 else None
+            axes.axvspan(time[first], time[last], color=color, alpha=0.12, linewidth=0, label=label)
+
+
+def stretches(mask: Sequence[bool] | FloatArray) -> list[tuple[int, int]]:
+    """First and last index of every run of true values."""
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], np.asarray(mask, bool), [False]))))
+    return [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
+
+
+def legend(axes: Axes) -> None:
+    """Put a legend above the axes, in a row, where it covers nothing."""
+    entries = len(axes.get_legend_handles_labels()[0])
+    if entries:
+        axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), ncols=entries, borderaxespad=0.2)
+
+
+def tracking_plot(states: StateArray, path: str | Path, *, title: str = "") -> None:
+    """Draw a run: reference and load force, tracking error with its RMSE while armed, valve current, gains.
+
+    Parameters
+    ----------
+    states
+        Records of `STATE_DTYPE`, shape (n,), n of 2 or more.
+    path
+        File to write (.png, .svg, .pdf).
+    title
+        Above the plot.
+
+    Raises
+    ------
+    ValueError
+        With fewer than two samples.
+    """
+    if len(states) < 2:
+        raise ValueError(f"a run of {len(states)} samples cannot be drawn")
+    armed = states[(states["flags"] & Flag.ARMED) != 0]
+    rmse = float(np.sqrt(np.mean((armed["reference_force"] - armed["load_force"]) ** 2))) if len(armed) else 0.0
+    with figure(path, 4, size=(8.0, 7.5), sharex=True, height_ratios=(3, 2, 2, 1.5)) as (drawing, axes):
+        force, deviation, valve, gain = axes
+        drawing.suptitle(title, x=0.01, ha="left", weight="semibold")
+        draw(force, states, "reference_force", color=GRAY, linestyle="--")
+        draw(force, states, "load_force", color=BLUE)
+        draw(deviation, states, "load_force", error_of="reference_force", color=RED, label=f"error, RMSE {rmse:.2f} N")
+        draw(valve, states, "nominal_valve_current", color=SKY)
+        draw(valve, states, "valve_current", color=BLUE)
+        draw(gain, states, "proportional_gain", color=GREEN, drawstyle="steps-post")
+        draw(gain, states, "integral_gain", color=ORANGE, drawstyle="steps-post")
+        gain.set(ylabel="[1/s], [1/s²]", xlabel="time [s]", xlim=(states["time"][0], states["time"][-1]))
+        for panel in axes:
+            shade(panel, states, named=panel is force)
+            legend(panel)
+        drawing.align_ylabels(axes)
