@@ -28,7 +28,7 @@ def spool_derivative(p, command, spool, spool_rate):
     target = command + p.valve_offset
     if p.spool_order == 2.0:
         pull = p.spool_frequency * (target - spool) - 2.0 * p.spool_damping * spool_rate
-        return spool_rate, p.spool_frequency * pull
+        return min(max(spool_rate, -p.spool_rate_limit), p.spool_rate_limit), p.spool_frequency * pull
     if p.spool_order == 1.0:
         rate = p.spool_frequency * (target - spool)
         return min(max(rate, -p.spool_rate_limit), p.spool_rate_limit), 0.0
