@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The physics library: one small class per cause, grouped by where on the bench it lives; `LIBRARY` holds all candidates.
+
+Adding an effect is writing its class and listing it in its module's `EFFECTS`; nothing else changes.
+"""
+
+from __future__ import annotations
+
+from hydro_diagnosis.effects import (
+    bench_values,
+    fluid,
+    friction,
+    leakage,
+    load,
+    sensors,
+    supply,
+    valve,
+    valve_dynamics,
+)
+from hydro_diagnosis.effects.base import Claim, Effect, Parameter
+
+_MODULES = (friction, leakage, valve, valve_dynamics, supply, fluid, sensors, load, bench_values)
+
+LIBRARY: tuple[Effect, ...] = tuple(effect for module in _MODULES for effect in module.EFFECTS)
+"""All candidates; several may share an id (chambers, sensors, forms of one cause)."""
+
+__all__ = ["LIBRARY", "Claim", "Effect", "Parameter"]

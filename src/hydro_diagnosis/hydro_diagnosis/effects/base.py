@@ -1,0 +1,175 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect is: a named cause with parameters, that says what it does to command, flows, forces or measurements.
+
+Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same hooks serve
+the regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes through
+`Memory`, which either filters a whole record or advances one step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import nan
+from typing import Any, ClassVar, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from hydro_sim.bench import Bench
+
+FloatArray = npt.NDArray[np.float64]
+Values = Mapping[str, float]
+
+PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
+"""The blocks of residuals that an effect can touch; only those are computed anew when its parameters change."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """One number of an effect: where it may lie, where it does nothing, and from where on it matters."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    neutral: float
+    """Value at which the effect vanishes (for shape parameters: the usual value)."""
+    probes: tuple[float, ...]
+    """Values at which the search looks first, in the interior."""
+    smallest: float = 0.0
+    """Distance from `neutral` below which a difference is not worth claiming; 0 for shape parameters."""
+    reported: bool = True
+    """False for shape parameters that are fitted but not part of the contract."""
+
+    @property
+    def span(self) -> float:
+        """The natural step of this parameter."""
+        return max(abs(probe - self.neutral) for probe in self.probes) or abs(self.neutral)
+
+
+class Memory(Protocol):
+    """Elements with a past, either over a whole record or one step at a time."""
+
+    def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
+        """First-order lag of a signal, `time_constant` in s."""
+
+    def low_pass(self, key: str, signal: FloatArray, bandwidth: float) -> FloatArray:
+        """Second-order Butterworth low-pass, `bandwidth` in Hz."""
+
+    def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
+        """Elastic force [N] of a bristle that yields at `limit` [N] while `position` [m] moves (Dahl)."""
+
+
+@dataclass
+class Openings:
+    """Valve edges as conductances, mean over the interval [m3/s/sqrt(Pa)]."""
+
+    supply_a: FloatArray
+    a_tank: FloatArray
+    supply_b: FloatArray
+    b_tank: FloatArray
+
+
+@dataclass
+class Kinematics:
+    """What forces depend on."""
+
+    time: FloatArray
+    position: FloatArray
+    velocity: FloatArray
+
+
+@dataclass(frozen=True)
+class Effect:
+    """A cause that the baseline leaves out.
+
+    Subclasses set `id`, `equation`, `parameters`, `touches` and override the hooks in which they act.
+    """
+
+    options: Mapping[str, str] = field(default_factory=dict)
+    """Which chamber, which sensor, which form; part of the report, except `form`."""
+    reference: float = nan
+    """The bench file's value, for effects whose parameter is the true value itself."""
+
+    id: ClassVar[str] = ""
+    equations: ClassVar[tuple[str, ...]] = ()
+    """Where it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
+    touches: ClassVar[frozenset[str]] = frozenset()
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    stage: ClassVar[int] = 1
+    """Order in the command's path: 0 before the spool, 1 the spool's motion, 2 what the edges make of its position."""
+    needs: ClassVar[tuple[str, ...]] = ()
+    """Ids of effects without which this one does nothing."""
+
+    @property
+    def label(self) -> str:
+        """Id and options: unique among the candidates."""
+        return ":".join([self.id, *self.options.values()])
+
+    def sentence(self, values: Values) -> str:
+        """What it is, in words for a person at the bench."""
+        raise NotImplementedError
+
+    def adapted(self, bench: Bench) -> Effect:
+        """The effect relative to this bench."""
+        return self
+
+    # -- hooks, in the order in which the model calls them ------------------------------------------------------------
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        """The bench with a value replaced."""
+        return bench
+
+    def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
+        """Spool position in A from the valve current, shape (n, substeps), `substep` in s; the record starts at rest."""
+        return current
+
+    def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
+        """Conductance of the valve's edges; `spool` [A] has shape (..., substeps), the edges (...)."""
+        return edges
+
+    def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        """Supply pressure [Pa] under the `demand` [m3/s]."""
+        return supply
+
+    def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
+              values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        """Net flows [m3/s] into chamber A and into chamber B."""
+        return flows
+
+    def stiffness(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:
+        """Bulk modulus [Pa] at an absolute pressure [Pa]."""
+        return modulus
+
+    def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+        """Level [N, >= 0] of dry friction while sliding; the model gives it the sign of the velocity."""
+        return level
+
+    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
+                   values: Values) -> FloatArray:  # fmt: skip
+        """Force [N] against the motion beyond viscous friction; `level` is the dry friction's level while sliding."""
+        return force
+
+    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
+        """Force [N] of the load."""
+        return force
+
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        """Reading of a sensor for its true signal."""
+        return signal
+
+    def unmeasure(self, channel: str, reading: FloatArray, values: Values) -> FloatArray:
+        """True signal from a reading, as far as an algebraic inverse goes."""
+        return reading
+
+
+@dataclass(frozen=True)
+class Claim:
+    """An effect with values."""
+
+    effect: Effect
+    values: Values
+
+    def to_mapping(self) -> dict[str, Any]:
+        """As it stands in corrected.yaml."""
+        return {"id": self.effect.id, **self.effect.options, "parameters": dict(self.values)}

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Wrong values in the bench file: geometry and pressures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hydro_sim.bench import Bench
+
+from hydro_diagnosis.effects.base import HYDRAULIC, PRESSURE, Effect, Parameter, Values
+
+_RATIO = Parameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
+
+
+class SupplyPressure(Effect):
+    """p_s times a ratio."""
+
+    id = "supply_pressure"
+    equations = ("actuation",)
+    touches = frozenset({PRESSURE})
+    parameters = (_RATIO,)
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        return replace(bench, supply_pressure=bench.supply_pressure * values["ratio"])
+
+    def sentence(self, values: Values) -> str:
+        return f"The supply pressure is {values['ratio']:.4g} times what the bench file says."
+
+
+class PistonArea(Effect):
+    """A_p times a ratio: of both chambers, since A_b = alpha A_p."""
+
+    id = "piston_area"
+    equations = ("pressure_a", "pressure_b")
+    touches = frozenset({PRESSURE, HYDRAULIC})
+    parameters = (_RATIO,)
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        return replace(bench, piston_area=bench.piston_area * values["ratio"])
+
+    def sentence(self, values: Values) -> str:
+        return f"The piston area is {values['ratio']:.4g} times what the bench file says."
+
+
+class AreaRatio(Effect):
+    """alpha times a ratio."""
+
+    id = "area_ratio"
+    equations = ("pressure_b",)
+    touches = frozenset({PRESSURE, HYDRAULIC})
+    parameters = (_RATIO,)
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        return replace(bench, area_ratio=min(bench.area_ratio * values["ratio"], 1.0))
+
+    def sentence(self, values: Values) -> str:
+        return f"The ratio of the piston areas is {values['ratio']:.4g} times what the bench file says."
+
+
+class DeadVolume(Effect):
+    """V_dead of one chamber times a ratio."""
+
+    id = "dead_volume"
+    touches = frozenset({PRESSURE})
+    parameters = (replace(_RATIO, low=0.1, high=10.0, smallest=0.004),)
+
+    @property
+    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("pressure_" + self.options["chamber"],)
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        name = "dead_volume_" + self.options["chamber"]
+        return replace(bench, **{name: getattr(bench, name) * values["ratio"]})
+
+    def sentence(self, values: Values) -> str:
+        chamber = self.options["chamber"].upper()
+        return f"The dead volume of chamber {chamber} is {values['ratio']:.4g} times what the bench file says."
+
+
+class TankPressure(Effect):
+    """The true p_t."""
+
+    id = "tank_pressure"
+    equations = ("actuation",)
+    touches = frozenset({PRESSURE})
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+        probe = self.reference + 2e5
+        return (
+            Parameter(
+                name="pressure", unit="Pa", low=0.0, high=5e6, neutral=self.reference, probes=(probe,), smallest=1e4
+            ),
+        )
+
+    def adapted(self, bench: Bench) -> Effect:
+        return replace(self, reference=bench.tank_pressure)
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        return replace(bench, tank_pressure=max(values["pressure"], 0.0))
+
+    def sentence(self, values: Values) -> str:
+        return f"The tank stands at {values['pressure'] * 1e-6:.3g} MPa, not at what the bench file says."
+
+
+EFFECTS: tuple[Effect, ...] = (
+    SupplyPressure(),
+    PistonArea(),
+    AreaRatio(),
+    DeadVolume({"chamber": "a"}),
+    DeadVolume({"chamber": "b"}),
+    TankPressure(),
+)

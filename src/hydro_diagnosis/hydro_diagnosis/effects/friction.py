@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What resists the piston: dry and viscous friction, a constant force, a cushion, the moving mass."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from hydro_sim.bench import Bench
+
+from hydro_diagnosis.effects.base import (
+    MOTION,
+    Effect,
+    FloatArray,
+    Kinematics,
+    Memory,
+    Parameter,
+    Values,
+)
+
+SLIP_VELOCITY = 1e-3
+"""m/s, over which dry friction changes sign."""
+
+
+def _force(name: str, *, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> Parameter:
+    return Parameter(name=name, unit="N", low=-500.0, high=500.0, neutral=0.0, probes=probes, smallest=smallest)
+
+
+class FrictionCoulomb(Effect):
+    """Level F_c of dry friction; F = F_c sign(x_p')."""
+
+    id = "friction_coulomb"
+    equations = ("motion",)
+    touches = frozenset({MOTION})
+    parameters = (_force("force"),)
+
+    def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+        return level + values["force"]
+
+    def sentence(self, values: Values) -> str:
+        return f"Dry friction of {values['force']:.3g} N works against the motion at every speed."
+
+
+class FrictionCoulombDirectional(Effect):
+    """Level F_c+ while extending, F_c- while retracting."""
+
+    id = "friction_coulomb"
+    equations = ("motion",)
+    touches = frozenset({MOTION})
+    parameters = (_force("force_positive"), _force("force_negative", probes=(6.0,)))
+
+    def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+        return level + np.where(motion.velocity > 0.0, values["force_positive"], values["force_negative"])
+
+    def sentence(self, values: Values) -> str:
+        return (
+            f"Dry friction works against the motion: {values['force_positive']:.3g} N while extending, "
+            f"{values['force_negative']:.3g} N while retracting."
+        )
+
+
+class FrictionViscous(Effect):
+    """b + db instead of b."""
+
+    id = "friction_viscous"
+    equations = ("motion",)
+    touches = frozenset({MOTION})
+    parameters = (
+        Parameter(name="coefficient", unit="N s/m", low=-1e4, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5),
+    )
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        return replace(bench, viscous_friction=max(bench.viscous_friction + values["coefficient"], 0.0))
+
+    def sentence(self, values: Values) -> str:
+        more = "more" if values["coefficient"] > 0 else "less"
+        return f"The viscous friction is {abs(values['coefficient']):.3g} N s/m {more} than the bench file says."
+
+
+class FrictionStribeck(Effect):
+    """Level F_s exp(-(v/v_s)^2) on top of other dry friction (Armstrong-Helouvry et al. 1994, eq. 5)."""
+
+    id = "friction_stribeck"
+    equations = ("motion",)
+    touches = frozenset({MOTION})
+    parameters = (
+        _force("breakaway_force", smallest=0.5),
+        Parameter(name="velocity", unit="m/s", low=2e-3, high=0.3, neutral=0.01, probes=(0.006, 0.02)),
+    )
+
+    def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
+        return level + values["breakaway_force"] * np.exp(-np.square(motion.velocity / values["velocity"]))
+
+    def sentence(self, values: Values) -> str:
+        return (
+            f"Near standstill friction rises by {values['breakaway_force']:.3g} N; "
+            f"the rise is gone above about {values['velocity'] * 1e3:.3g} mm/s."
+        )
+
+
+class FrictionPresliding(Effect):
+    """Bristles of stiffness sigma: dF/dx = sigma (1 - F sign(v)/level), Dahl's model."""
+
+    id = "friction_presliding"
+    equations = ("motion",)
+    touches = frozenset({MOTION})
+    needs = ("friction_coulomb",)
+    parameters = (
+        Parameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),
+    )
+
+    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
+                   values: Values) -> FloatArray:  # fmt: skip
+        elastic = memory.bristle("presliding", motion.position, values["stiffness"], level)
+        return force - level * np.tanh(motion.velocity / SLIP_VELOCITY) + elastic
+
+    def sentence(self, values: Values) -> str:
+        return f"Before it slides the piston deflects elastically with {values['stiffness']:.3g} N/m."
+
+
+class ForceOffset(Effect):
+    """m x_p'' = ... + F_0."""
+
+    id = "force_offset"
+    equations = ("motion",)
+    touches = frozenset({MOTION})
+    parameters = (_force("force", smallest=0.5),)
+
+    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
+                   values: Values) -> FloatArray:  # fmt: skip
+        return force - values["force"]
+
+    def sentence(self, values: Values) -> str:
+        return f"A constant force of {values['force']:.3g} N acts on the moving mass (for instance its weight on a slope)."
+
+
+class EndCushion(Effect):
+    """F = k max(x_p - x_c, 0) (form "end") or k min(x_p - x_c, 0) (form "start")."""
+
+    id = "end_cushion"
+    equations = ("motion",)
+    touches = frozenset({MOTION})
+
+    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
+                   values: Values) -> FloatArray:  # fmt: skip
+        depth = motion.position - values["position"]
+        depth = np.maximum(depth, 0.0) if self.options["form"] == "end" else np.minimum(depth, 0.0)
+        return force + values["stiffness"] * depth
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+        at = (0.046, 0.05, 0.054) if self.options["form"] == "end" else (0.034, 0.03, 0.026)
+        return (
+            Parameter(name="stiffness", unit="N/m", low=0.0, high=1e7, neutral=0.0, probes=(1e4,), smallest=200.0),
+            Parameter(name="position", unit="m", low=0.0, high=0.08, neutral=0.04, probes=at),
+        )
+
+    def sentence(self, values: Values) -> str:
+        side = "beyond" if self.options["form"] == "end" else "below"
+        return (
+            f"The piston runs into a cushion of {values['stiffness']:.3g} N/m {side} {values['position'] * 1e3:.4g} mm."
+        )
+
+
+class MovingMass(Effect):
+    """m + dm instead of m."""
+
+    id = "moving_mass"
+    equations = ("motion",)
+    touches = frozenset({MOTION})
+    parameters = (Parameter(name="mass", unit="kg", low=-1e3, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.03),)
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        return replace(bench, moving_mass=max(bench.moving_mass + values["mass"], 0.01))
+
+    def sentence(self, values: Values) -> str:
+        more = "more" if values["mass"] > 0 else "less"
+        return f"The moving mass is {abs(values['mass']):.3g} kg {more} than the bench file says."
+
+
+EFFECTS: tuple[Effect, ...] = (
+    FrictionCoulomb(),
+    FrictionCoulombDirectional({"form": "directional"}),
+    FrictionViscous(),
+    FrictionStribeck(),
+    FrictionPresliding(),
+    ForceOffset(),
+    EndCushion({"form": "end"}),
+    EndCushion({"form": "start"}),
+    MovingMass(),
+)

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Oil that goes where it should not: between the chambers, out of a chamber."""
+
+from __future__ import annotations
+
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Parameter, Values
+
+_COEFFICIENT = Parameter(
+    name="coefficient", unit="m3/s/Pa", low=-1e-10, high=1e-10, neutral=0.0, probes=(1e-13,), smallest=1e-15
+)
+
+
+class LeakageInternal(Effect):
+    """q = c (p_a - p_b) past the piston seal, laminar."""
+
+    id = "leakage_internal"
+    equations = ("pressure_a", "pressure_b")
+    touches = frozenset({PRESSURE})
+    parameters = (_COEFFICIENT,)
+
+    def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
+              values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        leak = values["coefficient"] * (pressures[0] - pressures[1])
+        return flows[0] - leak, flows[1] + leak
+
+    def sentence(self, values: Values) -> str:
+        return f"Oil leaks past the piston between the chambers, {values['coefficient'] * 1e12:.3g} ml/s per MPa."
+
+
+class LeakageExternal(Effect):
+    """q = c (p - p_t) out of one chamber, laminar."""
+
+    id = "leakage_external"
+    touches = frozenset({PRESSURE})
+    parameters = (_COEFFICIENT,)
+
+    @property
+    def equations(self) -> tuple[str, ...]:  # type: ignore[override]
+        return ("pressure_" + self.options["chamber"],)
+
+    def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
+              values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        if self.options["chamber"] == "a":
+            return flows[0] - values["coefficient"] * (pressures[0] - tank), flows[1]
+        return flows[0], flows[1] - values["coefficient"] * (pressures[1] - tank)
+
+    def sentence(self, values: Values) -> str:
+        return (
+            f"Chamber {self.options['chamber'].upper()} leaks to the tank, "
+            f"{values['coefficient'] * 1e12:.3g} ml/s per MPa."
+        )
+
+
+EFFECTS: tuple[Effect, ...] = (LeakageInternal(), LeakageExternal({"chamber": "a"}), LeakageExternal({"chamber": "b"}))

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the sensors make of the truth: gain, bias, lag."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hydro_sim.bench import Bench
+
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, FloatArray, Memory, Parameter, Values
+
+_TOUCHES = {
+    "hydraulic_force": frozenset({MOTION, HYDRAULIC}),
+    "load_force": frozenset({LOAD}),
+    "pressure_a": frozenset({PRESSURE, HYDRAULIC}),
+    "pressure_b": frozenset({PRESSURE, HYDRAULIC}),
+}
+_WORDS = {
+    "hydraulic_force": "the load cell at the piston rod",
+    "load_force": "the load cell at the spring",
+    "pressure_a": "the pressure sensor of chamber A",
+    "pressure_b": "the pressure sensor of chamber B",
+}
+
+
+class _Sensor(Effect):
+    equations = ("sensor",)
+
+    @property
+    def channel(self) -> str:
+        """The BenchState field that this sensor fills."""
+        chamber = self.options.get("chamber")
+        return self.options.get("sensor", self.options.get("cell", f"pressure_{chamber}"))
+
+    @property
+    def touches(self) -> frozenset[str]:  # type: ignore[override]
+        return _TOUCHES[self.channel]
+
+    @property
+    def words(self) -> str:
+        """The sensor in words."""
+        return _WORDS[self.channel]
+
+
+class LoadCellGain(_Sensor):
+    """Reading = ratio times force."""
+
+    id = "load_cell_gain"
+    parameters = (Parameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.95,), smallest=0.002),)
+
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        return signal * values["ratio"] if channel == self.channel else signal
+
+    def unmeasure(self, channel: str, reading: FloatArray, values: Values) -> FloatArray:
+        return reading / values["ratio"] if channel == self.channel else reading
+
+    def sentence(self, values: Values) -> str:
+        return f"A reading of {self.words} is {values['ratio']:.4g} times the force."
+
+
+class LoadCellBias(_Sensor):
+    """Reading = force + bias."""
+
+    id = "load_cell_bias"
+    parameters = (Parameter(name="force", unit="N", low=-500.0, high=500.0, neutral=0.0, probes=(5.0,), smallest=0.3),)
+
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        return signal + values["force"] if channel == self.channel else signal
+
+    def unmeasure(self, channel: str, reading: FloatArray, values: Values) -> FloatArray:
+        return reading - values["force"] if channel == self.channel else reading
+
+    def sentence(self, values: Values) -> str:
+        return f"A reading of {self.words} is off by {values['force']:.3g} N."
+
+
+class PressureSensorBias(_Sensor):
+    """Reading = pressure + bias."""
+
+    id = "pressure_sensor_bias"
+    parameters = (
+        Parameter(name="pressure", unit="Pa", low=-3e6, high=3e6, neutral=0.0, probes=(5e4,), smallest=2.5e3),
+    )
+
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        return signal + values["pressure"] if channel == self.channel else signal
+
+    def unmeasure(self, channel: str, reading: FloatArray, values: Values) -> FloatArray:
+        return reading - values["pressure"] if channel == self.channel else reading
+
+    def sentence(self, values: Values) -> str:
+        return f"A reading of {self.words} is off by {values['pressure'] * 1e-3:.4g} kPa."
+
+
+class SensorLag(_Sensor):
+    """Second-order Butterworth low-pass in a sensor's amplifier; at the load it replaces what the bench file says."""
+
+    id = "sensor_lag"
+    parameters = (
+        Parameter(name="bandwidth", unit="Hz", low=2.0, high=400.0, neutral=400.0, probes=(15.0, 40.0, 120.0)),
+    )
+
+    def bench(self, bench: Bench, values: Values) -> Bench:
+        return replace(bench, load_cell_bandwidth=values["bandwidth"]) if self.channel == "load_force" else bench
+
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if channel != self.channel or channel == "load_force":
+            return signal
+        return memory.low_pass(channel, signal, values["bandwidth"])
+
+    def sentence(self, values: Values) -> str:
+        return f"The amplifier of {self.words} is a low-pass near {values['bandwidth']:.3g} Hz."
+
+
+_CELLS = ("hydraulic_force", "load_force")
+EFFECTS: tuple[Effect, ...] = (
+    *(LoadCellGain({"cell": cell}) for cell in _CELLS),
+    *(LoadCellBias({"cell": cell}) for cell in _CELLS),
+    *(PressureSensorBias({"chamber": chamber}) for chamber in "ab"),
+    *(SensorLag({"sensor": sensor}) for sensor in (*_CELLS, "pressure_a", "pressure_b")),
+)

@@ -1,0 +1,139 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The valve's static side: overlap, null shift, gain, asymmetry, wear, drift."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Openings, Parameter, Values
+
+
+class _Valve(Effect):
+    equations = ("actuation",)
+    touches = frozenset({PRESSURE})
+    stage = 2
+
+
+def _scaled(edges: Openings, positive: FloatArray | float, negative: FloatArray | float) -> Openings:
+    return Openings(
+        edges.supply_a * positive, edges.a_tank * negative, edges.supply_b * negative, edges.b_tank * positive
+    )
+
+
+class ValveDeadband(_Valve):
+    """Overlapped edges: the spool moves by the half width before an edge opens."""
+
+    id = "valve_deadband"
+    parameters = (
+        Parameter(
+            name="half_width", unit="A", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4, 2e-3), smallest=5e-6
+        ),
+    )
+
+    def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
+        width = values["half_width"]
+        return current - np.clip(current, -width, width)
+
+    def sentence(self, values: Values) -> str:
+        return f"The valve does not open below {values['half_width'] * 1e3:.3g} mA: its edges overlap."
+
+
+class ValveOffset(_Valve):
+    """Null shift: the spool stands at u + u_0."""
+
+    id = "valve_offset"
+    stage = 1
+    parameters = (
+        Parameter(name="current", unit="A", low=-0.02, high=0.02, neutral=0.0, probes=(2e-4,), smallest=4e-6),
+    )
+
+    def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
+        return current + values["current"]
+
+    def sentence(self, values: Values) -> str:
+        return f"The valve's null is shifted: it acts as if {values['current'] * 1e3:.3g} mA were added to the current."
+
+
+class ValveGain(_Valve):
+    """K_v times a ratio."""
+
+    id = "valve_gain"
+    parameters = (Parameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
+
+    def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
+        return _scaled(edges, values["ratio"], values["ratio"])
+
+    def sentence(self, values: Values) -> str:
+        return f"The valve passes {values['ratio']:.4g} times the flow that the bench file says."
+
+
+class ValveGainAsymmetry(_Valve):
+    """K_v times a ratio on the negative side alone."""
+
+    id = "valve_gain_asymmetry"
+    parameters = (Parameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
+
+    def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
+        return _scaled(edges, 1.0, values["ratio"])
+
+    def sentence(self, values: Values) -> str:
+        return f"On its negative side the valve passes {values['ratio']:.4g} times the flow of its positive side."
+
+
+class ValveGainDrift(_Valve):
+    """K_v (1 + r t), t from the start of a recording."""
+
+    id = "valve_gain_drift"
+    parameters = (
+        Parameter(name="rate", unit="1/s", low=-0.2, high=0.2, neutral=0.0, probes=(-0.005,), smallest=3e-4),
+    )
+
+    def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
+        ratio = 1.0 + values["rate"] * time
+        return _scaled(edges, ratio, ratio)
+
+    def sentence(self, values: Values) -> str:
+        return f"The valve's gain changes while recording, by {values['rate'] * 100:.3g} % per second."
+
+
+class ValveNullLeakage(_Valve):
+    """Worn edges: every edge stays open by c exp(-|u|/w) or c exp(-(u/w)^2) around null."""
+
+    id = "valve_null_leakage"
+    parameters = (
+        Parameter(
+            name="coefficient",
+            unit="m3/s/sqrt(Pa)",
+            low=-1e-7,
+            high=1e-7,
+            neutral=0.0,
+            probes=(3e-10,),
+            smallest=2e-12,
+        ),
+        Parameter(
+            name="width", unit="A", low=2e-5, high=2e-2, neutral=5e-4, probes=(2e-4, 1e-3, 4e-3), reported=False
+        ),
+    )
+
+    def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
+        ratio = np.abs(spool) / values["width"]
+        shape = np.exp(-ratio) if self.options["form"] == "exponential" else np.exp(-np.square(ratio))
+        wear = values["coefficient"] * shape.mean(axis=-1)
+        return Openings(edges.supply_a + wear, edges.a_tank + wear, edges.supply_b + wear, edges.b_tank + wear)
+
+    def sentence(self, values: Values) -> str:
+        return (
+            "Worn edges leak around the valve's null: "
+            f"{values['coefficient'] * 1e6 * 1e3:.3g} ml/s from supply to tank at 1 MPa over each edge."
+        )
+
+
+EFFECTS: tuple[Effect, ...] = (
+    ValveDeadband(),
+    ValveOffset(),
+    ValveGain(),
+    ValveGainAsymmetry(),
+    ValveGainDrift(),
+    ValveNullLeakage({"form": "exponential"}),
+    ValveNullLeakage({"form": "gaussian"}),
+)

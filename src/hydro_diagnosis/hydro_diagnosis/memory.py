@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Elements with a past, in two readings of one law: filtered over a whole record, or advanced step by step."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+from scipy.linalg import expm
+from scipy.signal import lfilter
+
+from hydro_diagnosis.effects.base import FloatArray
+
+
+class RecordMemory:
+    """Memory over a record that is sampled every `step` seconds; it starts in equilibrium with the first sample."""
+
+    def __init__(self, step: float) -> None:
+        self.step = step
+
+    def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
+        """See `Memory.lag`; the signal is held between samples."""
+        decay = float(np.exp(-self.step / time_constant))
+        lagged, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * signal[0]])
+        return np.asarray(lagged, dtype=np.float64)
+
+    def low_pass(self, key: str, signal: FloatArray, bandwidth: float) -> FloatArray:
+        """See `Memory.low_pass`; the signal is a straight line between samples."""
+        numerator, denominator = butterworth(round(bandwidth, 9), self.step)
+        state = np.cumsum((numerator - denominator)[::-1])[::-1][1:] * signal[0]
+        passed, _ = lfilter(numerator, denominator, signal, zi=state)
+        return np.asarray(passed, dtype=np.float64)
+
+    def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
+        """See `Memory.bristle`."""
+        return _bristle(position, stiffness, np.ascontiguousarray(limit))
+
+
+class StepMemory:
+    """Memory of many windows that advance together, one `step` at a time; `tick` closes a step."""
+
+    def __init__(self, step: float) -> None:
+        self.step = step
+        self._states: dict[str, FloatArray] = {}
+        self._next: dict[str, FloatArray] = {}
+
+    def tick(self) -> None:
+        """Make what the last evaluation proposed the present state."""
+        self._states.update(self._next)
+
+    def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
+        """See `Memory.lag`."""
+        state = self._states.setdefault(key, signal)
+        self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time_constant))
+        return state
+
+    def low_pass(self, key: str, signal: FloatArray, bandwidth: float) -> FloatArray:
+        """Not needed while stepping: sensors are applied to the whole outcome."""
+        raise NotImplementedError
+
+    def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
+        """See `Memory.bristle`."""
+        where = self._states.setdefault(key + ".x", position)
+        force = self._states.setdefault(key, np.zeros_like(position))
+        moved = position - where
+        goal = np.sign(moved) * limit
+        present = goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit, 1e-6))
+        self._next[key], self._next[key + ".x"] = present, position
+        return present
+
+
+@njit(cache=True)
+def _bristle(position, stiffness, limit):
+    """Dahl's bristle along a path: within a sample the solution of dF/dx = sigma (1 - F sign(dx)/limit) is exact."""
+    force = np.zeros(len(position))
+    for k in range(1, len(position)):
+        moved = position[k] - position[k - 1]
+        goal = limit[k] if moved > 0.0 else -limit[k]
+        fade = np.exp(-stiffness * abs(moved) / max(abs(limit[k]), 1e-6))
+        force[k] = goal + (force[k - 1] - goal) * fade
+    return force
+
+
+@lru_cache(maxsize=256)
+def butterworth(bandwidth: float, step: float) -> tuple[FloatArray, FloatArray]:
+    """Second-order low-pass, sampled exactly for an input that is a straight line between samples.
+
+    Returns
+    -------
+    Numerator and denominator in z^-1, three numbers each.
+    """
+    omega = 2.0 * np.pi * bandwidth
+    augmented = np.zeros((4, 4))  # position, velocity, input, its slope
+    augmented[0, 1] = 1.0
+    augmented[1] = [-omega * omega, -np.sqrt(2.0) * omega, omega * omega, 0.0]
+    augmented[2, 3] = 1.0
+    step_map = expm(augmented * step)
+    transition = step_map[:2, :2]
+    late = step_map[:2, 3] / step
+    early = step_map[:2, 2] - late
+    trace, determinant = float(np.trace(transition)), float(np.linalg.det(transition))
+    # y = C (zI - F)^-1 (early + late z), C = [1, 0]
+    def resolvent(vector: FloatArray) -> FloatArray:
+        return np.array([vector[0], transition[0, 1] * vector[1] - transition[1, 1] * vector[0]])
+
+    ahead, behind = resolvent(late), resolvent(early)
+    numerator = np.array([ahead[0], ahead[1] + behind[0], behind[1]])
+    return numerator, np.array([1.0, -trace, determinant])

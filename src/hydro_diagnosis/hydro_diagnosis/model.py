@@ -1,0 +1,227 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a set of claims to residuals: what of the recordings the bench with these effects does not account for.
+
+::
+
+    pressure_a, pressure_b   innovations of a slow observer of the chamber equations, 120 ms of memory     1 kHz / 5
+    motion                   f_h - (m x'' + b x' + dry friction + spring), weak form                        1 kHz / 5
+    load                     f_l - what its sensor makes of the spring's force                               1 kHz / 5
+    hydraulic                f_h - (A_p p_a - alpha A_p p_b), means over 100 ms: the slow part, which the
+                             observer forgets; the fast part is in the other residuals already
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from hydro_sim.bench import Bench
+from scipy.signal import lfilter
+
+from hydro_diagnosis import chambers
+from hydro_diagnosis.chambers import Oil
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, Kinematics
+from hydro_diagnosis.effects.friction import SLIP_VELOCITY
+from hydro_diagnosis.memory import RecordMemory
+from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.smoothing import STRIDE, finish, kinematics, smooth
+
+OBSERVER_MEMORY = 0.12
+"""s. A shorter memory forgets the slow drift that a small leak builds up."""
+BLOCK = 100
+"""Samples per mean of the hydraulic balance."""
+SETTLE = 0.3
+"""s at the start of a segment that are not judged: filters and observer settle."""
+
+
+@dataclass(frozen=True)
+class ChamberRun:
+    """What the chamber equations make of a segment."""
+
+    innovations: tuple[FloatArray, FloatArray]
+    """Pa, shape (n,), not smoothed."""
+    arc: FloatArray
+    """N, shape (n,): by how much the mean of f_h around a sample exceeds what straight lines between samples give."""
+    built_force: FloatArray
+    """N, shape (n,): what each sample adds to f_h."""
+
+
+class SegmentModel:
+    """A segment with everything that does not depend on the claims computed once."""
+
+    def __init__(self, segment: Segment, bench: Bench) -> None:
+        self.segment = segment
+        self._bench = bench
+        self.step = segment.step
+        self.time = segment.time
+        self.memory = RecordMemory(segment.step)
+        channels = segment.channels
+        self.channels = channels
+        self.has_position = "piston_position" in channels
+        self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
+        self.settle = min(round(SETTLE / self.step), len(segment) // 4)
+        if self.has_position:
+            self.x, self.v, self.a = kinematics(channels["piston_position"], self.step)
+            self.kinematics = Kinematics(self.time, self.x, self.v)
+
+    def bench(self, claims: Sequence[Claim]) -> Bench:
+        """The bench with the values that the claims replace."""
+        bench = self._bench
+        for claim in claims:
+            bench = claim.effect.bench(bench, claim.values)
+        return bench
+
+    # -- chambers ---------------------------------------------------------------------------------------------------
+
+    def true_signal(self, channel: str, claims: Sequence[Claim]) -> FloatArray:
+        """A channel with the sensors' gains and biases taken out."""
+        signal = self.channels[channel]
+        for claim in claims:
+            signal = claim.effect.unmeasure(channel, signal, claim.values)
+        return signal
+
+    def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+        """What a channel's sensor shows of a true signal."""
+        for claim in claims:
+            signal = claim.effect.measure(channel, signal, self.memory, claim.values)
+        return signal
+
+    def oil(self, claims: Sequence[Claim]) -> Oil:
+        """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
+        spool = chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
+        pressures = tuple(_middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
+        return Oil(self.time, _middle(self.channels["piston_position"]), (pressures[0], pressures[1]), spool)
+
+    def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
+        """Innovations and arcs under the claims."""
+        bench = self.bench(claims)
+        oil = self.oil(claims)
+        into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
+        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
+        swept = bench.piston_area * np.diff(self.channels["piston_position"], append=self.channels["piston_position"][-1])
+        built_a = stiff_a * (into_a * self.step - swept)
+        built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
+        innovations = tuple(
+            self._innovation("pressure_" + chamber, built, claims) for chamber, built in zip("ab", (built_a, built_b))
+        )
+        force = bench.piston_area * (built_a - bench.area_ratio * built_b)
+        return ChamberRun((innovations[0], innovations[1]), self._arc(bench, oil, stiff_a, stiff_b), force)
+
+    def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+        integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
+        unexplained = self.channels[channel] - self.reading(channel, integral, claims)
+        gain = self.step / OBSERVER_MEMORY
+        start = float(np.mean(unexplained[:10]))
+        followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
+        return unexplained - np.asarray(followed)
+
+    def _arc(self, bench: Bench, oil: Oil, stiff_a: FloatArray, stiff_b: FloatArray) -> FloatArray:
+        """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin)."""
+        gain, (p_a, p_b), alpha = bench.valve_gain, oil.pressures, bench.area_ratio
+        positive = np.maximum(oil.spool, 0.0) @ chambers._FIRST_MOMENT
+        negative = np.maximum(-oil.spool, 0.0) @ chambers._FIRST_MOMENT
+        root, p_s, p_t = chambers.signed_root, bench.supply_pressure, bench.tank_pressure
+        flow_a = gain * (positive * root(p_s - p_a) - negative * root(p_a - p_t))
+        flow_b = gain * (negative * root(p_s - p_b) - positive * root(p_b - p_t))
+        swept = -bench.piston_area * self.a * self.step / 12.0
+        rate = stiff_a * (flow_a - swept) - alpha * stiff_b * (flow_b + alpha * swept)
+        per_interval = bench.piston_area * rate * self.step
+        around: FloatArray = 0.5 * (per_interval + np.concatenate([per_interval[:1], per_interval[:-1]]))
+        return around
+
+    # -- forces -----------------------------------------------------------------------------------------------------
+
+    def dry_friction_level(self, claims: Sequence[Claim], velocity: FloatArray | None = None) -> FloatArray:
+        """Level [N] of dry friction while sliding."""
+        motion = self.kinematics if velocity is None else Kinematics(self.time, self.x, velocity)
+        level = np.zeros_like(self.x)
+        for claim in claims:
+            level = claim.effect.drag(level, motion, claim.values)
+        return level
+
+    def spring_force(self, bench: Bench, claims: Sequence[Claim]) -> FloatArray:
+        """True force [N] of the load, at the kinematics' width."""
+        force = bench.spring_stiffness * (self.x - bench.spring_rest_position)
+        for claim in claims:
+            force = claim.effect.load(force, self.kinematics, bench, claim.values)
+        return force
+
+    def force_on_rod(self, claims: Sequence[Claim]) -> FloatArray:
+        """Hydraulic force [N] that the recorded motion needs, at the total width."""
+        bench = self.bench(claims)
+        level = self.dry_friction_level(claims)
+        force = level * np.tanh(self.v / SLIP_VELOCITY)
+        for claim in claims:
+            force = claim.effect.resistance(force, level, self.kinematics, self.memory, claim.values)
+        inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
+        return finish(inertia + force + self.spring_force(bench, claims))
+
+    def friction_doubt(self, claims: Sequence[Claim]) -> FloatArray:
+        """Standard deviation [N] of the dry friction, because the velocity's zero is only known so well."""
+        doubt = SLIP_VELOCITY + 0.5 * np.abs(self.a) * self.step
+        sides = []
+        for velocity in (self.v - doubt, self.v + doubt):
+            sides.append(self.dry_friction_level(claims, velocity) * np.tanh(velocity / SLIP_VELOCITY))
+        return smooth(np.abs(sides[1] - sides[0]) / 2.0)
+
+    # -- residuals, in physical units -------------------------------------------------------------------------------
+
+    def pressure_residuals(self, run: ChamberRun) -> tuple[FloatArray, FloatArray]:
+        """Pa, decimated."""
+        a, b = (self._kept(smooth(innovation)) for innovation in run.innovations)
+        return a, b
+
+    def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
+        """N, decimated, without the arc."""
+        if "hydraulic_force" in self.channels:
+            measured = self.channels["hydraulic_force"]
+            needed = self.reading("hydraulic_force", self.force_on_rod(claims), claims)
+        else:
+            bench = self.bench(claims)
+            p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
+            measured = bench.piston_area * (p_a - bench.area_ratio * p_b)
+            needed = self.force_on_rod(claims)
+        return self._kept(smooth(measured) - needed)
+
+    def arc_residual(self, run: ChamberRun) -> FloatArray:
+        """N, decimated: what the arcs add to the motion residual."""
+        return self._kept(smooth(run.arc))
+
+    def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
+        """N, decimated."""
+        bench = self.bench(claims)
+        force = self.spring_force(bench, claims)
+        if bench.load_cell_bandwidth is not None:
+            force = self.memory.low_pass("load_force", force, bench.load_cell_bandwidth)
+        return self._kept(smooth(self.channels["load_force"] - self.reading("load_force", force, claims)))
+
+    def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
+        """N, means over blocks."""
+        bench = self.bench(claims)
+        p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
+        force = bench.piston_area * (p_a - bench.area_ratio * p_b)
+        off = self.channels["hydraulic_force"] - self.reading("hydraulic_force", force, claims)
+        off = off[self.settle :]
+        return off[: len(off) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+
+    def _kept(self, signal: FloatArray) -> FloatArray:
+        return signal[self.settle : len(signal) - 20 : STRIDE]
+
+    def kept_time(self) -> FloatArray:
+        """s, of the decimated residuals."""
+        return self._kept(self.time)
+
+    def block_time(self) -> FloatArray:
+        """s, of the means over blocks."""
+        count = (len(self.time) - self.settle) // BLOCK
+        return self.time[self.settle] + (np.arange(count) + 0.5) * BLOCK * self.step
+
+
+def _middle(signal: FloatArray) -> FloatArray:
+    middle: FloatArray = 0.5 * (signal + np.concatenate([signal[1:], signal[-1:]]))
+    return middle
+
+
+BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
+"""Channels of residuals in each block."""

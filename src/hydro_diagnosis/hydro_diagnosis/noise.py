@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The measured noise floor: sixth differences cancel everything that moves below about 100 Hz and keep white noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from math import comb, hypot
+
+import numpy as np
+from hydro_sim.bench import Bench
+
+from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.model import BLOCK, SegmentModel
+from hydro_diagnosis.smoothing import ACCELERATION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
+
+_ORDER = 6
+_GAIN = sum(comb(_ORDER, k) ** 2 for k in range(_ORDER + 1)) ** 0.5
+
+
+def white_noise(signal: FloatArray) -> float:
+    """Standard deviation of the white noise in a signal, robust against rare jumps."""
+    differences = np.diff(signal, _ORDER) / _GAIN
+    limit = 6.0 * float(np.median(np.abs(differences))) + 1e-300
+    kept = differences[np.abs(differences) <= limit]
+    return float(np.sqrt(np.mean(np.square(kept)))) if len(kept) else 0.0
+
+
+def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
+    """Standard deviation of each sensor's noise in one sample, by BenchState field name, SI units."""
+    found: dict[str, list[tuple[int, float]]] = {}
+    for model in models:
+        for channel, signal in _nearly_white(model).items():
+            found.setdefault(channel, []).append((len(signal), white_noise(signal)))
+    return {channel: _pooled(parts) for channel, parts in found.items()}
+
+
+def _pooled(parts: list[tuple[int, float]]) -> float:
+    counts, deviations = np.array(parts).T
+    return float(np.sqrt(np.average(np.square(deviations), weights=counts)))
+
+
+def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
+    """Channels with what the nominal model knows of their kinks taken out: the current's steps bend pressures and f_h."""
+    signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
+    if model.has_position and model.has_pressures and "valve_current" in model.channels:
+        run = model.chamber_run(())
+        signals["pressure_a"], signals["pressure_b"] = run.innovations
+        if "hydraulic_force" in signals:
+            signals["hydraulic_force"] = signals["hydraulic_force"] - np.cumsum(run.built_force) + run.built_force
+    return signals
+
+
+_SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+
+
+def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:
+    """Standard deviation of each residual if nothing is missing, in its physical unit."""
+    position = sensors.get("piston_position", 0.0)
+    inertia = bench.moving_mass * position * ACCELERATION_NOISE_GAIN / step**2
+    damping = bench.viscous_friction * position * VELOCITY_NOISE_GAIN / step
+    spring = bench.spring_stiffness * position * TOTAL_NOISE_GAIN
+    area = bench.piston_area
+    by_pressure = hypot(area * sensors.get("pressure_a", 0.0), bench.area_ratio * area * sensors.get("pressure_b", 0.0))
+    cell = sensors.get("hydraulic_force", by_pressure)
+    noise = {
+        "motion": hypot(cell * TOTAL_NOISE_GAIN, inertia, damping, spring),
+        "load": hypot(sensors.get("load_force", 0.0) * TOTAL_NOISE_GAIN, spring),
+        "hydraulic": hypot(cell, by_pressure) / BLOCK**0.5,
+    }
+    for chamber in "ab":
+        noise["pressure_" + chamber] = sensors.get("pressure_" + chamber, 0.0) * TOTAL_NOISE_GAIN
+    return noise

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recordings as one least-squares problem: claims in, residuals in units of the measured noise out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from hydro_sim.bench import Bench
+
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.model import ChamberRun, SegmentModel
+from hydro_diagnosis.noise import residual_noise, sensor_noise
+from hydro_diagnosis.recording import Segment
+
+CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
+_CACHE = 24
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which entries of a residual vector belong to which channel: `channel[i]` indexes `CHANNELS`."""
+
+    channel: np.ndarray[Any, np.dtype[np.int64]]
+    segment: np.ndarray[Any, np.dtype[np.int64]]
+    time: FloatArray
+
+    def count(self) -> FloatArray:
+        """Entries per channel, shape (5,)."""
+        return np.bincount(self.channel, minlength=len(CHANNELS)).astype(np.float64)
+
+
+class Problem:
+    """Segments, the bench that is believed, and claims that stand already (`baseline`)."""
+
+    def __init__(
+        self,
+        segments: Sequence[Segment],
+        bench: Bench,
+        baseline: Sequence[Claim] = (),
+        noise: dict[str, float] | None = None,
+    ) -> None:
+        self.bench = bench
+        self.baseline = tuple(baseline)
+        self.models = [SegmentModel(segment, bench) for segment in segments]
+        self.sensor_noise = noise or sensor_noise(self.models)
+        self.noise = residual_noise(self.sensor_noise, bench, self.models[0].step)
+        self.blocks = self._checked_blocks()
+        self._cache: dict[tuple[Any, ...], list[Any]] = {}
+        self._doubt: list[FloatArray] = []
+        self.set_doubt(())
+        self.layout = self._layout()
+
+    def _checked_blocks(self) -> tuple[str, ...]:
+        have = set.intersection(*(set(model.channels) for model in self.models))
+        pressures = {"pressure_a", "pressure_b"} <= have
+        blocks = []
+        if pressures and {"piston_position", "valve_current"} <= have:
+            blocks.append(PRESSURE)
+        if "piston_position" in have and ("hydraulic_force" in have or pressures):
+            blocks.append(MOTION)
+        if {"piston_position", "load_force"} <= have:
+            blocks.append(LOAD)
+        if pressures and "hydraulic_force" in have:
+            blocks.append(HYDRAULIC)
+        return tuple(blocks)
+
+    def set_doubt(self, claims: Sequence[Claim]) -> None:
+        """Weigh the motion residual down where these claims leave the sign of dry friction in doubt."""
+        if MOTION not in self.blocks:
+            return
+        self._doubt = [model._kept(model.friction_doubt((*self.baseline, *claims))) for model in self.models]
+        self._cache = {key: value for key, value in self._cache.items() if key[0] != "white-motion"}
+
+    def residual(self, claims: Sequence[Claim]) -> FloatArray:
+        """Every residual over its noise, one vector in the order of `layout`."""
+        everything = (*self.baseline, *claims)
+        parts: list[FloatArray] = []
+        arcs: list[FloatArray] | None = None
+        if PRESSURE in self.blocks:
+            chambers = self._block(PRESSURE, everything, self._pressure)
+            parts += [part / self.noise["pressure_a"] for _, part, _ in chambers]
+            parts += [part / self.noise["pressure_b"] for _, _, part in chambers]
+            arcs = [arc for arc, _, _ in chambers]
+        if MOTION in self.blocks:
+            motions = self._block(MOTION, everything, lambda model, claims: model.motion_residual(claims))
+            for k, part in enumerate(motions):
+                bent = part if arcs is None else part + arcs[k]
+                parts.append(bent / np.hypot(self.noise["motion"], self._doubt[k]))
+        if LOAD in self.blocks:
+            loads = self._block(LOAD, everything, lambda model, claims: model.load_residual(claims))
+            parts += [part / self.noise["load"] for part in loads]
+        if HYDRAULIC in self.blocks:
+            balances = self._block(HYDRAULIC, everything, lambda model, claims: model.hydraulic_residual(claims))
+            parts += [part / self.noise["hydraulic"] for part in balances]
+        return np.concatenate(parts)
+
+    def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
+        acting = tuple(claim for claim in claims if block in claim.effect.touches)
+        key = (block, *((claim.effect.label, *claim.values.values()) for claim in acting))
+        if key not in self._cache:
+            if len(self._cache) > _CACHE:
+                self._cache.pop(next(iter(self._cache)))
+            self._cache[key] = [compute(model, acting) for model in self.models]
+        return self._cache[key]
+
+    @staticmethod
+    def _pressure(model: SegmentModel, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        run: ChamberRun = model.chamber_run(claims)
+        return model.arc_residual(run), *model.pressure_residuals(run)
+
+    def _layout(self) -> Layout:
+        names = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
+        channel, segment, time = [], [], []
+        for block in self.blocks:
+            for name in names[block]:
+                for k, model in enumerate(self.models):
+                    at = model.block_time() if block == HYDRAULIC else model.kept_time()
+                    channel.append(np.full(len(at), CHANNELS.index(name)))
+                    segment.append(np.full(len(at), k))
+                    time.append(at)
+        return Layout(np.concatenate(channel), np.concatenate(segment), np.concatenate(time))

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording as the diagnosis sees it: contiguous segments of equally spaced samples, channels by BenchState field name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import FloatArray
+
+MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+"""What sensors give; the rates are computed by the box and not used."""
+COMMANDED = ("valve_current", "reference_force", "proportional_gain", "integral_gain")
+UNITS = {
+    "hydraulic_force": "N",
+    "load_force": "N",
+    "pressure_a": "Pa",
+    "pressure_b": "Pa",
+    "piston_position": "m",
+}
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Samples without a gap."""
+
+    recording: str
+    """Name of the recording it is part of."""
+    start: float
+    """s since the start of the recording."""
+    step: float
+    """s between samples."""
+    channels: Mapping[str, FloatArray]
+    """By field name, each of shape (n,)."""
+
+    def __len__(self) -> int:
+        return len(next(iter(self.channels.values())))
+
+    @property
+    def time(self) -> FloatArray:
+        """s since the start of the recording, shape (n,)."""
+        return self.start + self.step * np.arange(len(self))
+
+    def cut(self, begin: int, end: int) -> Segment:
+        """The samples from `begin` up to `end`."""
+        channels = {name: values[begin:end] for name, values in self.channels.items()}
+        return Segment(self.recording, self.start + self.step * begin, self.step, channels)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """One run."""
+
+    name: str
+    segments: tuple[Segment, ...]
+    quality: tuple[str, ...] = field(default=())
+    """What was found and repaired, one sentence each."""
+
+    @property
+    def channels(self) -> frozenset[str]:
+        """Field names that the recording holds."""
+        return frozenset(self.segments[0].channels)
+
+    @property
+    def seconds(self) -> float:
+        """Recorded time in s, without gaps."""
+        return sum(len(segment) * segment.step for segment in self.segments)
