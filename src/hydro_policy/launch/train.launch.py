@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole graph: a plant, the filter, the recorder, the trainer.
+
+`ros2 launch hydro_policy train.launch.py plant:=sim|emulator|bench [port:=/dev/ttyUSB0] [out:=runs/launched]`. When the
+trainer ends, so does everything else.
+"""
+
+from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, Shutdown
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
+from launch_ros.actions import Node
+from launch_ros.substitutions import FindPackageShare
+
+EMULATED_PORT = "/tmp/hydro-bench"
+
+
+def include(package: str, name: str, **arguments: str) -> IncludeLaunchDescription:
+    path = PathJoinSubstitution([FindPackageShare(package), "launch", f"{name}.launch.py"])
+    return IncludeLaunchDescription(PythonLaunchDescriptionSource(path), launch_arguments=arguments.items())
+
+
+def plant(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    """One of the three interchangeable sources of /hydro/state."""
+    kind, port = (LaunchConfiguration(name).perform(context) for name in ("plant", "port"))
+    if kind == "sim":
+        return [include("hydro_sim", "sim")]
+    if kind == "emulator":
+        port = port or EMULATED_PORT
+        return [include("hydro_sim", "emulator", port=port), include("hydro_bridge", "bridge", port=port)]
+    if not port:
+        raise RuntimeError("plant:=bench needs port:=, the serial device of the box")
+    return [include("hydro_bridge", "bridge", port=port)]
+
+
+def generate_launch_description() -> LaunchDescription:
+    out = LaunchConfiguration("out")
+    trainer = Node(
+        package="hydro_policy",
+        executable="trainer",
+        arguments=["--plant", "external", "--out", out],
+        output="screen",
+        emulate_tty=True,
+        on_exit=Shutdown(reason="the trainer has ended"),
+    )
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("plant", default_value="emulator", choices=["sim", "emulator", "bench"]),
+            DeclareLaunchArgument("port", default_value="", description="serial device of the box"),
+            DeclareLaunchArgument("out", default_value="runs/launched", description="folder of the run"),
+            OpaqueFunction(function=plant),
+            include("hydro_filter", "filter"),
+            Node(
+                package="hydro_bridge", executable="recorder", arguments=["--out", [out, "/recording"]], output="screen"
+            ),
+            trainer,
+        ]
+    )

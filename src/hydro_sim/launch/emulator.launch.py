@@ -1,0 +1,20 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An emulated bench behind a serial port: `ros2 launch hydro_sim emulator.launch.py port:=/tmp/hydro-bench`."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument, ExecuteProcess
+from launch.substitutions import LaunchConfiguration
+from launch_ros.substitutions import ExecutableInPackage
+
+
+def generate_launch_description() -> LaunchDescription:
+    # A process and not a Node: like the box itself, the emulator knows no ROS.
+    emulator = ExecutableInPackage(package="hydro_sim", executable="emulator")
+    port, faults = LaunchConfiguration("port"), LaunchConfiguration("faults")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("port", default_value="/tmp/hydro-bench", description="where its port appears"),
+            DeclareLaunchArgument("faults", default_value="clean", description="what goes wrong on the line"),
+            ExecuteProcess(cmd=[emulator, "--link", port, "--faults", faults], output="screen"),
+        ]
+    )

@@ -1,0 +1,17 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulation in the bench's place: `ros2 launch hydro_sim sim.launch.py speed:=1`."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+
+
+def generate_launch_description() -> LaunchDescription:
+    speed = LaunchConfiguration("speed")
+    return LaunchDescription(
+        [
+            DeclareLaunchArgument("speed", default_value="1", description="times real time; 0: in lock-step"),
+            Node(package="hydro_sim", executable="sim", arguments=["--speed", speed], output="screen"),
+        ]
+    )
