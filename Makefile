@@ -36,7 +36,7 @@ lint: setup
 	@.venv/bin/ruff format --check .
 	@.venv/bin/ruff check .
 	@.venv/bin/mypy $(CORES)
-	@$(SOURCED) .venv/bin/lint-imports
+	@$(SOURCED) .venv/bin/lint-imports --no-logo
 
 fast-tests: setup
 	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph" $(ARGS)
