@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The serial port: opened exclusively and for low latency, read without waiting longer than needed, never blocked by a write."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+from dataclasses import dataclass
+
+import serial
+
+_READ_SIZE = 65536
+
+
+class PortLostError(Exception):
+    """The port cannot be opened or is gone; the message is one clear sentence."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PortSettings:
+    """Which port, and how."""
+
+    path: str = "/dev/ttyUSB0"
+    """Device, or link to one."""
+    baud: int = 2_000_000
+    """Bit/s, [921600, 12000000]: 1 kHz both ways needs 921600."""
+    silence_max: float = 1.0
+    """s without a byte after which the port is closed and opened anew, [0.1, 60]."""
+    backoff_first: float = 0.1
+    """s before the second attempt to open, [0.01, 10]; doubles with each."""
+    backoff_max: float = 2.0
+    """s, longest wait between attempts, [0.1, 60]."""
+
+
+class Port:
+    """One serial port that may come and go. Not locked: one thread reads, and writes are the caller's to serialize."""
+
+    def __init__(self, settings: PortSettings) -> None:
+        self.settings = settings
+        self.low_latency = False
+        self.dropped_writes = 0
+        """Frames not written because the line was full: the box does not read."""
+        self._serial: serial.Serial | None = None
+        self._unwritten = b""
+
+    def open(self) -> None:
+        """Open the port; raises PortLostError with the reason."""
+        self.close()
+        path = self.settings.path
+        try:
+            self._serial = serial.Serial(path, self.settings.baud, timeout=0, write_timeout=0, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            raise PortLostError(_reason(path, error)) from None
+        self.low_latency = False
+        with contextlib.suppress(Exception):  # pseudo-terminals and most drivers have no such mode, each says so its own way
+            self._serial.set_low_latency_mode(True)
+            self.low_latency = True
+
+    def close(self) -> None:
+        """Close the port, if it is open."""
+        port, self._serial, self._unwritten = self._serial, None, b""
+        if port is not None:
+            with contextlib.suppress(OSError, serial.SerialException):
+                port.close()
+
+    def read(self, timeout: float) -> bytes:
+        """Whatever is there, as soon as it is there; nothing after `timeout` seconds.
+
+        Raises
+        ------
+        PortLostError
+            The port is closed, gone, or says that it is ready and has no data: that is how an unplugged one looks.
+        """
+        try:
+            descriptor = self._descriptor()
+            if not select.select([descriptor], [], [], timeout)[0]:
+                return b""
+            data = os.read(descriptor, _READ_SIZE)
+        except BlockingIOError:
+            return b""
+        except (OSError, ValueError) as error:
+            raise PortLostError(f"{self.settings.path} was unplugged: {_text(error)}") from None
+        if not data:
+            raise PortLostError(f"{self.settings.path} was unplugged: it is ready to read and has no data")
+        return data
+
+    def write(self, frame: bytes) -> bool:
+        """Write a frame without waiting; False if the line was full and the frame was dropped. Raises PortLostError."""
+        data = self._unwritten + frame
+        try:
+            written = os.write(self._descriptor(), data)
+        except BlockingIOError:
+            written = 0
+        except (OSError, ValueError) as error:
+            raise PortLostError(f"{self.settings.path} was unplugged: {_text(error)}") from None
+        if written < len(self._unwritten) or (written == 0 and not self._unwritten):
+            self._unwritten = self._unwritten[written:]
+            self.dropped_writes += 1
+            return False
+        self._unwritten = data[written:]
+        return True
+
+    def _descriptor(self) -> int:
+        if self._serial is None:
+            raise PortLostError(f"{self.settings.path} is closed")
+        return self._serial.fileno()
+
+
+def _text(error: Exception) -> str:
+    return (os.strerror(error.errno) if isinstance(error, OSError) and error.errno else str(error)).lower()
+
+
+def _reason(path: str, error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number == errno.ENOENT:
+        return f"{path} is not there: is the box plugged in and switched on?"
+    if number == errno.EACCES:
+        return f"{path} may not be opened: add yourself to the group that owns it (usually dialout) and log in anew"
+    if number in (errno.EAGAIN, errno.EBUSY):
+        return f"{path} is in use by another program"
+    return f"{path} cannot be opened: {_text(error)}"

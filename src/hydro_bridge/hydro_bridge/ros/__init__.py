@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all nodes share: topics, messages <-> plain types, parameters, diagnostics, spinning, companion processes."""
+
+from __future__ import annotations
+
+from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
+from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
+from hydro_bridge.ros.messages import (
+    StateMessage,
+    reference_from_message,
+    reference_to_message,
+    seconds,
+    state_from_message,
+)
+from hydro_bridge.ros.parameters import declare_parameters
+from hydro_bridge.ros.scheduling import be_prompt
+from hydro_bridge.ros.spinning import ros_arguments, run_node, spin
+from hydro_bridge.ros.topics import (
+    ARM_SERVICE,
+    CORRECTION,
+    CORRECTION_QOS,
+    DIAGNOSTICS,
+    DIAGNOSTICS_QOS,
+    GAINS,
+    GAINS_QOS,
+    GRAPH,
+    REFERENCE,
+    REFERENCE_QOS,
+    STATE,
+    STATE_QOS,
+    TRAINING,
+    TRAINING_QOS,
+)
+
+__all__ = [
+    "ARM_SERVICE",
+    "CORRECTION",
+    "CORRECTION_QOS",
+    "DIAGNOSTICS",
+    "DIAGNOSTICS_QOS",
+    "GAINS",
+    "GAINS_QOS",
+    "GRAPH",
+    "REFERENCE",
+    "REFERENCE_QOS",
+    "STATE",
+    "STATE_QOS",
+    "TRAINING",
+    "TRAINING_QOS",
+    "Companion",
+    "CompanionError",
+    "DiagnosticsPublisher",
+    "Level",
+    "StateMessage",
+    "Status",
+    "be_prompt",
+    "declare_parameters",
+    "executable_path",
+    "reference_from_message",
+    "reference_to_message",
+    "ros_arguments",
+    "run_node",
+    "seconds",
+    "spin",
+    "state_from_message",
+]

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Companion processes: executables of our packages, started and ended with the program that needs them, without `ros2 launch`.
+
+Each runs in a process group of its own. None outlives its parent: not on a clean exit, not on an error, and not on `kill -9`,
+for the kernel then sends it SIGTERM (PR_SET_PDEATHSIG).
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO
+
+_LIBC = ctypes.CDLL(None, use_errno=True)
+_PR_SET_PDEATHSIG = 1
+
+
+class CompanionError(Exception):
+    """A companion cannot be started; the message is one clear sentence."""
+
+
+def executable_path(package: str, executable: str) -> Path:
+    """Path of a package's executable by the ament index; raises CompanionError."""
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        path = Path(prefix, "lib", package, executable)
+        if prefix and os.access(path, os.X_OK):
+            return path
+    raise CompanionError(f"{package} has no executable {executable} here: build, and source install/setup.bash")
+
+
+class Companion:
+    """One process, started by making this object; use as context manager, or call `stop`.
+
+    Make it in a thread that lives as long as the companion shall: the kernel ties the two together by thread.
+
+    Parameters
+    ----------
+    package, executable
+        As for `ros2 run`.
+    arguments
+        The rest of its command line.
+    name
+        In front of each line of its output; the executable's by default.
+    output
+        Where its output goes; standard error by default, so that a progress bar or a table on standard output stays whole.
+    """
+
+    def __init__(
+        self,
+        package: str,
+        executable: str,
+        arguments: Sequence[str] = (),
+        *,
+        name: str = "",
+        output: IO[str] | None = None,
+    ) -> None:
+        self.name = name or executable
+        self._output = output or sys.stderr
+        parent = os.getpid()
+        self.process = subprocess.Popen(
+            [str(executable_path(package, executable)), *arguments],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+            preexec_fn=lambda: _die_with(parent),
+        )
+        self._echo = threading.Thread(target=self._repeat_output, name=f"output of {self.name}", daemon=True)
+        self._echo.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the process still runs."""
+        return self.process.poll() is None
+
+    def stop(self, timeout: float = 5.0) -> int:
+        """End the process group: SIGINT, after `timeout` seconds SIGKILL. Returns the exit status, negative for a signal."""
+        if self.running:
+            self._signal(signal.SIGINT)
+            try:
+                self.process.wait(timeout)
+            except subprocess.TimeoutExpired:
+                self._output.write(f"[{self.name}] did not end within {timeout:g} s: killed\n")
+        self._signal(signal.SIGKILL)  # whoever of its group is left
+        status = self.process.wait()
+        self._echo.join(1.0)
+        return status
+
+    def __enter__(self) -> Companion:  # noqa: PYI034 - typing has Self from 3.11 on
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    def _signal(self, number: int) -> None:
+        with suppress(ProcessLookupError, PermissionError):
+            os.killpg(self.process.pid, number)
+
+    def _repeat_output(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            with suppress(ValueError):  # the program's output is closed already
+                self._output.write(f"[{self.name}] {line.rstrip()}\n")
+                self._output.flush()
+
+
+def _die_with(parent: int) -> None:
+    """In the child, before it becomes the executable: die when the parent dies, even if it just did."""
+    _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a node is doing, once a second on /diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+
+from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS
+
+
+class Level(IntEnum):
+    """As in diagnostic_msgs/DiagnosticStatus."""
+
+    OK = 0
+    WARN = 1
+    ERROR = 2
+    STALE = 3
+
+
+@dataclass(frozen=True, kw_only=True)
+class Status:
+    """How a node is doing: a level, a sentence, and numbers by name."""
+
+    level: Level = Level.OK
+    message: str = ""
+    values: Mapping[str, object] = field(default_factory=dict)
+
+
+class DiagnosticsPublisher:
+    """Asks `collect` once a second, by the steady clock, and publishes what it says."""
+
+    def __init__(self, node: Node, collect: Callable[[], Status], *, hardware_id: str = "hydro") -> None:
+        self._node, self._collect, self._hardware_id = node, collect, hardware_id
+        self._publisher = node.create_publisher(DiagnosticArray, DIAGNOSTICS, DIAGNOSTICS_QOS)
+        self._timer = node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def publish(self) -> None:
+        """Publish now."""
+        status = self._collect()
+        array = DiagnosticArray()
+        array.header.stamp = self._node.get_clock().now().to_msg()
+        array.status = [
+            DiagnosticStatus(
+                level=bytes([status.level]),
+                name=self._node.get_name(),
+                message=status.message,
+                hardware_id=self._hardware_id,
+                values=[KeyValue(key=key, value=_shown(value)) for key, value in status.values.items()],
+            )
+        ]
+        self._publisher.publish(array)
+
+
+def _shown(value: object) -> str:
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages <-> plain types. A conversion runs a thousand times a second: message objects are used again."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from hydro_msgs.msg import BenchState
+from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+
+from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
+
+
+class StateMessage:
+    """One BenchState message, filled anew for each sample.
+
+    Filling and publishing costs some 5 us; a new message object for each sample costs half as much again.
+    """
+
+    def __init__(self) -> None:
+        self.message = BenchState()
+        self.message.header.frame_id = "bench"
+
+    def fill(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> BenchState:
+        """Return the message, valid until the next call; `values` in STATE_FIELDS order, shape (14,)."""
+        message = self.message
+        stamp = message.header.stamp
+        stamp.sec, stamp.nanosec = divmod(stamp_ns, 1_000_000_000)
+        message.sequence = sequence
+        for name, value in zip(STATE_FIELDS, values, strict=True):
+            setattr(message, name, value)
+        message.flags = flags
+        return message
+
+
+def state_from_message(message: BenchState) -> tuple[float, ...]:
+    """Floats of a BenchState in STATE_FIELDS order, shape (14,)."""
+    return tuple(getattr(message, name) for name in STATE_FIELDS)
+
+
+def seconds(stamp: Any) -> float:
+    """Seconds of a builtin_interfaces/Time."""
+    return float(stamp.sec + 1e-9 * stamp.nanosec)
+
+
+def reference_from_message(message: ReferenceMessage) -> ReferenceSignal | None:
+    """Plain reference; None for a waveform that is not known."""
+    if message.waveform not in tuple(Waveform):
+        return None
+    return ReferenceSignal(
+        waveform=Waveform(message.waveform),
+        amplitude=message.amplitude,
+        offset=message.offset,
+        frequency=message.frequency,
+        phase=message.phase,
+    )
+
+
+def reference_to_message(signal: ReferenceSignal) -> ReferenceMessage:
+    """Message of a plain reference."""
+    return ReferenceMessage(
+        waveform=int(signal.waveform),
+        amplitude=float(signal.amplitude),
+        offset=float(signal.offset),
+        frequency=float(signal.frequency),
+        phase=float(signal.phase),
+    )

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A settings dataclass as ROS parameters: names, defaults, descriptions and ranges come from the dataclass."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+from typing import Any, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.node import Node
+
+from hydro_bridge.settings import FieldDoc, SettingsError, check, describe
+
+T = TypeVar("T")
+
+
+def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
+    """Declare a read-only parameter for each field, and return the settings with what the user set.
+
+    Parameters
+    ----------
+    settings
+        Instance of a settings dataclass: its values are the defaults. Fields that are no numbers, strings or flags are left out.
+    prefix
+        Put in front of each name, for instance ``guard.``.
+
+    Raises
+    ------
+    SettingsError
+        A value is of the wrong kind or out of its range.
+    """
+    chosen: dict[str, Any] = {}
+    for field in fields(settings):  # type: ignore[arg-type]
+        default = getattr(settings, field.name)
+        if isinstance(default, (bool, int, float, str)):
+            doc = describe(type(settings))[field.name]
+            value = node.declare_parameter(prefix + field.name, default, _descriptor(default, doc)).value
+            chosen[field.name] = _converted(prefix + field.name, value, default)
+    declared = replace(settings, **chosen)  # type: ignore[type-var]
+    check(declared)
+    return declared
+
+
+def _descriptor(default: object, doc: FieldDoc) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=doc.text, read_only=True, dynamic_typing=True)
+    if doc.low is not None and doc.high is not None:
+        if isinstance(default, float):
+            descriptor.floating_point_range = [FloatingPointRange(from_value=doc.low, to_value=doc.high)]
+        elif isinstance(default, int) and not isinstance(default, bool):
+            descriptor.integer_range = [IntegerRange(from_value=int(doc.low), to_value=int(doc.high), step=1)]
+    return descriptor
+
+
+def _converted(name: str, value: object, default: object) -> object:
+    """Return the value in the kind of the default: an integer is welcome where a float is meant, nothing else."""
+    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
+        return float(value)
+    if type(value) is not type(default):
+        raise SettingsError(f"parameter {name} is {value!r}, a {type(default).__name__} is meant")
+    return value

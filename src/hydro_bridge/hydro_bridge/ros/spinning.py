@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Running a node until somebody ends it."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from rclpy.task import Future
+
+_SLICE = 0.2
+
+
+def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], list[str]]:
+    """Split a command line into a node's own arguments and those behind `--ros-args` (up to `--`, if there is one)."""
+    rest = list(sys.argv[1:] if arguments is None else arguments)
+    if "--ros-args" not in rest:
+        return rest, []
+    begin = rest.index("--ros-args")
+    end = rest.index("--", begin) + 1 if "--" in rest[begin:] else len(rest)
+    return rest[:begin] + rest[end:], rest[begin:end]
+
+
+def spin(node: Node) -> None:
+    """Carry the node's callbacks on an EventsExecutor until SIGINT, SIGTERM or shutdown; then return, to be cleaned up.
+
+    The context stays valid, so the caller can still publish and disarm. Call it from the main thread.
+    """
+    executor = EventsExecutor()
+    executor.add_node(node)
+    ended: list[int] = []
+    before = {number: signal.signal(number, lambda n, _: ended.append(n)) for number in (signal.SIGINT, signal.SIGTERM)}
+    never: Future = Future()
+    try:
+        with suppress(ExternalShutdownException):
+            while not ended and rclpy.ok():
+                # In slices: without a deadline this executor (rclpy 7.1) keeps a core busy, may run no callback at all,
+                # and gives Python no chance to take a signal.
+                executor.spin_until_future_complete(never, timeout_sec=_SLICE)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        executor.remove_node(node)
+        executor.shutdown()
+
+
+def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
+    """Start ROS, make the node, spin it, and take all down again in order.
+
+    Parameters
+    ----------
+    make
+        Makes the node; if it has a method `close`, that is called while the context is still valid.
+    ros
+        Arguments from `--ros-args` on.
+    """
+    rclpy.init(args=["hydro", *ros], signal_handler_options=SignalHandlerOptions.NO)
+    node = None
+    try:
+        node = make()
+        spin(node)
+    finally:
+        if node is not None:
+            close = getattr(node, "close", None)
+            if close is not None:
+                close()
+            node.destroy_node()
+        rclpy.try_shutdown()

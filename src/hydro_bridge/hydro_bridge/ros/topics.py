@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names, types and quality of service of the graph's topics: publishers and subscribers both take them from here."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray
+from hydro_msgs.msg import BenchState, Correction, Gains, ReferenceSignal, TrainingStatus
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+STATE = "/hydro/state"
+GAINS = "/hydro/gains"
+CORRECTION = "/hydro/correction"
+REFERENCE = "/hydro/reference"
+TRAINING = "/hydro/training"
+DIAGNOSTICS = "/diagnostics"
+ARM_SERVICE = "/hydro/arm"
+
+
+def _qos(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+STATE_QOS = _qos(200, reliable=False)
+"""An old sample is worth nothing: never resent. 200 ms of samples wait for a reader that was held up."""
+CORRECTION_QOS = _qos(50, reliable=False)
+GAINS_QOS = _qos(10, reliable=True)
+REFERENCE_QOS = _qos(1, reliable=True, latched=True)
+TRAINING_QOS = _qos(10, reliable=True)
+DIAGNOSTICS_QOS = _qos(10, reliable=True)
+
+GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
+    STATE: (BenchState, STATE_QOS),
+    CORRECTION: (Correction, CORRECTION_QOS),
+    GAINS: (Gains, GAINS_QOS),
+    REFERENCE: (ReferenceSignal, REFERENCE_QOS),
+    TRAINING: (TrainingStatus, TRAINING_QOS),
+    DIAGNOSTICS: (DiagnosticArray, DIAGNOSTICS_QOS),
+}
+"""Type and quality of service of every topic."""
