@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One call of the contraction filter, exact Jacobians against finite differences, over 1e5 samples of tracked forces.
+
+The samples come from the analytic bench under changing gains; every other one is given a destabilizing gain, so that the QP
+has work in half of the calls. Both filters see the same samples in turn, in one process.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections import Counter
+
+import numpy as np
+
+from benchmarks._report import finish, line, parser, percentiles
+from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_filter import dynamics
+from hydro_filter.controller import ForceLaw
+from hydro_filter.dynamics import AnalyticDynamics, Linearization
+from hydro_filter.filter import ContractionFilter
+from hydro_filter.sample import Sample
+from hydro_filter.state import LOAD_FORCE, STATES, state_scale
+from hydro_sim import force_law
+from hydro_sim.bench import Bench
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant
+
+STEP = 1e-5
+"""Of the differences, relative to each state's scale."""
+
+
+class DifferencedDynamics(AnalyticDynamics):
+    """A and B from central differences of the same compiled f: 19 evaluations."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        self.steps = STEP * state_scale(bench)
+
+    def linearize(self, state: FloatArray, current: float) -> Linearization:
+        """See `Dynamics.linearize`."""
+        linear = Linearization(np.empty((STATES, STATES)), np.empty(STATES), np.empty(STATES))
+        for i in range(STATES):
+            linear.state_matrix[:, i] = self._slope(state, current, i, self.steps[i], 0.0)
+        linear.input_vector[:] = self._slope(state, current, 0, 0.0, STEP)
+        dynamics.state_rate(self.constants, state, current, linear.state_rate)
+        return linear
+
+    def _slope(self, state: FloatArray, current: float, i: int, step: float, current_step: float) -> FloatArray:
+        sides = np.empty((2, STATES))
+        for side, sign in enumerate((1.0, -1.0)):
+            probe = state.copy()
+            probe[i] += sign * step
+            dynamics.state_rate(self.constants, probe, current + sign * current_step, sides[side])
+        return (sides[0] - sides[1]) / (2.0 * (step + current_step))
+
+
+class DifferencedLaw(ForceLaw):
+    """K from central differences of the compiled force law: 16 evaluations."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(bench)
+        self.steps = STEP * state_scale(bench)
+
+    def gradient(self, sample: Sample) -> FloatArray:
+        """See `Controller.gradient`."""
+        out = np.empty(STATES)
+        # the part of the law that no state moves, from the current that it gave
+        still = self._current(sample, sample.state, 0.0)
+        slope = self._current(sample, sample.state, 1.0) - still
+        wanted = (sample.nominal_current - still) / slope
+        for i in range(STATES):
+            probe = sample.state.copy()
+            probe[i] += self.steps[i]
+            above = self._current(sample, probe, wanted)
+            probe[i] -= 2.0 * self.steps[i]
+            out[i] = (above - self._current(sample, probe, wanted)) / (2.0 * self.steps[i])
+        return out
+
+    def _current(self, sample: Sample, state: FloatArray, reference_rate: float) -> float:
+        error = sample.reference_force - state[LOAD_FORCE]
+        known = (error, 0.0, reference_rate, sample.proportional_gain, 0.0, self.gain_floor)
+        return float(force_law.nominal_current(self.constants[0], state, *known))
+
+
+def differenced(bench: Bench) -> ContractionFilter:
+    """The same filter on finite differences."""
+    exact = ContractionFilter.for_bench(bench)
+    parts = {name: getattr(exact.certificate, name) for name in type(exact.certificate).__dataclass_fields__}
+    parts |= {"dynamics": DifferencedDynamics(bench), "controller": DifferencedLaw(bench)}
+    return ContractionFilter(type(exact.certificate)(**parts), exact.current_max, exact.settings)
+
+
+def tracked(bench: Bench, count: int) -> list[Sample]:
+    """`count` samples of a 200 N sine under gains that change every half second."""
+    rng = np.random.default_rng(0)
+    draws = -(-count // 500)
+    gains = np.repeat(np.column_stack([rng.uniform(15, 90, draws), rng.uniform(5, 15, draws)]), 50, axis=0)
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+    records = simulate(AnalyticPlant(bench), bench, Schedule(reference=signal, gains=gains, seconds=1e-3 * count))
+    samples = [Sample.of(record) for record in records]
+    return [
+        sample._replace(proportional_gain=float(rng.uniform(-40, 0))) if k % 2 else sample
+        for k, sample in enumerate(samples)
+    ]
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Measure, print, write."""
+    options = parser("filter_call", __doc__)
+    options.add_argument("--samples", type=int, default=100_000, help="default 100000")
+    asked = options.parse_args(arguments)
+    bench = Bench.nominal()
+    filters = {"exact": ContractionFilter.for_bench(bench), "differences": differenced(bench)}
+    samples = tracked(bench, asked.samples)
+    for warm in filters.values():
+        for sample in samples[:200]:
+            warm.correct(sample)
+    durations: dict[str, list[float]] = {name: [] for name in filters}
+    statuses: Counter[str] = Counter()
+    apart = 0.0
+    for sample in samples:
+        results = []
+        for name, contraction_filter in filters.items():
+            begin = time.perf_counter()
+            results.append(contraction_filter.correct(sample))
+            durations[name].append(time.perf_counter() - begin)
+        statuses[results[0].status.name] += 1
+        apart = max(apart, abs(results[0].before - results[1].before))
+    measured = {name: percentiles(values) for name, values in durations.items()}
+    for name, values in measured.items():
+        print(line(f"filter call, {name}", values, "us"))
+    ratio = measured["differences"]["p50"] / measured["exact"]["p50"]
+    print(f"exact Jacobians are {ratio:.1f} times as fast (p50); largest difference of M_c {apart:.1e} 1/s; {dict(statuses)}")
+    finish({"unit": "us", **measured, "ratio_p50": ratio, "difference": apart, "statuses": statuses}, asked.json)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
