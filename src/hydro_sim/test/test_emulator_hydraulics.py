@@ -52,7 +52,7 @@ def test_bench_at_rest_stays_at_rest() -> None:
 
 
 def test_nominal_truth_agrees_with_the_independent_analytic_plant(bench: Bench) -> None:
-    """Two integrators on two formulations of the same equations: what differs is discretisation and laminar orifices."""
+    """Two formulations of the same equations: what differs is discretisation and laminar orifices."""
     currents = 0.004 * np.sin(2 * np.pi * np.arange(1000) * 1e-3 * 2.0)
     plant = truth()
     other = AnalyticPlant(bench, noise=0.0)
@@ -62,7 +62,7 @@ def test_nominal_truth_agrees_with_the_independent_analytic_plant(bench: Bench) 
     _, clean, _ = plant.run(currents)
     expected = np.array([other.step(float(current)) for current in currents])
     scale = np.ptp(expected, axis=0)
-    assert np.max(np.abs(clean - expected) / scale, axis=0) == pytest.approx(np.zeros(8), abs=5e-3)
+    assert np.max(np.abs(clean - expected) / scale, axis=0) == pytest.approx(np.zeros(8), abs=1e-4)
 
 
 @pytest.mark.parametrize("current", [0.01, -0.02])
