@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The box on the serial line as a plant of the graph.
+
+ros2 run hydro_bridge bridge --port /dev/ttyUSB0 [--baud 2000000] [--ros-args ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+from collections.abc import Sequence
+from dataclasses import asdict, replace
+
+from hydro_bridge.console import command
+from hydro_bridge.guard import CommandGuard, GuardSettings
+from hydro_bridge.link import Link, LinkState
+from hydro_bridge.nodes.plant_node import PlantNode
+from hydro_bridge.port import Port, PortSettings
+from hydro_bridge.protocol import State
+from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
+from hydro_bridge.settings import describe
+from hydro_bridge.signals import Flag
+
+
+class BridgeSide(Link):
+    """A link that can say on /diagnostics how it is doing."""
+
+    def status(self) -> Status:
+        """See `hydro_bridge.nodes.plant_node.PlantSide`."""
+        report, flags = self.report, self.flags
+        with self.lock:
+            guard = asdict(self.guard.counts)
+        values = {
+            "port": self.port.settings.path,
+            "box": self.box.name if self.box else "",
+            "flags": flags.name or "none",
+            "require filter": self.guard.settings.require_filter,
+            **asdict(self.counts),
+            "reconnects": report.reconnects,
+            "dropped writes": self.port.dropped_writes,
+            "commands sent": report.commands,
+            "heartbeats": report.heartbeats,
+            "state in to correction out": report.turnaround.sentence(),
+            "command out to confirmation in": report.round_trip.sentence(),
+            "low latency mode": self.port.low_latency,
+            **{f"guard {name}": count for name, count in guard.items()},
+        }
+        return Status(level=self._level(), message=self._sentence(), values=values)
+
+    def _level(self) -> Level:
+        if self.state is not LinkState.CONNECTED:
+            return Level.ERROR
+        troubled = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
+        return Level.WARN if self.flags & troubled or not self.guard.settings.require_filter else Level.OK
+
+    def _sentence(self) -> str:
+        if self.state is not LinkState.CONNECTED:
+            return f"no box: the port is {self.state.value}"
+        name = "tripped" if self.flags & Flag.TRIPPED else "armed" if self.flags & Flag.ARMED else "disarmed"
+        return name if self.guard.settings.require_filter else f"{name}, FILTER NOT REQUIRED"
+
+
+class BridgeNode(PlantNode):
+    """Plant node over a serial line."""
+
+    def __init__(self, settings: PortSettings, *, realtime: bool) -> None:
+        super().__init__("bridge")
+        guard = CommandGuard(settings=declare_parameters(self, GuardSettings(), "guard."))
+        port = Port(declare_parameters(self, settings))
+        if not guard.settings.require_filter:
+            self.get_logger().warning("guard.require_filter is false: gains reach the valve UNFILTERED")
+        self.link = BridgeSide(port, guard, self._publish, self.get_logger().info)
+        self.connect(self.link)
+        self.get_logger().info(be_prompt(realtime=realtime))
+        self._thread = threading.Thread(target=self.link.run, name="serial", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Disarm and close the port."""
+        self.link.stop()
+        self._thread.join(2.0)
+
+    def _publish(self, sample: State, stamp_ns: int, flags: int) -> None:
+        self.publish_state(stamp_ns, sample.sequence, sample.values, flags)
+
+
+def arguments(own: Sequence[str]) -> tuple[PortSettings, bool]:
+    """Settings and whether to ask for real-time scheduling, from the command line."""
+    parser = argparse.ArgumentParser(
+        prog="bridge",
+        description="The box on a serial line as topics: /hydro/state up; gains, correction, reference and arming down.",
+        epilog="Limits, ages and time-outs are ROS parameters: --ros-args -p guard.delta_kp_max:=50.0. The plant is "
+        "armed by `ros2 service call /hydro/arm std_srvs/srv/SetBool '{data: true}'` or by the trainer.",
+    )
+    texts, defaults = describe(PortSettings), PortSettings()
+    parser.add_argument("--port", default=defaults.path, help=f"{texts['path'].text} Default %(default)s.")
+    parser.add_argument("--baud", type=int, default=defaults.baud, help=f"{texts['baud'].text} Default %(default)s.")
+    parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
+    options = parser.parse_args(own)
+    return replace(defaults, path=options.port, baud=options.baud), options.realtime
+
+
+@command()
+def main() -> None:
+    """Entry point."""
+    own, ros = ros_arguments()
+    settings, realtime = arguments(own)
+    run_node(lambda: BridgeNode(settings, realtime=realtime), ros)
