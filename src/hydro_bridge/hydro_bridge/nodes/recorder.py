@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records the graph into a rosbag2 folder.
+
+ros2 run hydro_bridge recorder --out DIR [--topics ...] [--metadata key=value] [--attach FILE] [--ros-args ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from hydro_bridge.bag_writer import TopicQos
+from hydro_bridge.console import command
+from hydro_bridge.recording import repair
+from hydro_bridge.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
+from hydro_bridge.ros import GRAPH, DiagnosticsPublisher, Level, Status, be_prompt, ros_arguments, run_node
+
+_QUEUE = 2000  # messages per topic that wait while the disk is slow: 2 s of samples
+
+
+class RecorderNode(Node):
+    """Subscribes to serialized messages and writes them as they are."""
+
+    def __init__(self, make_run: Callable[[], RecordingRun], topics: Sequence[str]) -> None:
+        super().__init__("recorder")
+        self._run = make_run()
+        self._unknown = [topic for topic in topics if topic not in GRAPH]
+        for topic in topics:
+            if topic in GRAPH:
+                self._subscribe(topic, *GRAPH[topic])
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(FLUSH_PERIOD, self._run.writer.flush, clock=steady)
+        if self._unknown:
+            self.create_timer(0.5, self._look_for_unknown, clock=steady)
+        self._diagnostics = DiagnosticsPublisher(self, self._status)
+        be_prompt(realtime=False)
+        self.get_logger().info(f"recording into {self._run.writer.folder}")
+
+    def close(self) -> None:
+        """Finish the recording."""
+        self._run.writer.close()
+        self.get_logger().info(self._run.summary())
+
+    def _subscribe(self, topic: str, kind: type[Any], offered: QoSProfile) -> None:
+        reliable = offered.reliability == ReliabilityPolicy.RELIABLE
+        latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
+        qos = QoSProfile(
+            history=HistoryPolicy.KEEP_LAST, depth=_QUEUE, reliability=offered.reliability, durability=offered.durability
+        )
+        recorded = TopicQos(
+            reliability="reliable" if reliable else "best_effort",
+            durability="transient_local" if latched else "volatile",
+            depth=offered.depth or 10,
+        )
+        package, name = kind.__module__.split(".")[0], kind.__name__
+        self._run.add_topic(topic, f"{package}/msg/{name}", recorded)
+        self.create_subscription(kind, topic, partial(self._take, topic), qos, raw=True)
+
+    def _take(self, topic: str, data: bytes) -> None:
+        self._run.take(topic, data, self.get_clock().now().nanoseconds)
+
+    def _look_for_unknown(self) -> None:
+        """Subscribe to topics outside our graph once somebody publishes them and says their type."""
+        for topic in list(self._unknown):
+            publishers = self.get_publishers_info_by_topic(topic)
+            if publishers:
+                package, _, name = publishers[0].topic_type.split("/")
+                kind = getattr(import_module(f"{package}.msg"), name)
+                self._subscribe(topic, kind, publishers[0].qos_profile)
+                self._unknown.remove(topic)
+
+    def _status(self) -> Status:
+        run = self._run
+        values = {"folder": run.writer.folder, "bytes": run.bytes, "lost": run.counts.lost, **run.messages}
+        message = f"{sum(run.messages.values())} messages, {run.counts.lost} samples lost"
+        return Status(level=Level.WARN if run.counts.lost else Level.OK, message=message, values=values)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="recorder",
+        description="Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM; after kill -9 all but "
+        "the last second is there: every hydro tool reads it as it is, --repair makes it whole for all others.",
+        epilog="In Python: hydro_bridge.recording.read_bag(DIR).state['load_force'].",
+    )
+    action = parser.add_mutually_exclusive_group(required=True)
+    action.add_argument("--out", type=Path, metavar="DIR", help="folder to make; it must not exist")
+    action.add_argument("--repair", type=Path, metavar="DIR", help="make a recording whole whose recorder was killed")
+    parser.add_argument("--topics", nargs="+", default=list(GRAPH), metavar="TOPIC", help="default: all of the graph")
+    parser.add_argument(
+        "--metadata", nargs="+", action="extend", default=[], metavar="KEY=VALUE", help="kept in the recording"
+    )
+    parser.add_argument(
+        "--attach", nargs="+", action="extend", default=[], type=Path, metavar="FILE", help="kept too, e.g. bench.yaml"
+    )
+    return parser
+
+
+@command(OSError)
+def main() -> None:
+    """Entry point."""
+    own, ros = ros_arguments()
+    options = _parser().parse_args(own)
+    if options.repair:
+        print(f"{options.repair}: kept {repair(options.repair)} messages", file=sys.stderr)
+        return
+    metadata, attachments = parse_pairs(options.metadata), read_attachments(options.attach)
+    run_node(lambda: RecorderNode(lambda: RecordingRun(options.out, metadata, attachments), options.topics), ros)

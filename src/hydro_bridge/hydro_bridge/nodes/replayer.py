@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording as a plant of the graph: it publishes what was recorded, and cannot be armed.
+
+ros2 run hydro_bridge replayer BAG [--speed 1.0] [--loop] [--ros-args ...]
+"""
+
+from __future__ import annotations
+
+import argparse
+import threading
+from pathlib import Path
+
+import rclpy
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+from hydro_bridge.bag_writer import RecordingError
+from hydro_bridge.console import command
+from hydro_bridge.recording import read_bag
+from hydro_bridge.replaying import Replay
+from hydro_bridge.ros import ARM_SERVICE, GRAPH, STATE, DiagnosticsPublisher, Status, be_prompt, ros_arguments, run_node
+
+
+class ReplayerNode(Node):
+    """Publishes a recording in a thread of its own, and ends with it."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        super().__init__("replayer")
+        self._publishers_by_topic = {topic: self.create_publisher(*_kind(topic)) for topic in options.topics}
+        self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
+        self.replay = Replay(
+            options.bag,
+            options.topics,
+            lambda topic, data: self._publishers_by_topic[topic].publish(data),
+            speed=options.speed,
+            loop=options.loop,
+            keep_stamps=options.keep_stamps,
+        )
+        self.failure: Exception | None = None
+        self._diagnostics = DiagnosticsPublisher(self, self._status)
+        be_prompt(realtime=False)
+        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """Stop replaying."""
+        self.replay.stop()
+        self._thread.join(2.0)
+
+    def _run(self) -> None:
+        try:
+            self.replay.run()
+        except RecordingError as error:
+            self.failure = error
+        rclpy.try_shutdown()
+
+    def _refuse_to_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
+        response.success = not request.data
+        response.message = "a recording cannot be armed" if request.data else "disarmed"
+        return response
+
+    def _status(self) -> Status:
+        values = {"published": self.replay.published, "late [s]": self.replay.latest}
+        return Status(message="replaying", values=values)
+
+
+def _kind(topic: str) -> tuple[type, str, object]:
+    if topic not in GRAPH:
+        raise RecordingError(f"{topic} is no topic of the hydro graph: use `ros2 bag play`")
+    kind, qos = GRAPH[topic]
+    return kind, topic, qos
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="replayer",
+        description="Publish a recording in the place of the bench: filter, trainer and recorder see the same topics.",
+        epilog="`ros2 bag play BAG` works too; the replayer stamps each sample anew, so that nobody takes it for stale.",
+    )
+    parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
+    parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end")
+    parser.add_argument("--keep-stamps", action="store_true", help="leave the stamps as they were recorded")
+    parser.add_argument("--topics", nargs="+", default=[STATE], metavar="TOPIC", help=f"default: {STATE}")
+    return parser
+
+
+@command()
+def main() -> None:
+    """Entry point."""
+    own, ros = ros_arguments()
+    options = _parser().parse_args(own)
+    read_bag(options.bag, topics=())  # says at once if there is nothing to read
+    nodes: list[ReplayerNode] = []
+
+    def make() -> ReplayerNode:
+        nodes.append(ReplayerNode(options))
+        return nodes[0]
+
+    run_node(make, ros)
+    if nodes[0].failure is not None:
+        raise nodes[0].failure
