@@ -12,12 +12,12 @@ It shares with the acting process four pieces of memory, and a pipe for requests
 from __future__ import annotations
 
 import ctypes
+import multiprocessing
 import os
 import signal
 import time
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from multiprocessing.context import SpawnContext
 from pathlib import Path
 from typing import Any
 
@@ -34,24 +34,27 @@ from hydro_policy.snapshot import dump, restore
 from hydro_policy.task import ACTIONS, OBSERVATIONS
 
 SNAPSHOT_PERIOD = 0.5  # s
+_CONTEXT = multiprocessing.get_context("spawn")
 CHUNK = 8  # updates between looks at the pipe and publications, some 5 to 10 ms
 
 
 class LearnerMemory:
     """The memory that both processes map; made by the acting one, handed to each learner it starts."""
 
-    def __init__(self, context: SpawnContext, settings: TrainingSettings) -> None:
+    def __init__(self, settings: TrainingSettings) -> None:
         self.capacity = settings.replay_capacity
         hidden = settings.sac.hidden_size
-        parameters = 4 * (2 * (OBSERVATIONS + 8) * hidden + 2 * hidden * hidden + 64)  # bytes, of one network, generously
+        parameters = 4 * (
+            2 * (OBSERVATIONS + 8) * hidden + 2 * hidden * hidden + 64
+        )  # bytes, of one network, generously
 
-        def block(size: int) -> Any:
-            return context.RawArray(ctypes.c_uint8, size)
+        self._replay = self._block(ReplayBuffer.memory_size(OBSERVATIONS, ACTIONS, self.capacity))
+        self._weights = self._block(SharedBlob.memory_size(parameters))
+        self._snapshot = self._block(SharedBlob.memory_size(16 * parameters + 16384))
+        self._status = self._block(64)
 
-        self._replay = block(ReplayBuffer.memory_size(OBSERVATIONS, ACTIONS, self.capacity))
-        self._weights = block(SharedBlob.memory_size(parameters))
-        self._snapshot = block(SharedBlob.memory_size(16 * parameters + 16384))
-        self._status = block(64)
+    def _block(self, size: int) -> Any:
+        return _CONTEXT.RawArray(ctypes.c_uint8, size)
 
     def replay(self) -> ReplayBuffer:
         """The replay buffer on this memory."""
@@ -147,7 +150,9 @@ def write_run(
 
 def run_learner(memory: LearnerMemory, settings: TrainingSettings, start: bytes | None, requests: Connection) -> None:
     """Body of the learning process; ends on None from the pipe, or when the acting process is gone."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole terminal; the acting process ends us in order
+    signal.signal(
+        signal.SIGINT, signal.SIG_IGN
+    )  # Ctrl-C reaches the whole terminal; the acting process ends us in order
     os.nice(10)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)

@@ -34,7 +34,11 @@ class StackedMlp:
     """
 
     def __init__(
-        self, members: int, sizes: tuple[int, ...], generator: torch.Generator | None, dtype: torch.dtype = torch.float32
+        self,
+        members: int,
+        sizes: tuple[int, ...],
+        generator: torch.Generator | None,
+        dtype: torch.dtype = torch.float32,
     ) -> None:
         self.members, self.sizes = members, sizes
         shapes = [shape for i, o in zip(sizes, sizes[1:], strict=False) for shape in ((members, i, o), (members, 1, o))]

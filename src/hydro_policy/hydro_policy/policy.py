@@ -103,7 +103,11 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
     if header.get("format") != FORMAT:
         raise ValueError(f"{path} is not a policy of format {FORMAT}")
     seen = header["observation"]
-    if tuple(seen["names"]) != OBSERVATION_NAMES or seen["center"] != OBSERVATION_CENTER.tolist() or seen["scale"] != OBSERVATION_SCALE.tolist():
+    if (
+        tuple(seen["names"]) != OBSERVATION_NAMES
+        or seen["center"] != OBSERVATION_CENTER.tolist()
+        or seen["scale"] != OBSERVATION_SCALE.tolist()
+    ):
         raise ValueError(f"{path} was trained on another observation: {', '.join(seen['names'])}")
     policy = Policy(int(header["architecture"]["sizes"][1]), tuple(header["log_std_bounds"]))
     for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):

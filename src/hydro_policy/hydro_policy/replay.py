@@ -92,7 +92,9 @@ class ReplayBuffer:
         else:
             ages = torch.randint(capacity - _MARGIN, (batch_size,), generator=generator)
             places = (produced - 1 - ages) % capacity
-        observation, following, action, reward, terminated = self._tensor.index_select(0, places).split(self.widths, dim=1)
+        observation, following, action, reward, terminated = self._tensor.index_select(0, places).split(
+            self.widths, dim=1
+        )
         return Batch(observation, action, reward.squeeze(1), following, terminated.squeeze(1))
 
     def stored(self) -> tuple[NDArray[np.float32], int]:

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """The files of one training run, and its settings as YAML.
 
-    runs/NAME/
-        config.yaml            settings; `--resume` reads them back
-        policy.safetensors     the policy as it acts, rewritten after each episode (`policy` module)
-        checkpoints/latest/    learner.safetensors, replay.npy, trainer.json (`checkpoint` module)
-        checkpoints/best/      the policy of the episode with the lowest force RMSE so far
-        bag/                   the recording
-        evaluation.json, tracking.png, gains.png, log.txt
+runs/NAME/
+    config.yaml            settings; `--resume` reads them back
+    policy.safetensors     the policy as it acts, rewritten after each episode (`policy` module)
+    checkpoints/latest/    learner.safetensors, replay.npy, trainer.json (`checkpoint` module)
+    checkpoints/best/      the policy of the episode with the lowest force RMSE so far
+    bag/                   the recording
+    evaluation.json, tracking.png, gains.png, log.txt
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from hydro_bridge.settings import check
 
 from hydro_policy.sac import SacSettings
 from hydro_policy.task import GainRange, TaskSettings
@@ -28,21 +29,21 @@ class TrainingSettings:
     """A run: how long, how much is learnt per step, how much is remembered."""
 
     episodes: int = 160
-    """Episodes of the run (paper: 160). Range [1, 1e6]."""
+    """Episodes of the run (paper: 160). [1, 1e6]."""
     updates_per_step: float = 1.0
-    """Gradient updates owed per policy step; the learner catches up in pauses. Range [0, 100]."""
+    """Gradient updates owed per policy step; the learner catches up in pauses. [0, 100]."""
     warmup_steps: int = 500
-    """Policy steps before learning starts; they act with the initial, broad policy. Range [1, 1e6]."""
+    """Policy steps before learning starts; they act with the initial, broad policy. [1, 1e6]."""
     replay_capacity: int = 288_000
-    """Transitions remembered (the paper's whole training). Range [65, 1e8]."""
+    """Transitions remembered (the paper's whole training). [65, 1e8]."""
     seed: int = 0
-    """Seed of references and exploration in the actor. Range [0, 2^63)."""
+    """Seed of references and exploration in the actor. [0, 9e15]."""
     sac: SacSettings = field(default_factory=SacSettings)
     task: TaskSettings = field(default_factory=TaskSettings)
 
     def __post_init__(self) -> None:
-        if self.episodes < 1 or self.updates_per_step < 0 or self.warmup_steps < 1:
-            raise ValueError("episodes and warmup_steps are at least 1, updates_per_step is not negative")
+        for part in (self, self.sac, self.task, self.task.gains):
+            check(part)
 
 
 @dataclass(frozen=True)
@@ -69,7 +70,9 @@ class RunDirectory:
             There is a run here already.
         """
         if self.config.exists():
-            raise FileExistsError(f"{self.path} holds a run already: continue it with --resume {self.path}, or name another")
+            raise FileExistsError(
+                f"{self.path} holds a run already: continue it with --resume {self.path}, or name another"
+            )
         for folder in (self.latest, self.best):
             folder.mkdir(parents=True, exist_ok=True)
         return self

@@ -22,31 +22,31 @@ class SacSettings:
     """Settings of the algorithm (paper Table training_agent, where it gives a value)."""
 
     hidden_size: int = 32
-    """Units in each of the two hidden layers of the actor and of each critic. Range [1, 1024]."""
+    """Units in each of the two hidden layers of the actor and of each critic. [1, 1024]."""
     actor_learning_rate: float = 1e-3
-    """Adam's step size for the actor. Range (0, 0.1]."""
+    """Adam's step size for the actor. [1e-7, 0.1]."""
     critic_learning_rate: float = 1e-3
-    """Adam's step size for the critics. Range (0, 0.1]."""
+    """Adam's step size for the critics. [1e-7, 0.1]."""
     discount: float = 0.99
-    """gamma: what a reward one step later is worth; 0.99 at 100 Hz looks about 1 s ahead. Range [0, 1)."""
+    """gamma: what a reward one step later is worth; 0.99 at 100 Hz looks about 1 s ahead. [0, 0.99999]."""
     target_rate: float = 0.005
-    """tau: share by which the target critics move to the critics at each update. Range (0, 1]."""
+    """tau: share by which the target critics move to the critics at each update. [1e-6, 1]."""
     initial_entropy_coefficient: float = 0.005
-    """alpha at the start: what a nat of entropy is worth in reward. Range (0, 10]."""
+    """alpha at the start: what a nat of entropy is worth in reward. [1e-6, 10]."""
     entropy_learning_rate: float = 1e-3
-    """Adam's step size for log(alpha); 0 keeps alpha fixed. Range [0, 0.1]."""
+    """Adam's step size for log(alpha); 0 keeps alpha fixed. [0, 0.1]."""
     target_entropy: float = -2.0
-    """Entropy in nats that alpha is steered to; minus the number of actions is usual. Range [-10, 2]."""
+    """Entropy in nats that alpha is steered to; minus the number of actions is usual. [-10, 2]."""
     batch_size: int = 256
-    """Transitions per update. Range [1, 65536]."""
+    """Transitions per update. [1, 65536]."""
     reward_scale: float = 0.05
-    """Factor on the reward before learning, so that the critics' values are of order one to a hundred. Range (0, 100]."""
+    """Factor on the reward before learning, so that the critics' values are of order one to a hundred. [1e-6, 100]."""
     log_std_min: float = -5.0
-    """Lower bound of the logarithm of the policy's standard deviation. Range [-20, 0]."""
+    """Lower bound of the logarithm of the policy's standard deviation. [-20, 0]."""
     log_std_max: float = 2.0
-    """Upper bound of the same. Range [0, 4]."""
+    """Upper bound of the same. [0, 4]."""
     seed: int = 0
-    """Seed of the initial weights, of the exploration in updates and of the batches drawn. Range [0, 2^63)."""
+    """Seed of the initial weights, of the exploration in updates and of the batches drawn. [0, 9e15]."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,7 +103,9 @@ class Sac:
         See `SacSettings`.
     """
 
-    def __init__(self, observations: int, actions: int, settings: SacSettings, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(
+        self, observations: int, actions: int, settings: SacSettings, dtype: torch.dtype = torch.float32
+    ) -> None:
         self.settings = settings
         self.generator = torch.Generator().manual_seed(settings.seed)
         hidden = (settings.hidden_size, settings.hidden_size)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A blob in shared memory that one process publishes and others read, without locks: acting never waits for learning.
 
-    header   int64 version | 2 slots of [int64 length | int64 CRC-32 | bytes]
-    publish  write into slot (version + 1) mod 2, then count the version up
-    read     copy slot version mod 2; a CRC that does not fit means a writer overtook us (or died halfway): no news this time
+header   int64 version | 2 slots of [int64 length | int64 CRC-32 | bytes]
+publish  write into slot (version + 1) mod 2, then count the version up
+read     copy slot version mod 2; a CRC that does not fit means a writer overtook us (or died halfway): no news this time
 """
 
 from __future__ import annotations

@@ -14,7 +14,16 @@ import numpy as np
 from hydro_bridge.signals import FloatArray
 
 from hydro_policy.checkpoint import Checkpoint
-from hydro_policy.learner import CHECKPOINTS, ENTROPY, READY, UPDATES, LearnerMemory, SaveRequest, run_learner, write_run
+from hydro_policy.learner import (
+    CHECKPOINTS,
+    ENTROPY,
+    READY,
+    UPDATES,
+    LearnerMemory,
+    SaveRequest,
+    run_learner,
+    write_run,
+)
 from hydro_policy.run import RunDirectory, TrainingSettings
 
 RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds, and it is not bad luck
@@ -37,9 +46,13 @@ class LearnerSupervisor:
     def __init__(self, settings: TrainingSettings, run: RunDirectory, resumed: Checkpoint | None = None) -> None:
         self._context = multiprocessing.get_context("spawn")  # fork would copy the middleware's threads half alive
         self._settings, self._run = settings, run
-        self._memory = LearnerMemory(self._context, settings)
+        self._memory = LearnerMemory(settings)
         self.replay = self._memory.replay()
-        self._weights, self._snapshot, self._status = self._memory.weights(), self._memory.snapshot(), self._memory.status()
+        self._weights, self._snapshot, self._status = (
+            self._memory.weights(),
+            self._memory.snapshot(),
+            self._memory.status(),
+        )
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
             self._snapshot.publish(resumed.learner)
@@ -97,7 +110,9 @@ class LearnerSupervisor:
         while now - self._deaths[0] > RESTART_WINDOW:
             self._deaths.popleft()
         if len(self._deaths) > RESTARTS:
-            raise RuntimeError(f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s (exit code {code})")
+            raise RuntimeError(
+                f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s (exit code {code})"
+            )
         self.restarts += 1
         self._requests.close()
         self._start()
@@ -134,6 +149,8 @@ class LearnerSupervisor:
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
         arguments = (self._memory, self._settings, self._snapshot.latest(), theirs)
-        self._process: BaseProcess = self._context.Process(target=run_learner, args=arguments, name="learner", daemon=True)
+        self._process: BaseProcess = self._context.Process(
+            target=run_learner, args=arguments, name="learner", daemon=True
+        )
         self._process.start()
         theirs.close()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The task as a Markov decision process: observation (eq. obs), reward (eq. reward), action as gains (eq. policy_action).
 
-    observation  13 numbers, each (value - center) / scale with the fixed numbers below, so that a policy's file is complete
-    action       2 numbers in [-1, 1], mapped linearly to [delta_kp, delta_ki]
-    step         10 box samples of 1 ms; an episode is 1800 steps, 18 s
+observation  13 numbers, each (value - center) / scale with the fixed numbers below, so that a policy's file is complete
+action       2 numbers in [-1, 1], mapped linearly to [delta_kp, delta_ki]
+step         10 box samples of 1 ms; an episode is 1800 steps, 18 s
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ class GainRange:
     """What the action may do to the gains: [-1, 1] covers [min, max] (paper Table training_agent)."""
 
     delta_kp_min: float = 0.0
-    """1/s. Range [-300, 300]."""
+    """1/s. [-300, 300]."""
     delta_kp_max: float = 75.0
-    """1/s, above delta_kp_min. Range [-300, 300]; with the paper's base gain 15, 285 gives the wide authority K_p <= 300."""
+    """1/s, above delta_kp_min, [-300, 300]; with the paper's base gain 15, 285 gives the wide authority K_p <= 300."""
     delta_ki_min: float = 0.0
-    """1/s^2. Range [-100, 100]."""
+    """1/s^2. [-100, 100]."""
     delta_ki_max: float = 10.0
-    """1/s^2, above delta_ki_min. Range [-100, 100]."""
+    """1/s^2, above delta_ki_min, [-100, 100]."""
 
     def gains(self, action: FloatArray) -> tuple[float, float]:
         """(delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""
@@ -77,25 +77,25 @@ class TaskSettings:
     """Reward, gains, episodes (paper eq. reward, Table training_agent; units from docs/physics.md)."""
 
     error_weight: float = 100.0
-    """Q_1, on the square of e / force_scale. Range [0, 1e6]."""
+    """Q_1, on the square of e / force_scale. [0, 1e6]."""
     error_rate_weight: float = 4000.0
-    """Q_2, on the square of e' / force_rate_scale. Range [0, 1e6]."""
+    """Q_2, on the square of e' / force_rate_scale. [0, 1e6]."""
     force_scale: float = 300.0
-    """N. Range (0, 1e5]."""
+    """N. [1, 1e5]."""
     force_rate_scale: float = 300.0 * 2.0 * math.pi * 2.0
-    """N/s: 300 N at 2 Hz. Range (0, 1e6]."""
+    """N/s: 300 N at 2 Hz. [1, 1e6]."""
     trip_penalty: float = 1000.0
-    """Taken from the reward when the box trips (force limit, sensor fault), which ends the episode. Range [0, 1e6]."""
+    """Taken from the reward when the box trips (force limit, sensor fault), which ends the episode. [0, 1e6]."""
     steps_per_episode: int = 1800
-    """Policy steps, 10 ms each. Range [10, 1e6]."""
+    """Policy steps, 10 ms each. [10, 1e6]."""
     amplitude_min: float = 200.0
-    """N. Range (0, 1000]."""
+    """N. [0, 1000]."""
     amplitude_max: float = 300.0
-    """N. Range (0, 1000]."""
+    """N. [0, 1000]."""
     frequency_min: float = 0.5
-    """Hz. Range (0, 10]."""
+    """Hz. [0.05, 10]."""
     frequency_max: float = 2.0
-    """Hz. Range (0, 10]."""
+    """Hz. [0.05, 10]."""
     gains: GainRange = field(default_factory=GainRange)
 
     def reward(self, error: FloatArray, error_rate: FloatArray) -> float:

@@ -8,7 +8,9 @@ import torch
 from hydro_policy.mlp import FlatAdam, StackedMlp
 
 
-def reference_forward(network: StackedMlp, member: int, inputs: torch.Tensor, leaves: list[torch.Tensor]) -> torch.Tensor:
+def reference_forward(
+    network: StackedMlp, member: int, inputs: torch.Tensor, leaves: list[torch.Tensor]
+) -> torch.Tensor:
     """The same network as ordinary torch code on `leaves` (weights and biases in turn)."""
     hidden = inputs
     for layer in range(len(network.weights)):
@@ -30,7 +32,9 @@ def test_gradients_equal_autograd() -> None:
         expected = torch.autograd.grad((outputs * pull).sum(), [*leaves, given])
     torch.testing.assert_close(network.forward(inputs), outputs.detach(), rtol=1e-12, atol=1e-12)
     network.backward(pull)
-    torch.testing.assert_close(network.gradient, torch.cat([g.reshape(-1) for g in expected[:-1]]), rtol=1e-10, atol=1e-12)
+    torch.testing.assert_close(
+        network.gradient, torch.cat([g.reshape(-1) for g in expected[:-1]]), rtol=1e-10, atol=1e-12
+    )
     torch.testing.assert_close(network.input_gradient(pull), expected[-1], rtol=1e-10, atol=1e-12)
 
 

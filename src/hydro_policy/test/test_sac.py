@@ -144,7 +144,9 @@ def test_linear_quadratic_regulator_is_learnt() -> None:
     rng = np.random.default_rng(0)
     x, a = rng.uniform(-1, 1, 5000), rng.uniform(-1, 1, 5000)
     rows = np.stack((x, x + b * a, a, -(q * x**2 + r * a**2), np.zeros(5000)), axis=1).astype(np.float32)
-    sac = Sac(1, 1, SacSettings(batch_size=128, discount=gamma, target_entropy=-1.0, reward_scale=1.0, target_rate=0.02))
+    sac = Sac(
+        1, 1, SacSettings(batch_size=128, discount=gamma, target_entropy=-1.0, reward_scale=1.0, target_rate=0.02)
+    )
     memory = ReplayBuffer(1, 1, 5000)
     memory.extend(rows)
     for _ in range(6000):

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session on a plant without a graph or a clock: box, guard and plant in a loop, learning in the same process.
+
+As fast as it goes, and the same bit for bit for the same seeds, which no real-time run can be. Used by tests, and to try
+settings before bench time is spent on them.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+from hydro_bridge.guard import CommandGuard, GuardSettings
+from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal
+from hydro_sim.bench import Bench
+from hydro_sim.box import Box, BoxConfig
+from hydro_sim.plant import Plant
+
+from hydro_policy.learner import CHUNK, Learner, LearnerMemory, SaveRequest
+from hydro_policy.run import RunDirectory, TrainingSettings
+from hydro_policy.session import Outputs, Session
+
+SAMPLE = 1e-3  # s
+
+
+class InlineLearner:
+    """The face of `LearnerSupervisor` over a learner in this process; `work` does what is owed.
+
+    Have `torch.set_num_threads(1)`: at these sizes more threads only wait for each other.
+    """
+
+    def __init__(self, settings: TrainingSettings, run: RunDirectory | None = None) -> None:
+        self._memory = _PrivateMemory(settings)
+        self._learner = Learner(self._memory, settings, None)
+        self._run, self._weights = run, self._memory.weights()
+        self.replay = self._learner.replay
+        self.ready = self.alive = True
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+        return self._learner.sac.updates
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """alpha."""
+        return self._learner.sac.entropy_coefficient
+
+    def new_weights(self) -> FloatArray | None:
+        """See `LearnerSupervisor.new_weights`."""
+        blob = self._weights.read()
+        return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
+
+    def work(self) -> None:
+        """All updates owed, then publish."""
+        if self._learner.owed >= CHUNK:
+            while self._learner.work():
+                pass
+            self._learner.publish(time.monotonic())
+
+    def revive(self) -> None:
+        """Nothing to revive."""
+
+    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
+        """Write a checkpoint if there is a run directory."""
+        if self._run is not None:
+            self._learner.save(SaveRequest(self._run.path, trainer, best))
+        return True
+
+
+class OfflineGraph(Outputs):
+    """Box, guard and plant; gives a session its samples and takes its outputs at once.
+
+    Parameters
+    ----------
+    plant, bench
+        The plant that moves, and the bench that the box believes in.
+    guard
+        Limits of what may be commanded.
+    seed
+        Of the plant's noise.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        bench: Bench,
+        *,
+        config: BoxConfig | None = None,
+        guard: GuardSettings | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.box, self.plant, self.time = Box(bench, config), plant, 0.0
+        self.guard = CommandGuard(settings=guard or GuardSettings())
+        self.sentences: list[str] = []
+        self.gains_published: list[tuple[float, float, int]] = []
+        self.references: list[ReferenceSignal] = []
+        self._measurement = plant.reset(seed)
+
+    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+        """See `Outputs`."""
+        self.gains_published.append((delta_kp, delta_ki, step))
+        self.guard.set_gains(delta_kp, delta_ki, self.time)
+
+    def reference(self, signal: ReferenceSignal) -> None:
+        """See `Outputs`."""
+        self.references.append(signal)
+        self.guard.set_reference(signal)
+
+    def arm(self, arm: bool) -> None:
+        """See `Outputs`."""
+        self.guard.set_arm(arm)
+
+    def say(self, sentence: str, warning: bool = False) -> None:
+        """See `Outputs`."""
+        self.sentences.append(sentence)
+
+    def sample(self) -> np.void:
+        """One millisecond: command down, sample up, plant on; returns the sample (`STATE_DTYPE`)."""
+        sequence = int(self.box.state["sequence"][0])
+        self.guard.set_correction(0.0, CorrectionStatus.PASS, sequence, self.time)
+        self.box.receive(self.guard.command(self.time), self.time)
+        output = self.box.tick(self._measurement, self.time)
+        self._measurement = self.plant.step(float(output["valve_current"]))
+        self.time += SAMPLE
+        return output
+
+    def vent(self) -> None:
+        """Put the bench back to rest, as a person does after a trip."""
+        self._measurement = self.plant.reset(round(self.time / SAMPLE))
+
+    def run(self, session: Session, seconds: float, learner: InlineLearner | None = None) -> None:
+        """Drive `session` until it is finished or `seconds` of bench time are over."""
+        end = self.time + seconds - 0.5 * SAMPLE
+        tick = 0
+        while self.time < end and not session.finished:
+            record = self.sample()
+            values = np.array([record[name] for name in STATE_FIELDS])
+            if (
+                session.on_sample(int(record["sequence"]), values, int(record["flags"]), self.time)
+                and learner is not None
+            ):
+                learner.work()
+            if tick % 50 == 0:
+                session.on_tick(self.time)
+            tick += 1
+
+
+class _PrivateMemory(LearnerMemory):
+    """The same memory layout, of this process alone."""
+
+    def _block(self, size: int) -> Any:
+        return bytearray(size)

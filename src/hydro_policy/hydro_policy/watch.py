@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the plant is there and armed, and the asking for both: shared by training and evaluation.
+
+no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
+disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; otherwise the user is told how
+"""
+
+from __future__ import annotations
+
+import math
+from hydro_bridge.signals import Flag
+
+from hydro_policy.session import Outputs
+
+LOST_AFTER = 0.1  # s without a sample
+_SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
+_RETRY = 1.0  # s
+
+HOW_TO_ARM = "press Enter here, or: ros2 service call /hydro/arm std_srvs/srv/SetBool '{data: true}'"
+
+
+class PlantWatch:
+    """Follows the box's flags and asks for arming.
+
+    Parameters
+    ----------
+    outputs
+        Where to ask.
+    rearm
+        Whether a disarmed or tripped box may be armed without the user (simulation and emulator: yes; bench: on purpose only).
+    """
+
+    def __init__(self, outputs: Outputs, rearm: bool) -> None:
+        self._outputs, self._rearm = outputs, rearm
+        self._seen = -math.inf
+        self._flags = 0
+        self._arm_after = math.inf  # when to follow a disarm with an arm
+        self._asked = -math.inf
+        self._told: str | None = None
+
+    @property
+    def lost(self) -> bool:
+        """Whether no samples come."""
+        return self._seen == -math.inf
+
+    @property
+    def armed(self) -> bool:
+        """Whether samples come and the last one was armed."""
+        return not self.lost and bool(self._flags & Flag.ARMED)
+
+    @property
+    def condition(self) -> str:
+        """For people."""
+        if self.lost:
+            return "no plant"
+        if self._flags & Flag.ARMED:
+            return "armed"
+        faults = [flag.name or "" for flag in (Flag.FORCE_LIMIT, Flag.SENSOR_FAULT) if self._flags & flag]
+        return ("tripped" if self._flags & Flag.TRIPPED else "disarmed") + (
+            f" ({', '.join(faults).lower()})" if faults else ""
+        )
+
+    def on_sample(self, flags: int, now: float) -> None:
+        """Take a sample's flags."""
+        self._seen, self._flags = now, flags
+
+    def on_tick(self, now: float) -> None:
+        """Call some twenty times a second: notices a loss, asks for arming."""
+        if not self.lost and now - self._seen > LOST_AFTER:
+            self._seen = -math.inf
+            self._outputs.arm(False)
+        if not self.lost and not self.armed:
+            self._seek_arming(now)
+        if self.armed:
+            self._arm_after, self._asked = math.inf, -math.inf
+        self._tell()
+
+    def arm_now(self, now: float) -> None:
+        """The user wants it armed."""
+        self._outputs.arm(False)
+        self._arm_after, self._asked = now + _SETTLE, now
+
+    def _seek_arming(self, now: float) -> None:
+        if now >= self._arm_after:
+            self._arm_after = math.inf
+            self._outputs.arm(True)
+        elif self._rearm and now - self._asked > _RETRY:
+            self.arm_now(now)
+
+    def _tell(self) -> None:
+        condition = self.condition
+        if condition != self._told:
+            hint = f": {HOW_TO_ARM}" if not self._rearm and not self.armed and not self.lost else ""
+            if self._told is not None or hint:
+                self._outputs.say(f"plant: {condition}{hint}", warning=not self.armed)
+            self._told = condition

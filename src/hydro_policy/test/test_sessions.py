@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training and evaluation sessions on the real box and the simulated bench, without a graph."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import numpy as np
+import pytest
+from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
+from hydro_sim.bench import Bench
+from hydro_sim.box import BoxConfig
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant
+
+from hydro_policy.controllers import FixedGains
+from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
+from hydro_policy.offline import InlineLearner, OfflineGraph
+from hydro_policy.run import TrainingSettings
+from hydro_policy.sac import SacSettings
+from hydro_policy.steps import StepClock
+from hydro_policy.task import OBSERVATION_NAMES, GainRange, TaskSettings
+from hydro_policy.training import Phase, TrainingSession
+
+BENCH = Bench.nominal()
+
+
+def short(episodes: int = 2, steps: int = 150, **task: float) -> TrainingSettings:
+    return TrainingSettings(
+        episodes=episodes,
+        warmup_steps=100,
+        replay_capacity=4000,
+        sac=SacSettings(batch_size=32),
+        task=TaskSettings(steps_per_episode=steps, **task),  # type: ignore[arg-type]
+    )
+
+
+def start(settings: TrainingSettings, *, rearm: bool = True, config: BoxConfig | None = None):
+    graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=config), InlineLearner(settings)
+    return graph, learner, TrainingSession(settings, learner, graph, rearm=rearm)
+
+
+def test_training_runs_its_episodes_and_every_transition_is_what_happened() -> None:
+    settings = short()
+    graph, learner, session = start(settings)
+    graph.run(session, 10.0, learner)
+    assert session.phase is Phase.FINISHED and session.progress.episode == 2
+    assert session.progress.total_steps == learner.replay.produced == 300
+    rows, _ = learner.replay.stored()
+    observations, following, actions, rewards, terminated = np.split(rows, np.cumsum([13, 13, 2, 1]), axis=1)
+    assert not terminated.any(), "an episode's end is a truncation"
+    np.testing.assert_array_equal(following[:-1], observations[1:])
+    np.testing.assert_array_equal(following[:, -2:], actions)  # o' holds the action just taken
+    applied = np.array([settings.task.gains.gains(a) for a in actions])
+    np.testing.assert_allclose(applied, np.array(graph.gains_published)[:300, :2], atol=1e-4)
+    assert (rewards < 0).all()
+    assert [h["whole_steps"] for h in session.progress.history] == [150, 150]
+    for signal in graph.references:
+        assert signal.waveform is Waveform.SINE
+        assert 200 <= signal.amplitude <= 300 and 0.5 <= signal.frequency <= 2.0
+    assert learner.updates > 150
+
+
+def test_same_seeds_give_the_same_training_bit_for_bit() -> None:
+    def weights() -> np.ndarray:
+        graph, learner, session = start(short(steps=200))
+        graph.run(session, 10.0, learner)
+        assert session.finished
+        return np.concatenate([w.ravel() for w in session.policy.weights])
+
+    np.testing.assert_array_equal(weights(), weights())
+
+
+def test_state_of_a_session_goes_through_json_and_continues() -> None:
+    graph, learner, session = start(short())
+    graph.run(session, 10.0, learner)
+    state = json.loads(json.dumps(session.state()))
+    settings = short(episodes=3)
+    graph2 = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    again = TrainingSession(settings, InlineLearner(settings), graph2, state=state)
+    assert again.progress == session.progress
+    graph2.run(again, 10.0)
+    assert again.finished and again.progress.episode == 3 and again.progress.total_steps == 450
+    assert graph2.references[0] == settings.task.draw_reference(_advanced(state))
+
+
+def _advanced(state: dict) -> np.random.Generator:
+    rng = np.random.default_rng(0)
+    rng.bit_generator.state = state["random_state"]
+    return rng
+
+
+def test_reward_is_the_paper_s_with_the_page_s_units() -> None:
+    error, rate = np.full(10, 30.0), np.full(10, 377.0)
+    scaled = TaskSettings(force_rate_scale=3770.0)
+    assert scaled.reward(error, rate) == pytest.approx(-(100 * 0.1**2 + 4000 * 0.1**2))
+    assert TaskSettings().force_rate_scale == pytest.approx(300 * 2 * math.pi * 2)
+    assert scaled.reward(np.array([30.0, -30.0]), np.zeros(2)) == pytest.approx(-1.0), "opposite errors do not cancel"
+
+
+def test_actions_cover_the_gain_range_of_the_table() -> None:
+    gains = GainRange()
+    assert gains.gains(np.array([-1.0, -1.0])) == (0.0, 0.0)
+    assert gains.gains(np.array([1.0, 1.0])) == (75.0, 10.0)
+    assert gains.gains(np.array([7.0, -7.0])) == (75.0, 0.0)
+    np.testing.assert_allclose(gains.action(37.5, 2.5), [0.0, -0.5])
+    assert len(OBSERVATION_NAMES) == 13
+
+
+def test_step_falls_on_every_tenth_sequence_number_and_a_gap_spoils_it() -> None:
+    clock, sample = StepClock(), np.zeros(14)
+    sample[STATE_FIELDS.index("reference_force")] = 5.0
+    steps = {s: step for s in range(7, 61) if s not in (23, 40) and (step := clock.add(s, sample, Flag.ARMED))}
+    assert list(steps) == [7, 10, 20, 30, 41, 50, 60]  # 40 never came, 41 stands in for it
+    assert [s for s, step in steps.items() if step.whole] == [20, 60]
+    assert clock.lost == 2
+    np.testing.assert_array_equal(steps[20].error, np.full(10, 5.0))
+    assert clock.add(60, sample, Flag.ARMED) is None, "the same sample twice"
+    held = [clock.add(s, sample, Flag.ARMED | (Flag.FILTER_STALE if s == 65 else 0)) for s in range(61, 81)]
+    assert [step.whole for step in held if step] == [False, True]
+
+
+def test_disarmed_under_way_the_session_pauses_and_resumes_the_episode() -> None:
+    graph, learner, session = start(short())
+    graph.run(session, 1.0, learner)
+    assert session.phase is Phase.TRAINING
+    episode = session.current.episode
+    graph.arm(False)
+    graph.run(session, 0.005)
+    assert session.phase is Phase.PAUSED
+    produced = learner.replay.produced
+    graph.run(session, 3.0, learner)
+    assert session.progress.interruptions == 1 and session.current.episode >= episode
+    assert learner.replay.produced > produced
+    graph.run(session, 10.0, learner)
+    assert session.finished and session.progress.episode == 2
+
+
+def test_without_leave_to_rearm_the_session_waits_for_the_user() -> None:
+    graph, learner, session = start(short(), rearm=False)
+    graph.run(session, 3.0, learner)
+    assert session.phase is Phase.WAITING and "press Enter" in graph.sentences[0]
+    session.watch.arm_now(graph.time)
+    graph.run(session, 1.0, learner)
+    assert session.phase is Phase.TRAINING
+
+
+def test_lost_plant_pauses_within_150_ms_and_asks_to_disarm() -> None:
+    graph, learner, session = start(short())
+    graph.run(session, 1.0, learner)
+    assert graph.guard.armed
+    session.on_tick(graph.time + 0.09)
+    assert session.phase is Phase.TRAINING
+    session.on_tick(graph.time + 0.15)
+    assert session.phase is Phase.PAUSED and not graph.guard.armed
+    assert session.watch.condition == "no plant"
+
+
+def test_a_trip_is_a_termination_with_penalty() -> None:
+    graph, learner, session = start(short(amplitude_min=300.0), config=BoxConfig(load_force_limit=150.0))
+    graph.run(session, 2.0, learner)
+    rows, _ = learner.replay.stored()
+    assert rows[:, -1].sum() >= 1
+    np.testing.assert_array_equal(rows[rows[:, -1] == 1, -2], -1000.0)
+    assert any("force_limit" in sentence for sentence in graph.sentences)
+
+
+def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
+    """The session on a box and plant, against `hydro_sim.offline.simulate` with the same gains: within 3 % at each sine."""
+    settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=1.0)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0), FixedGains(40.0, 10.0)], graph)
+    graph.run(session, session.seconds + 5.0)
+    assert session.finished and len(session.scores) == 4 and not session.warnings
+    for score in session.scores:
+        kp, ki = (90.0, 15.0) if "90" in score.controller else (40.0, 10.0)
+        assert (score.proportional_gain, score.integral_gain) == pytest.approx((kp, ki))
+        peer = simulate(
+            AnalyticPlant(BENCH),
+            BENCH,
+            Schedule(
+                reference=graph.references[-1].__class__(
+                    waveform=Waveform.SINE, amplitude=300.0, frequency=score.frequency
+                ),
+                gains=(kp, ki),
+                seconds=3.0,
+            ),
+        )
+        error = (peer["reference_force"] - peer["load_force"])[2000:]
+        assert score.rmse == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.03)
+        assert score.lost == score.held == 0 and not score.tripped
+    assert len(session.traces[0].time) == 1000
+
+
+def test_evaluation_says_when_the_plant_does_not_apply_the_gains() -> None:
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    session = EvaluationSession(EvaluationSettings(frequencies=(2.0,), measure=0.5), [FixedGains(150.0, 15.0)], graph)
+    graph.run(session, 10.0)
+    assert session.warnings == [
+        "fixed (150, 15): the box applied K_p = 90, not 150; widen the gain limits of the plant"
+    ]
+
+
+def test_evaluation_scores_a_trip_and_goes_on_once_the_bench_is_vented() -> None:
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH, config=BoxConfig(load_force_limit=150.0))
+    settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=0.5)
+    session = EvaluationSession(settings, [FixedGains(90.0, 15.0)], graph)
+    for trips in (1, 2):
+        graph.run(session, 4.0)
+        assert [score.tripped for score in session.scores] == [True] * trips
+        graph.vent()  # a closed valve holds the oil, and the force stays beyond the limit: arming trips again until it is let out
+    assert session.finished
+    assert all(math.isnan(score.rmse) for score in session.scores)
