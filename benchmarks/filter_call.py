@@ -131,7 +131,9 @@ def main(arguments: list[str] | None = None) -> int:
     for name, values in measured.items():
         print(line(f"filter call, {name}", values, "us"))
     ratio = measured["differences"]["p50"] / measured["exact"]["p50"]
-    print(f"exact Jacobians are {ratio:.1f} times as fast (p50); largest difference of M_c {apart:.1e} 1/s; {dict(statuses)}")
+    print(
+        f"exact Jacobians are {ratio:.1f} times as fast (p50); largest difference of M_c {apart:.1e} 1/s; {dict(statuses)}"
+    )
     finish({"unit": "us", **measured, "ratio_p50": ratio, "difference": apart, "statuses": statuses}, asked.json)
     return 0
 

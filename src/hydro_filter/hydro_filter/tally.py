@@ -51,7 +51,13 @@ class Tally:
         """Numbers by name, for /diagnostics."""
         counts = {status.name.lower(): self.statuses[status] for status in CorrectionStatus}
         solver = {"qp_solved": qp.solved, "qp_infeasible": qp.infeasible, "qp_fallbacks": qp.fallbacks}
-        return {**counts, "missing_states": self.missing, **solver, **_shown("work", self.work), **_shown("age", self.age)}
+        return {
+            **counts,
+            "missing_states": self.missing,
+            **solver,
+            **_shown("work", self.work),
+            **_shown("age", self.age),
+        }
 
 
 def sentence(news: Counter[CorrectionStatus]) -> str:

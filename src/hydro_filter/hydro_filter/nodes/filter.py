@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `filter` node: a Correction for every BenchState, also when nothing is to be corrected, so that silence means dead.
+"""The `filter` node: a Correction for every BenchState, also when there is nothing to correct: silence means dead.
 
-States are answered in order, each once. After a hold-up those older than `state_age_max` are answered STALE without being
-evaluated, which takes the backlog away faster than it grows.
+States are answered in order, each once. After a hold-up those older than `state_age_max` are answered STALE without
+being evaluated, which takes the backlog away faster than it grows.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-from hydro_msgs.msg import BenchState, Correction
 from rclpy.node import Node
 
 from hydro_bridge.ros import (
@@ -35,6 +34,7 @@ from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus
 from hydro_filter.filter import ContractionFilter, FilterSettings, Result
 from hydro_filter.sample import Sample
 from hydro_filter.tally import TROUBLE, Tally, sentence
+from hydro_msgs.msg import BenchState, Correction
 from hydro_sim.bench import Bench
 
 
@@ -65,7 +65,9 @@ class FilterNode(Node):
         self._clock = self.get_clock()
         self.filter.correct(Sample(np.zeros(len(PLANT_FIELDS)), 0.0, 0.0, 0.0))  # compiles now, not at the first sample
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
-        self.get_logger().info(f"contraction rate {self.settings.contraction_rate:g} 1/s, {be_prompt(realtime=realtime)}")
+        self.get_logger().info(
+            f"contraction rate {self.settings.contraction_rate:g} 1/s, {be_prompt(realtime=realtime)}"
+        )
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
 
@@ -116,7 +118,9 @@ def sample_of(message: BenchState) -> Sample:
 def arguments(given: list[str]) -> argparse.Namespace:
     """Parse the command line; its options and the ROS parameters of the same names have one meaning."""
     docs, default = describe(FilterSettings), FilterSettings()
-    parser = argparse.ArgumentParser(prog="filter", description="Contraction filter: /hydro/state to /hydro/correction.")
+    parser = argparse.ArgumentParser(
+        prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
+    )
     parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml; default: the nominal bench")
     for name in ("contraction_rate", "noise_floor", "state_age_max"):
         option = "--" + name.replace("_", "-")
