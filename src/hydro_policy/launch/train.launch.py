@@ -51,7 +51,7 @@ def generate_launch_description() -> LaunchDescription:
             OpaqueFunction(function=plant),
             include("hydro_filter", "filter"),
             Node(
-                package="hydro_bridge", executable="recorder", arguments=["--out", [out, "/recording"]], output="screen"
+                package="hydro_bridge", executable="recorder", arguments=["--out", [out, "/bag"]], output="screen"
             ),
             trainer,
         ]
