@@ -39,7 +39,7 @@ lint: setup
 	@$(SOURCED) .venv/bin/lint-imports --no-logo
 
 fast-tests: setup
-	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph and not fuzz" $(ARGS)
+	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph" $(ARGS)
 
 colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build farm runs them
 	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src --ctest-args --pytest-args " $(ARGS)" \
@@ -49,7 +49,7 @@ bench: setup  ## the measured speeds (ARGS="NAME ..." for some of them)
 	@$(SOURCED) .venv/bin/python -m benchmarks $(ARGS)
 
 fuzz: setup  ## a million hostile frames to the decoder
-	@$(SOURCED) .venv/bin/python -m pytest -m fuzz $(ARGS)
+	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)
 
 format: setup  ## rewrite the sources in the house format
 	@.venv/bin/ruff format . && .venv/bin/ruff check --fix .
