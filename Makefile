@@ -42,7 +42,7 @@ fast-tests: setup
 	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph" $(ARGS)
 
 colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build farm runs them
-	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src --ctest-args --pytest-args " $(ARGS)" \
+	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src $(if $(ARGS),--pytest-args " $(ARGS)") \
 	  && .venv/bin/python -m colcon test-result --verbose
 
 bench: setup  ## the measured speeds (ARGS="NAME ..." for some of them)
