@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
-from hydro_bridge.signals import FloatArray
 
+from hydro_bridge.signals import FloatArray
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
 from hydro_policy.task import ACTIONS, GainRange, observe
@@ -24,6 +24,10 @@ class Controller(Protocol):
 
     def reset(self) -> None:
         """Before a run."""
+
+    @property
+    def reach(self) -> GainRange:
+        """All gain changes that it may ask for."""
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """(delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
@@ -42,6 +46,12 @@ class FixedGains:
         """For tables."""
         return f"fixed ({self.proportional:g}, {self.integral:g})"
 
+    @property
+    def reach(self) -> GainRange:
+        """One point."""
+        kp, ki = self.proportional - self.base[0], self.integral - self.base[1]
+        return GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
+
     def reset(self) -> None:
         """Nothing to forget."""
 
@@ -54,8 +64,8 @@ class PolicyController:
     """The mean action of a trained policy."""
 
     def __init__(self, policy: Policy, gains: GainRange, name: str) -> None:
-        self.name = name
-        self._policy, self._range = policy, gains
+        self.name, self.reach = name, gains
+        self._policy = policy
         self._action: FloatArray = np.zeros(ACTIONS)
 
     def reset(self) -> None:
@@ -67,7 +77,7 @@ class PolicyController:
         observation = observe(sample, self._action)
         if np.isfinite(observation).all():
             self._action = self._policy.act(observation)
-        return self._range.gains(self._action)
+        return self.reach.gains(self._action)
 
 
 def policy_controller(path: Path) -> PolicyController:

@@ -12,17 +12,15 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from hydro_bridge.settings import check
-from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray, ReferenceSignal, Waveform
 
+from hydro_bridge.settings import check
+from hydro_bridge.signals import STATE_DTYPE, Flag, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_policy.controllers import Controller
-from hydro_policy.session import Outputs
+from hydro_policy.outputs import Outputs
 from hydro_policy.steps import HELD
-from hydro_policy.task import LOAD_FORCE, REFERENCE, SAMPLES_PER_STEP
+from hydro_policy.task import SAMPLES_PER_STEP
 from hydro_policy.watch import PlantWatch
 
-_VALVE = STATE_FIELDS.index("valve_current")
-_GAINS = slice(STATE_FIELDS.index("proportional_gain"), STATE_FIELDS.index("integral_gain") + 1)
 SAMPLE_RATE = 1000.0  # Hz
 
 
@@ -77,12 +75,11 @@ class Score:
 
 @dataclass
 class Trace:
-    """The measured part of one run."""
+    """The measured part of one run; time from 0."""
 
     controller: str
     frequency: float
-    time: FloatArray  # s, shape (n,)
-    states: FloatArray  # order of STATE_FIELDS, shape (n, 14)
+    states: StateArray  # shape (n,)
 
 
 @dataclass
@@ -90,9 +87,7 @@ class _Run:
     """What has been seen of the present run."""
 
     first: int = -1
-    rows: list[FloatArray] = field(default_factory=list)
-    sequences: list[int] = field(default_factory=list)
-    held: int = 0
+    rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
 class EvaluationSession:
@@ -177,18 +172,17 @@ class EvaluationSession:
 
     def _collect(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> None:
         if sequence - run.first >= self.settings.settle * SAMPLE_RATE:
-            run.rows.append(sample)
-            run.sequences.append(sequence)
-            run.held += bool(flags & HELD)
+            time = (sequence - run.first) / SAMPLE_RATE - self.settings.settle
+            run.rows.append((time, sequence, *sample, flags))
 
     def _end_if_due(self, run: _Run, sequence: int) -> bool:
         """End the run when its time is over; always False (no policy step was made here)."""
         repeat, frequency, controller = self.plan[len(self.scores)]
         length = self.settings.settle + self.settings.measured(frequency)
         if sequence - run.first + 1 >= round(length * SAMPLE_RATE) and run.rows:
-            trace = _trace(controller.name, frequency, run)
+            trace = Trace(controller.name, frequency, np.array(run.rows, STATE_DTYPE))
             self._check_gains(controller, trace)
-            self.scores.append(_score(trace, run, repeat))
+            self.scores.append(_score(trace, repeat))
             self.traces.append(trace)
             self._run = None
         return False
@@ -206,7 +200,7 @@ class EvaluationSession:
     def _check_gains(self, controller: Controller, trace: Trace) -> None:
         """A guard narrower than the controller would silently compare something else."""
         asked = getattr(controller, "proportional", None)
-        applied = float(np.median(trace.states[:, _GAINS.start]))
+        applied = float(np.median(trace.states["proportional_gain"]))
         if asked is not None and abs(asked - applied) > 1e-3 * max(abs(asked), 1.0):
             sentence = f"{controller.name}: the box applied K_p = {applied:g}, not {asked:g}; widen the gain limits of the plant"
             if sentence not in self.warnings:
@@ -214,16 +208,11 @@ class EvaluationSession:
                 self._outputs.say(sentence, warning=True)
 
 
-def _trace(name: str, frequency: float, run: _Run) -> Trace:
-    sequences = np.array(run.sequences)
-    return Trace(name, frequency, (sequences - sequences[0]) / SAMPLE_RATE, np.array(run.rows))
-
-
-def _score(trace: Trace, run: _Run, repeat: int) -> Score:
-    error = trace.states[:, REFERENCE] - trace.states[:, LOAD_FORCE]
-    proportional, integral = trace.states[:, _GAINS].mean(0)
-    steps = np.diff(trace.time)
-    current_rate = np.diff(trace.states[:, _VALVE]) / steps
+def _score(trace: Trace, repeat: int) -> Score:
+    states = trace.states
+    error = states["reference_force"] - states["load_force"]
+    steps = np.diff(states["sequence"].astype(np.int64))
+    current_rate = np.diff(states["valve_current"]) / steps * SAMPLE_RATE
     return Score(
         controller=trace.controller,
         frequency=trace.frequency,
@@ -231,9 +220,9 @@ def _score(trace: Trace, run: _Run, repeat: int) -> Score:
         rmse=float(np.sqrt(np.mean(error**2))),
         peak=float(np.abs(error).max()),
         chatter=float(np.sqrt(np.mean(current_rate**2))),
-        proportional_gain=float(proportional),
-        integral_gain=float(integral),
-        lost=round(float(steps.sum()) * SAMPLE_RATE) - len(steps),
-        held=run.held,
+        proportional_gain=float(states["proportional_gain"].mean()),
+        integral_gain=float(states["integral_gain"].mean()),
+        lost=int((steps - 1).sum()),
+        held=int(np.count_nonzero(states["flags"] & HELD)),
         tripped=False,
     )

@@ -11,15 +11,16 @@ import time
 from typing import Any
 
 import numpy as np
+
 from hydro_bridge.guard import CommandGuard, GuardSettings
 from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal
+from hydro_policy.learner import CHUNK, Learner, LearnerMemory, SaveRequest
+from hydro_policy.outputs import Outputs
+from hydro_policy.run import RunDirectory, TrainingSettings
+from hydro_policy.session import Session
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box, BoxConfig
 from hydro_sim.plant import Plant
-
-from hydro_policy.learner import CHUNK, Learner, LearnerMemory, SaveRequest
-from hydro_policy.run import RunDirectory, TrainingSettings
-from hydro_policy.session import Outputs, Session
 
 SAMPLE = 1e-3  # s
 

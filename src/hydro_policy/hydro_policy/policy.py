@@ -12,10 +12,10 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
-from hydro_bridge.signals import FloatArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
+from hydro_bridge.signals import FloatArray
 from hydro_policy.task import ACTIONS, OBSERVATION_CENTER, OBSERVATION_NAMES, OBSERVATION_SCALE, OBSERVATIONS, GainRange
 
 FORMAT = 1

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydro_bridge.settings import check
 
+from hydro_bridge.settings import check
 from hydro_policy.sac import SacSettings
 from hydro_policy.task import GainRange, TaskSettings
 

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from hydro_bridge.signals import Flag, FloatArray
 
+from hydro_bridge.signals import Flag, FloatArray
 from hydro_policy.task import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE, SAMPLES_PER_STEP
 
 HELD = int(Flag.WATCHDOG | Flag.FILTER_STALE)

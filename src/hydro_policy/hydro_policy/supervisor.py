@@ -11,8 +11,8 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 import numpy as np
-from hydro_bridge.signals import FloatArray
 
+from hydro_bridge.signals import FloatArray
 from hydro_policy.checkpoint import Checkpoint
 from hydro_policy.learner import (
     CHECKPOINTS,

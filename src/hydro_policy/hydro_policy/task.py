@@ -12,6 +12,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, Waveform
 
 SAMPLES_PER_STEP = 10

@@ -17,12 +17,12 @@ from enum import IntEnum
 from typing import Any, Protocol
 
 import numpy as np
-from hydro_bridge.signals import Flag, FloatArray
 
+from hydro_bridge.signals import Flag, FloatArray
+from hydro_policy.outputs import Outputs
 from hydro_policy.policy import Policy
 from hydro_policy.replay import ReplayBuffer
 from hydro_policy.run import TrainingSettings
-from hydro_policy.session import Outputs
 from hydro_policy.steps import Step, StepClock
 from hydro_policy.task import ACTIONS, REFERENCE_RATE, observe
 from hydro_policy.watch import PlantWatch

@@ -8,9 +8,9 @@ disarmed or tripped      if allowed: disarm, then arm, once a second until the b
 from __future__ import annotations
 
 import math
-from hydro_bridge.signals import Flag
 
-from hydro_policy.session import Outputs
+from hydro_bridge.signals import Flag
+from hydro_policy.outputs import Outputs
 
 LOST_AFTER = 0.1  # s without a sample
 _SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge

@@ -50,9 +50,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("out", default_value="runs/launched", description="folder of the run"),
             OpaqueFunction(function=plant),
             include("hydro_filter", "filter"),
-            Node(
-                package="hydro_bridge", executable="recorder", arguments=["--out", [out, "/bag"]], output="screen"
-            ),
+            Node(package="hydro_bridge", executable="recorder", arguments=["--out", [out, "/bag"]], output="screen"),
             trainer,
         ]
     )

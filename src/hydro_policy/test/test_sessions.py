@@ -8,12 +8,8 @@ import math
 
 import numpy as np
 import pytest
-from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
 
+from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
 from hydro_policy.controllers import FixedGains
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
 from hydro_policy.offline import InlineLearner, OfflineGraph
@@ -22,6 +18,10 @@ from hydro_policy.sac import SacSettings
 from hydro_policy.steps import StepClock
 from hydro_policy.task import OBSERVATION_NAMES, GainRange, TaskSettings
 from hydro_policy.training import Phase, TrainingSession
+from hydro_sim.bench import Bench
+from hydro_sim.box import BoxConfig
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant
 
 BENCH = Bench.nominal()
 
@@ -190,7 +190,7 @@ def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
         error = (peer["reference_force"] - peer["load_force"])[2000:]
         assert score.rmse == pytest.approx(float(np.sqrt(np.mean(error**2))), rel=0.03)
         assert score.lost == score.held == 0 and not score.tripped
-    assert len(session.traces[0].time) == 1000
+    assert len(session.traces[0].states) == 1000
 
 
 def test_evaluation_says_when_the_plant_does_not_apply_the_gains() -> None:

@@ -28,27 +28,37 @@ def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], li
     return rest[:begin] + rest[end:], rest[begin:end]
 
 
-def spin(node: Node) -> None:
+def spin(node: Node, until: Future | None = None) -> bool:
     """Carry the node's callbacks on an EventsExecutor until SIGINT, SIGTERM or shutdown; then return, to be cleaned up.
 
     The context stays valid, so the caller can still publish and disarm. Call it from the main thread.
+
+    Parameters
+    ----------
+    until
+        Return as soon as this is done, too.
+
+    Returns
+    -------
+    Whether a signal ended it.
     """
     executor = EventsExecutor()
     executor.add_node(node)
     ended: list[int] = []
     before = {number: signal.signal(number, lambda n, _: ended.append(n)) for number in (signal.SIGINT, signal.SIGTERM)}
-    never: Future = Future()
+    done: Future = Future() if until is None else until
     try:
         with suppress(ExternalShutdownException):
-            while not ended and rclpy.ok():
+            while not ended and not done.done() and rclpy.ok():
                 # In slices: without a deadline this executor (rclpy 7.1) keeps a core busy, may run no callback at all,
                 # and gives Python no chance to take a signal.
-                executor.spin_until_future_complete(never, timeout_sec=_SLICE)
+                executor.spin_until_future_complete(done, timeout_sec=_SLICE)
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
         executor.remove_node(node)
         executor.shutdown()
+    return bool(ended)
 
 
 def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes that a trainer or an evaluation starts for those without `ros2 launch`.
+
+--plant sim         sim, filter, recorder
+--plant emulator    emulator, bridge, filter, recorder
+--plant bench       bridge, filter, recorder
+--plant external    none: everything runs already
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO
+
+from hydro_bridge.guard import GuardSettings
+from hydro_bridge.ros import Companion
+from hydro_policy.task import GainRange
+
+PLANTS = ("sim", "emulator", "bench", "external")
+_LOUD = ("warn", "error", "fatal", "traceback", "bypass")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantOptions:
+    """What runs beside the trainer."""
+
+    plant: str
+    """One of `PLANTS`."""
+    port: str | None = None
+    """Serial port of a bench; None: the bridge's own default."""
+    truth: Path | None = None
+    """YAML of the emulated bench; None: the default truth plant."""
+    faults: str | None = None
+    """Link faults of the emulator, a file or a preset."""
+    bench: Path | None = None
+    """bench.yaml for box, simulation and filter; None: the nominal bench."""
+    recording: Path | None = None
+    """Folder for the recording; None: none."""
+    metadata: tuple[str, ...] = ()
+    """key=value words kept in the recording."""
+    attachments: tuple[Path, ...] = ()
+    """Files kept in the recording."""
+    seed: int = 0
+    """Of the noise of simulation or emulator."""
+
+
+class CompanionOutput:
+    """Takes a companion's lines: all into the log, those that matter to the terminal, too."""
+
+    def __init__(self, log: IO[str] | None) -> None:
+        self._log = log
+
+    def write(self, text: str) -> int:
+        """Take a line."""
+        from sys import stderr
+
+        from tqdm import tqdm
+
+        if self._log is not None:
+            self._log.write(text)
+        if any(word in text.lower() for word in _LOUD):
+            tqdm.write(text.rstrip("\n"), file=stderr)
+        return len(text)
+
+    def flush(self) -> None:
+        """Write out the log."""
+        if self._log is not None and not self._log.closed:
+            self._log.flush()
+
+
+def start_companions(
+    stack: ExitStack, options: PlantOptions, gains: GainRange, folder: Path, log: IO[str] | None
+) -> None:
+    """Start them in order; `stack` ends them, the last first, so that the recorder sees everything.
+
+    Raises
+    ------
+    CompanionError
+        One cannot be started: the packages are not built or sourced.
+    """
+    output = CompanionOutput(log)
+    for package, executable, arguments in commands(options, gains, folder):
+        stack.enter_context(Companion(package, executable, arguments, output=output))  # type: ignore[arg-type]
+
+
+def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tuple[str, str, list[str]]]:
+    """(package, executable, arguments) of each companion, in the order of starting."""
+    if options.plant == "external":
+        return []
+    bench = ["--bench", str(options.bench)] if options.bench else []
+    guard = guard_parameters(gains)
+    started: list[tuple[str, str, list[str]]] = []
+    if options.recording is not None:
+        arguments = ["--out", str(options.recording), "--metadata", f"plant={options.plant}", *options.metadata]
+        if options.attachments:
+            arguments += ["--attach", *map(str, options.attachments)]
+        started.append(("hydro_bridge", "recorder", arguments))
+    started.append(("hydro_filter", "filter", bench))
+    if options.plant == "sim":
+        started.append(("hydro_sim", "sim", [*bench, "--seed", str(options.seed), *guard]))
+        return started
+    port = options.port
+    if options.plant == "emulator":
+        port = port or str(folder / "port")
+        arguments = ["--link", port, "--seed", str(options.seed), *bench]
+        arguments += ["--control", str(folder / "emulator_control")]
+        arguments += ["--truth", str(options.truth)] if options.truth else []
+        arguments += ["--faults", options.faults] if options.faults else []
+        started.append(("hydro_sim", "emulator", arguments))
+    started.append(("hydro_bridge", "bridge", [*(["--port", port] if port else []), *guard]))
+    return started
+
+
+def guard_parameters(gains: GainRange) -> list[str]:
+    """ROS parameters that open the plant's guard as wide as the policy's gains, where its defaults are narrower."""
+    default = GuardSettings()
+    wanted = {
+        "delta_kp_min": min(gains.delta_kp_min, default.delta_kp_min),
+        "delta_kp_max": max(gains.delta_kp_max, default.delta_kp_max),
+        "delta_ki_min": min(gains.delta_ki_min, default.delta_ki_min),
+        "delta_ki_max": max(gains.delta_ki_max, default.delta_ki_max),
+    }
+    changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
+    words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
+    return ["--ros-args", *words] if words else []

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Force RMSE of policies and fixed gains on sines of 300 N, on whichever plant publishes /hydro/state.
+
+ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --fixed 15 5
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import rclpy
+
+from hydro_bridge.console import command
+from hydro_bridge.recording_run import code_version
+from hydro_bridge.ros import CompanionError, declare_parameters, ros_arguments
+from hydro_policy import report
+from hydro_policy.controllers import Controller, FixedGains, policy_controller
+from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
+from hydro_policy.nodes.companions import start_companions
+from hydro_policy.nodes.graph import GraphNode, start_ros
+from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
+from hydro_policy.nodes.progress import EvaluationProgress
+from hydro_policy.task import GainRange
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(
+        prog="evaluate", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add_plant_options(result)
+    what = result.add_argument_group("what")
+    what.add_argument(
+        "--policy",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="RUN|FILE",
+        help="a run's folder or a policy.safetensors",
+    )
+    what.add_argument(
+        "--fixed",
+        type=float,
+        nargs=2,
+        action="append",
+        metavar=("KP", "KI"),
+        help="fixed gains (default: 90 15 and 15 5)",
+    )
+    what.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="default: 0.5 1 1.5 2")
+    what.add_argument("--repeats", type=int, metavar="N", help="runs of each at each frequency (default 1)")
+    what.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise of simulation or emulator")
+    files = result.add_argument_group("files")
+    files.add_argument("--json", type=Path, metavar="FILE", help="write every run's figures")
+    files.add_argument("--plot", type=Path, metavar="FILE", help="plot tracking and gains at the fastest sine")
+    files.add_argument("--record", type=Path, metavar="DIR", help="record the graph (companions only)")
+    return result
+
+
+@command(ValueError, CompanionError)
+def main() -> int:
+    """Entry point."""
+    own, ros = ros_arguments()
+    options = parser().parse_args(own)
+    start_ros(ros)
+    try:
+        return evaluate(options)
+    finally:
+        rclpy.try_shutdown()
+
+
+def evaluate(options: argparse.Namespace) -> int:
+    """Start what is asked for, run the plan, show the results."""
+    controllers: list[Controller] = [policy_controller(path) for path in options.policy]
+    controllers += [FixedGains(kp, ki) for kp, ki in options.fixed or [(90.0, 15.0), (15.0, 5.0)]]
+    given = {"frequencies": options.frequencies and tuple(options.frequencies), "repeats": options.repeats}
+    settings = EvaluationSettings(**{key: value for key, value in given.items() if value})
+    with ExitStack() as stack:
+        node = GraphNode("evaluate")
+        stack.callback(node.destroy_node)
+        folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
+        plant = plant_options(options, recording=options.record, seed=options.seed)
+        start_companions(stack, plant, reach(controllers), folder, None)
+        if not rearms(options):
+            node.listen_for_enter()
+        stack.callback(node.disarm)
+        results = evaluate_on(node, controllers, rearm=rearms(options), settings=declare_parameters(node, settings))
+    show_results(results, options.json, options.plot, {"plant": options.plant, "seed": options.seed})
+    return 0 if results.finished else 130
+
+
+def evaluate_on(
+    node: GraphNode,
+    controllers: Sequence[Controller],
+    *,
+    rearm: bool,
+    settings: EvaluationSettings | None = None,
+) -> EvaluationSession:
+    """Run an evaluation on a node that is up; what is there when a signal comes is returned all the same."""
+    session = EvaluationSession(settings or EvaluationSettings(), list(controllers), node, rearm=rearm)
+    bar = EvaluationProgress(session)
+    try:
+        node.drive(session, bar.tick)
+    finally:
+        bar.close()
+    return session
+
+
+def show_results(results: EvaluationSession, json: Path | None, plot: Path | None, notes: dict[str, object]) -> None:
+    """Table on standard output, JSON and plot to their files."""
+    if not results.scores:
+        return
+    print(f"\n{report.table(results).text()}")
+    if json is not None:
+        report.write_json(results, json, {**notes, "code_version": code_version()})
+        print(f"figures of every run: {json}", file=sys.stderr)
+    if plot is not None:
+        report.plot(results, plot)
+        print(f"plot: {plot}", file=sys.stderr)
+
+
+def reach(controllers: Sequence[Controller]) -> GainRange:
+    """The gain changes that the plant's guard must let through."""
+    ranges = [controller.reach for controller in controllers]
+    return GainRange(
+        delta_kp_min=min(r.delta_kp_min for r in ranges),
+        delta_kp_max=max(r.delta_kp_max for r in ranges),
+        delta_ki_min=min(r.delta_ki_min for r in ranges),
+        delta_ki_max=max(r.delta_ki_max for r in ranges),
+    )

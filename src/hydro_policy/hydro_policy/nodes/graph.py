@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ROS side of a session: states in, gains, reference and arming out; used by trainer and evaluate."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import IO
+
+import numpy as np
+import rclpy
+from rclpy.clock import Clock, ClockType
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import SetBool
+
+from hydro_bridge.latency import Latency
+from hydro_bridge.ros import (
+    ARM_SERVICE,
+    GAINS,
+    GAINS_QOS,
+    REFERENCE,
+    REFERENCE_QOS,
+    STATE,
+    STATE_QOS,
+    be_prompt,
+    reference_to_message,
+    seconds,
+    spin,
+    state_from_message,
+)
+from hydro_bridge.signals import ReferenceSignal
+from hydro_msgs.msg import BenchState, Gains
+from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+from hydro_policy.session import Session
+
+TICK = 0.05  # s
+DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
+_PERIOD = 0.01  # s, of a policy step
+
+
+class GraphNode(Node):
+    """Moves messages between the graph and one session at a time; implements `hydro_policy.outputs.Outputs`.
+
+    Parameters
+    ----------
+    name
+        Of the node.
+    log
+        Where sentences go besides the terminal, or None.
+    """
+
+    def __init__(self, name: str, log: IO[str] | None = None) -> None:
+        super().__init__(name)
+        self.log = log
+        self.response = Latency()  # state taken -> gains published, in this process
+        self.age = Latency()  # state's stamp -> gains published, the whole way
+        self.jitter = Latency()  # |interval between gains - 10 ms|
+        self._session: Session | None = None
+        self._each_tick: Callable[[], None] = lambda: None
+        self._done = Future()
+        self._published = 0.0
+        self._gains = Gains()
+        self._gains_publisher = self.create_publisher(Gains, GAINS, GAINS_QOS)
+        self._reference_publisher = self.create_publisher(ReferenceMessage, REFERENCE, REFERENCE_QOS)
+        self._arm_client = self.create_client(SetBool, ARM_SERVICE)
+        self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+        self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def drive(self, session: Session, each_tick: Callable[[], None]) -> bool:
+        """Carry `session` until it is finished (True) or a signal ends it (False); `each_tick` runs every 50 ms."""
+        self._session, self._each_tick, self._done = session, each_tick, Future()
+        be_prompt(realtime=False)
+        try:
+            return not spin(self, self._done)
+        finally:
+            self._session = None
+
+    def disarm(self) -> None:
+        """Ask the plant to disarm and wait for its answer, at most 2 s."""
+        self._session = None
+        if not self._arm_client.service_is_ready():
+            return
+        answer = self._arm_client.call_async(SetBool.Request(data=False))
+        executor = EventsExecutor()
+        executor.add_node(self)
+        executor.spin_until_future_complete(answer, timeout_sec=DISARM_TIMEOUT)
+        executor.remove_node(self)
+        executor.shutdown()
+        if not answer.done() or not answer.result().success:
+            self.say("the plant did not confirm that it is disarmed; its own watchdog remains", warning=True)
+
+    def listen_for_enter(self) -> None:
+        """From now on Enter on the terminal arms the plant."""
+        if sys.stdin is not None and sys.stdin.isatty():
+            threading.Thread(target=self._read_keys, daemon=True).start()
+
+    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+        """See `hydro_policy.outputs.Outputs`."""
+        message = self._gains
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.delta_kp, message.delta_ki, message.step = delta_kp, delta_ki, step
+        self._gains_publisher.publish(message)
+
+    def reference(self, signal: ReferenceSignal) -> None:
+        """See `hydro_policy.outputs.Outputs`."""
+        self._reference_publisher.publish(reference_to_message(signal))
+
+    def arm(self, arm: bool) -> None:
+        """See `hydro_policy.outputs.Outputs`."""
+        if self._arm_client.service_is_ready():
+            self._arm_client.call_async(SetBool.Request(data=arm)).add_done_callback(self._on_arm_answer)
+
+    def say(self, sentence: str, warning: bool = False) -> None:
+        """See `hydro_policy.outputs.Outputs`."""
+        from tqdm import tqdm
+
+        tqdm.write(sentence if not warning else f"! {sentence}", file=sys.stderr)
+        if self.log is not None:
+            self.log.write(f"{time.strftime('%H:%M:%S')} {'! ' if warning else ''}{sentence}\n")
+
+    def _on_state(self, message: BenchState) -> None:
+        if self._session is None:
+            return
+        begin = time.monotonic()
+        sample = np.array(state_from_message(message))
+        if self._session.on_sample(message.sequence, sample, message.flags, begin):
+            self._measure(begin, message)
+        if self._session.finished:
+            self._finish()
+
+    def _on_tick(self) -> None:
+        if self._session is None:
+            return
+        now = time.monotonic()
+        with suppress(queue.Empty):
+            self._keys.get_nowait()
+            self._session.watch.arm_now(now)
+        self._session.on_tick(now)
+        self._each_tick()
+        if self._session.finished:
+            self._finish()
+
+    def _finish(self) -> None:
+        if not self._done.done():
+            self._done.set_result(None)
+
+    def _measure(self, begin: float, message: BenchState) -> None:
+        now = time.monotonic()
+        self.response.add(now - begin)
+        self.age.add(1e-9 * self.get_clock().now().nanoseconds - seconds(message.header.stamp))
+        if now - self._published < 5 * _PERIOD:
+            self.jitter.add(abs(now - self._published - _PERIOD))
+        self._published = now
+
+    def _on_arm_answer(self, answer: Future) -> None:
+        response = answer.result()
+        if response is not None and not response.success:
+            self.say(f"arming: {response.message}", warning=True)
+
+    def _read_keys(self) -> None:
+        for line in sys.stdin:
+            self._keys.put(line)
+
+
+def start_ros(ros: list[str]) -> None:
+    """Start ROS without its signal handlers: ours leave time to disarm."""
+    rclpy.init(args=["hydro", *ros], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)

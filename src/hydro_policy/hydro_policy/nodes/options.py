@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Command line words that trainer and evaluate share."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rclpy.node import Node
+
+from hydro_bridge.ros import declare_parameters
+from hydro_policy.nodes.companions import PLANTS, PlantOptions
+from hydro_policy.run import TrainingSettings
+
+
+def add_plant_options(parser: argparse.ArgumentParser) -> None:
+    """Words about the plant and what runs beside it."""
+    group = parser.add_argument_group("plant")
+    group.add_argument(
+        "--plant",
+        choices=PLANTS,
+        default="external",
+        help="start the other nodes, too: sim (sim, filter, recorder), emulator (emulator, bridge, filter, recorder), "
+        "bench (bridge, filter, recorder), or external: they run already (default)",
+    )
+    group.add_argument("--port", metavar="PATH", help="serial port of the bench (default: the bridge's)")
+    group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
+    group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
+    group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
+    group.add_argument(
+        "--rearm",
+        choices=("auto", "ask"),
+        help="who arms: auto (default with sim and emulator), or you, on purpose (default otherwise): Enter, or /hydro/arm",
+    )
+
+
+def rearms(options: argparse.Namespace) -> bool:
+    """Whether the session may arm by itself."""
+    return bool((options.rearm or ("auto" if options.plant in ("sim", "emulator") else "ask")) == "auto")
+
+
+def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
+    """From the command line; `more` are fields that it does not give."""
+    names = ("plant", "port", "truth", "faults", "bench")
+    return PlantOptions(**{name: getattr(options, name) for name in names}, **more)
+
+
+def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings:
+    """All settings of a run as ROS parameters: episodes ..., sac.discount ..., task.error_weight ..., task.gains.delta_kp_max."""
+    gains = declare_parameters(node, settings.task.gains, "task.gains.")
+    task = replace(declare_parameters(node, settings.task, "task."), gains=gains)
+    sac = declare_parameters(node, settings.sac, "sac.")
+    return replace(declare_parameters(node, settings), task=task, sac=sac)

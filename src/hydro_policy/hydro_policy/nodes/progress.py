@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Progress on the terminal, and the same on topics: TrainingStatus at 2 Hz, /diagnostics at 1 Hz."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+from rclpy.clock import Clock, ClockType
+from tqdm import tqdm
+
+from hydro_bridge.console import progress
+from hydro_bridge.ros import TRAINING, TRAINING_QOS, DiagnosticsPublisher, Level, Status
+from hydro_msgs.msg import TrainingStatus
+from hydro_policy.evaluation import EvaluationSession
+from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.supervisor import LearnerSupervisor
+from hydro_policy.training import Phase, TrainingSession
+
+_REDRAW = 4  # ticks of 50 ms
+
+
+class TrainingProgress:
+    """Bar, topic and diagnostics of one training session."""
+
+    def __init__(self, node: GraphNode, session: TrainingSession, learner: LearnerSupervisor) -> None:
+        self._node, self._session, self._learner = node, session, learner
+        self.phase: Callable[[], Phase] = lambda: session.phase
+        steps = session.settings.task.steps_per_episode
+        self._bar: tqdm[None] = progress(total=session.settings.episodes * steps, label="waiting", unit="step")
+        self._ticks, self._told = 0, session.progress.episode
+        self._message = TrainingStatus()
+        self._publisher = node.create_publisher(TrainingStatus, TRAINING, TRAINING_QOS)
+        node.create_timer(0.5, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._diagnostics = DiagnosticsPublisher(node, self._status)
+
+    def tick(self) -> None:
+        """Redraw now and then, and give each finished episode a line."""
+        progress = self._session.progress
+        while self._told < progress.episode:
+            self._node.say(_episode_line(progress.history[self._told], self._session.settings.episodes))
+            self._told += 1
+        self._ticks += 1
+        if self._ticks % _REDRAW == 0:
+            self._redraw()
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self.tick()
+        self._redraw()
+        self._bar.close()
+
+    def publish(self) -> None:
+        """Publish TrainingStatus."""
+        session, message = self._session, self._message
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.phase = int(self.phase())
+        message.episode, message.step = session.current.episode, session.current.steps
+        message.episode_return = session.progress.last_return
+        message.force_rmse = session.progress.last_rmse
+        message.entropy_coefficient = self._learner.entropy_coefficient
+        message.updates = self._learner.updates
+        message.learner_alive = self._learner.alive
+        self._publisher.publish(message)
+
+    def _redraw(self) -> None:
+        session, bar = self._session, self._bar
+        steps = session.settings.task.steps_per_episode
+        under_way = session.current.steps if session.phase is Phase.TRAINING else 0
+        bar.n = min(session.progress.episode * steps + under_way, bar.total or 0)
+        state = "" if session.phase is Phase.TRAINING else f" ({session.watch.condition})"
+        bar.set_description_str(f"{session.phase.name.lower()}{state}", refresh=False)
+        bar.set_postfix_str(self._figures(), refresh=False)
+        bar.refresh()
+
+    def _figures(self) -> str:
+        now, done = self._session.current, self._session.progress
+        rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
+        learner = f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"
+        return (
+            f"return {now.episode_return:.0f}, RMSE {rmse:.1f} N, alpha {self._learner.entropy_coefficient:.4f}, "
+            f"{learner}, latency p99 {1e3 * self._node.age.percentile(99):.1f} ms"
+        )
+
+    def _status(self) -> Status:
+        session, node, learner = self._session, self._node, self._learner
+        phase = self.phase()
+        fine = phase not in (Phase.PAUSED, Phase.WAITING) and learner.alive
+        values = {
+            "episode": session.current.episode,
+            "lost samples": session.clock.lost,
+            "interruptions": session.progress.interruptions,
+            "learner restarts": learner.restarts,
+            "updates": learner.updates,
+            "transitions": learner.replay.produced,
+            "response": node.response.sentence(),
+            "state to gains": node.age.sentence(),
+            "jitter": node.jitter.sentence(),
+        }
+        message = f"{phase.name.lower()}, plant {session.watch.condition}"
+        message += "" if learner.alive else ", learner down"
+        return Status(level=Level.OK if fine else Level.WARN, message=message, values=values)
+
+
+class EvaluationProgress:
+    """Bar of one evaluation."""
+
+    def __init__(self, session: EvaluationSession) -> None:
+        self._session = session
+        self._bar: tqdm[None] = progress(total=round(session.seconds), label="evaluating", unit="s")
+
+    def tick(self) -> None:
+        """Redraw."""
+        session = self._session
+        self._bar.n = round(session.seconds_done)
+        if not session.finished:
+            _, frequency, controller = session.plan[len(session.scores)]
+            state = "" if session.watch.armed else f" ({session.watch.condition})"
+            self._bar.set_description_str(f"evaluating{state}", refresh=False)
+            self._bar.set_postfix_str(f"{controller.name} at {frequency:g} Hz", refresh=False)
+        self._bar.refresh()
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self.tick()
+        self._bar.close()
+
+
+def _episode_line(record: dict[str, float], episodes: int) -> str:
+    return (
+        f"episode {record['episode']:.0f}/{episodes}: {record['amplitude']:.0f} N at {record['frequency']:.2f} Hz, "
+        f"return {record['return']:.0f}, RMSE {record['force_rmse']:.1f} N (lag {1e3 * record['lag']:.1f} ms), "
+        f"alpha {record['entropy_coefficient']:.4f}, {record['updates']:.0f} updates"
+    )

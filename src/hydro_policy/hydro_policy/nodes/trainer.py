@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Trains a policy on whichever plant publishes /hydro/state.
+
+ros2 run hydro_policy trainer --plant emulator --episodes 8 --evaluate
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO, Any
+
+import rclpy
+import torch
+
+from hydro_bridge.console import command
+from hydro_bridge.ros import CompanionError, ros_arguments
+from hydro_policy.checkpoint import Checkpoint, load_checkpoint
+from hydro_policy.controllers import FixedGains, PolicyController
+from hydro_policy.nodes.companions import start_companions
+from hydro_policy.nodes.evaluate import evaluate_on, show_results
+from hydro_policy.nodes.graph import GraphNode, start_ros
+from hydro_policy.nodes.options import add_plant_options, declare_settings, plant_options, rearms
+from hydro_policy.nodes.progress import TrainingProgress
+from hydro_policy.run import RunDirectory, TrainingSettings, new_run
+from hydro_policy.supervisor import LearnerSupervisor
+from hydro_policy.training import Phase, TrainingSession
+
+DEMO = {"plant": "emulator", "episodes": 9, "updates_per_step": 2.0, "evaluate": True}
+"""The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
+
+EPILOG = """\
+examples:
+  ros2 run hydro_policy trainer --demo                         a short training on the emulator, evaluated: 5 minutes
+  ros2 run hydro_policy trainer --plant emulator --evaluate    the paper's 160 episodes: 49 minutes of bench time
+  ros2 run hydro_policy trainer --plant bench --port /dev/ttyUSB0
+  ros2 run hydro_policy trainer --resume runs/NAME             goes on after Ctrl-C, an error or a power cut
+every setting is a ROS parameter, too: --ros-args -p sac.discount:=0.98 -p task.steps_per_episode:=900
+(docs/training.md explains them). Ctrl-C disarms, writes a checkpoint and ends.
+"""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a run starts from."""
+
+    run: RunDirectory
+    settings: TrainingSettings
+    checkpoint: Checkpoint | None
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(
+        prog="trainer", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    result.add_argument("--demo", action="store_true", help="the main job: see the examples")
+    add_plant_options(result)
+    run = result.add_argument_group("run")
+    run.add_argument("--episodes", type=int, metavar="N", help="episodes of 18 s in all (default 160, the paper's)")
+    run.add_argument("--updates-per-step", type=float, metavar="N", help="gradient updates per policy step (default 1)")
+    run.add_argument("--wide", action="store_true", help="wide authority: K_p up to 300 instead of the paper's 90")
+    run.add_argument("--seed", type=int, metavar="N", help="of networks, exploration and references (default 0)")
+    run.add_argument("--evaluate", action="store_true", help="afterwards compare the policy with fixed gains")
+    files = result.add_argument_group("files")
+    files.add_argument(
+        "--runs", type=Path, default=Path("runs"), metavar="DIR", help="folder of all runs (default: runs)"
+    )
+    files.add_argument("--name", help="of the run's folder (default: date and time)")
+    files.add_argument("--resume", type=Path, metavar="RUN", help="continue the run in this folder")
+    files.add_argument("--no-record", dest="record", action="store_false", help="make no recording")
+    return result
+
+
+@command(ValueError, FileExistsError, CompanionError)
+def main() -> int:
+    """Entry point."""
+    own, ros = ros_arguments()
+    options = parser().parse_args(own)
+    if options.demo:
+        for name, value in DEMO.items():
+            if getattr(options, name) in (None, False, "external"):
+                setattr(options, name, value)
+    torch.set_num_threads(1)
+    start_ros(ros)
+    try:
+        return train(options)
+    finally:
+        rclpy.try_shutdown()
+
+
+def train(options: argparse.Namespace) -> int:
+    """Prepare, train, evaluate; whatever happens: disarm, checkpoint, end the companions, in this order."""
+    began = time.monotonic()
+    with ExitStack() as stack:
+        node = GraphNode("trainer")
+        stack.callback(node.destroy_node)
+        prepared = prepare(options, node)
+        run, settings = prepared.run, prepared.settings
+        log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
+        node.log = log
+        node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
+        learner = LearnerSupervisor(settings, run, prepared.checkpoint)
+        recording = _start_plant(stack, options, prepared, log)
+        state = prepared.checkpoint.trainer if prepared.checkpoint else None
+        session = TrainingSession(settings, learner, node, rearm=rearms(options), state=state)
+        stack.callback(lambda: learner.stop(session.state()))
+        stack.callback(node.disarm)
+        finished, results = drive(options, node, session, learner)
+        if results is not None:
+            show_results(results, run.evaluation, run.tracking_plot, {"run": str(run.path), "plant": options.plant})
+    tell_files(run, recording, finished, options, time.monotonic() - began)
+    return 0 if finished else 130
+
+
+def drive(
+    options: argparse.Namespace, node: GraphNode, session: TrainingSession, learner: LearnerSupervisor
+) -> tuple[bool, Any]:
+    """Train, then evaluate if asked for: (whether all came to its end, the evaluation or None)."""
+    if not rearms(options):
+        node.listen_for_enter()
+    bar = TrainingProgress(node, session, learner)
+    try:
+        finished = session.progress.episode >= session.settings.episodes or node.drive(session, bar.tick)
+    finally:
+        bar.close()
+    node.say(f"gains at 100 Hz: response {node.response.sentence()}; jitter {node.jitter.sentence()}")
+    if not finished or not options.evaluate:
+        return finished, None
+    bar.phase = lambda: Phase.EVALUATING
+    controllers = [
+        PolicyController(session.policy, session.settings.task.gains, "policy"),
+        FixedGains(90.0, 15.0),
+        FixedGains(15.0, 5.0),
+    ]
+    results = evaluate_on(node, controllers, rearm=rearms(options))
+    bar.phase = lambda: Phase.FINISHED
+    bar.publish()
+    return results.finished, results
+
+
+def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
+    """A new run with its folder, or one to continue."""
+    if options.resume is not None:
+        run = RunDirectory(options.resume)
+        settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
+    else:
+        run, settings, checkpoint = new_run(options.runs, options.name), TrainingSettings(), None
+    given = {name: getattr(options, name) for name in ("episodes", "updates_per_step", "seed")}
+    settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
+    if options.seed is not None:
+        settings = replace(settings, sac=replace(settings.sac, seed=options.seed))
+    if options.wide:
+        wide = replace(settings.task.gains, delta_kp_max=285.0)
+        settings = replace(settings, task=replace(settings.task, gains=wide))
+    settings = declare_settings(node, settings)
+    if options.resume is None:
+        run.create()
+    run.save_settings(settings)
+    return Prepared(run, settings, checkpoint)
+
+
+def _start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepared, log: IO[str]) -> Path | None:
+    """Start the companions; returns where the recording goes."""
+    run = prepared.run
+    recording = _free(run.bag) if options.record and options.plant != "external" else None
+    metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
+    attachments = (run.config, *([options.bench] if options.bench else []))
+    plant = plant_options(
+        options, recording=recording, metadata=metadata, attachments=attachments, seed=prepared.settings.seed
+    )
+    start_companions(stack, plant, prepared.settings.task.gains, run.path, log)
+    return recording
+
+
+def _free(folder: Path) -> Path:
+    """`folder`, or the first of folder-2, folder-3 ... that is not there: a resumed run makes a recording of its own."""
+    candidates = (folder.with_name(f"{folder.name}-{n}") for n in range(2, 10_000))
+    return folder if not folder.exists() else next(path for path in candidates if not path.exists())
+
+
+def tell_files(
+    run: RunDirectory, recording: Path | None, finished: bool, options: argparse.Namespace, seconds: float
+) -> None:
+    """Say where each file is and what to run next."""
+    listed = [
+        ("policy", run.policy),
+        ("checkpoint", run.latest),
+        ("best episode's policy", run.best / "policy.safetensors"),
+        ("recording", recording),
+        ("evaluation", run.evaluation),
+        ("tracking plot", run.tracking_plot),
+        ("log", run.log),
+    ]
+    print(f"\n{'Done' if finished else 'Ended early'} after {seconds:.0f} s. Files:")
+    for name, path in listed:
+        if path is not None and path.exists():
+            print(f"  {name:22s} {path}")
+    plant = f"--plant {options.plant}" + (f" --port {options.port}" if options.port else "")
+    print("Next:")
+    if not finished:
+        print(f"  go on            ros2 run hydro_policy trainer {plant} --resume {run.path}")
+    print(f"  full training    ros2 run hydro_policy trainer {plant} --resume {run.path} --episodes 160 --evaluate")
+    print(f"  compare again    ros2 run hydro_policy evaluate {plant} --policy {run.path} --fixed 90 15 --fixed 15 5")

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an evaluation leaves behind: the table (paper Table rmse), JSON, the tracking plot."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.console import Table
+from hydro_policy.evaluation import EvaluationSession, Score, Trace
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+
+
+def table(session: EvaluationSession) -> Table:
+    """Force RMSE, one row for each controller, one column for each frequency; mean, and spread where runs repeat."""
+    columns = {"controller": ""}
+    columns |= {f"{f:g} Hz": "" for f in session.settings.frequencies}
+    spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
+    result = Table(columns, title=f"Force RMSE [N], sines of {session.settings.amplitude:g} N{spread}")
+    for name in dict.fromkeys(score.controller for score in session.scores):
+        cells = {f"{f:g} Hz": _cell(runs(session.scores, name, f)) for f in session.settings.frequencies}
+        result.add(controller=name, **cells)
+    return result
+
+
+def runs(scores: list[Score], controller: str, frequency: float) -> list[Score]:
+    """The runs of one controller at one frequency [Hz]."""
+    return [score for score in scores if score.controller == controller and score.frequency == frequency]
+
+
+def _cell(scores: list[Score]) -> float | str:
+    tripped = sum(score.tripped for score in scores)
+    if tripped:
+        return f"tripped {tripped}/{len(scores)}"
+    values = [score.rmse for score in scores]
+    if len(values) == 1:
+        return float(f"{values[0]:.2f}")
+    return f"{np.mean(values):.2f} +- {np.std(values, ddof=1):.2f}" if values else "-"
+
+
+def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:
+    """Settings, every single run, and `notes`; what is not finite becomes null."""
+
+    def plain(score: Score) -> dict[str, Any]:
+        values = asdict(score)
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+
+    content = {
+        **notes,
+        "settings": asdict(session.settings),
+        "units": {"rmse": "N", "peak": "N", "chatter": "A/s", "frequency": "Hz", "lost": "samples", "held": "samples"},
+        "warnings": session.warnings,
+        "runs": [plain(score) for score in session.scores],
+    }
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def plot(session: EvaluationSession, path: Path) -> None:
+    """The paper's two figures at the fastest sine: tracking and error of the controllers, gains of the first one."""
+    frequency = max(session.settings.frequencies)
+    traces = {t.controller: t for t in session.traces if t.frequency == frequency}
+    if not traces:
+        return
+    first = next(iter(traces.values()))
+    with figure(path, 3, size=(8.0, 6.5), sharex=True, height_ratios=(3, 2, 1.5)) as (drawing, (force, error, gain)):
+        drawing.suptitle(f"Force tracking, {session.settings.amplitude:g} N at {frequency:g} Hz", x=0.01, ha="left")
+        force.plot(first.states["time"], first.states["reference_force"], color=GRAY, linestyle="--", label="reference")
+        for color, trace in zip((BLUE, ORANGE, RED), traces.values(), strict=False):
+            states = trace.states
+            e = states["reference_force"] - states["load_force"]
+            force.plot(states["time"], states["load_force"], color=color, label=trace.controller)
+            rmse = np.sqrt(np.mean(e**2))
+            error.plot(states["time"], e, color=color, label=f"{rmse:.1f} N RMSE")
+        _plot_gains(gain, first)
+        force.set_ylabel("load force [N]")
+        error.set_ylabel("error [N]")
+        for panel in (force, error, gain):
+            legend(panel)
+        drawing.align_ylabels()
+
+
+def _plot_gains(axes: Any, trace: Trace) -> None:
+    states = trace.states
+    axes.plot(states["time"], states["proportional_gain"], color=GREEN, label=f"$K_p$ of {trace.controller}")
+    axes.plot(states["time"], states["integral_gain"], color=ORANGE, label="$K_i$")
+    axes.set(ylabel="[1/s], [1/s²]", xlabel="time [s]", xlim=(states["time"][0], states["time"][-1]))
