@@ -17,7 +17,7 @@ from mcap.records import Channel
 
 from hydro_bridge.bag_files import mcap_files
 from hydro_bridge.bag_writer import RecordingError, TopicQos
-from hydro_bridge.cdr import STATE_TYPE, FixedLayout, NotFixed, fixed_layout
+from hydro_bridge.cdr import STATE_TYPE, FixedLayout, NotFixedError, fixed_layout
 from hydro_bridge.mcap_scan import McapScan, Span
 from hydro_bridge.schema import UnknownTypeError, definition
 from hydro_bridge.signals import STATE_DTYPE, StateArray
@@ -108,7 +108,7 @@ class _Source:
             try:
                 text = schema.data.decode() if schema.encoding == "ros2msg" else definition(schema.name).text
                 self._layouts[key] = fixed_layout(text, schema.name)
-            except (NotFixed, UnknownTypeError):
+            except (NotFixedError, UnknownTypeError):
                 self._layouts[key] = None
             except Exception as error:
                 raise RecordingError(f"{scan.path}: the definition of {schema.name} cannot be read: {error}") from None

@@ -32,7 +32,7 @@ _ENCAPSULATION = 4
 _FRAME_ID = 16  # where the characters of frame_id start, encapsulation included
 
 
-class NotFixed(ValueError):
+class NotFixedError(ValueError):
     """The type has strings, sequences or nested types beyond a header: it has no table of its own."""
 
 
@@ -131,7 +131,7 @@ def fixed_layout(text: str, type_name: str) -> FixedLayout:
 
     Raises
     ------
-    NotFixed
+    NotFixedError
         The type is not numbers with at most a header in front.
     """
     _, members = get_types_from_msg(text, type_name)[type_name]
@@ -139,7 +139,7 @@ def fixed_layout(text: str, type_name: str) -> FixedLayout:
     fields = []
     for name, (_, kind) in members[has_header:]:
         if not isinstance(kind, tuple) or kind[0] not in _NUMBERS:
-            raise NotFixed(f"{type_name}.{name} is not a number")
+            raise NotFixedError(f"{type_name}.{name} is not a number")
         fields.append((name, _NUMBERS[str(kind[0])]))
     return FixedLayout(fields=tuple(fields), has_header=has_header)
 

@@ -18,7 +18,7 @@ from hydro_bridge.clock import BoxClock
 from hydro_bridge.guard import CommandGuard, GuardSettings
 from hydro_bridge.latency import Latency
 from hydro_bridge.port import Port, PortLostError
-from hydro_bridge.protocol import VERSION, BoxInfo, CommandFrame, Hello, State, WrongVersion, encode_command, encode_hello, negotiate
+from hydro_bridge.protocol import VERSION, BoxInfo, CommandFrame, Hello, State, WrongVersionError, encode_command, encode_hello, negotiate
 from hydro_bridge.signals import Flag
 from hydro_bridge.stream import Decoder, LinkCounts, SequenceTracker
 
@@ -197,7 +197,7 @@ class Link:
     def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
         try:
             version = negotiate(frame)
-        except WrongVersion as error:
+        except WrongVersionError as error:
             self._complain(_foreign(error.version))
             return
         if self.state is LinkState.CONNECTED:

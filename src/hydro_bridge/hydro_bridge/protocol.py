@@ -46,19 +46,19 @@ class FrameType(IntEnum):
     COMMAND = 3
 
 
-class Malformed(ValueError):
+class MalformedError(ValueError):
     """A frame whose check sum holds but whose content does not follow the byte tables."""
 
 
-class CheckSumError(Malformed):
+class CheckSumError(MalformedError):
     """The CRC-32 does not hold."""
 
 
-class UnknownType(Malformed):
+class UnknownFrameError(MalformedError):
     """A frame type of this version that is not known here: skipped, so that a newer box may add some."""
 
 
-class WrongVersion(Malformed):
+class WrongVersionError(MalformedError):
     """A frame of another version; `version` says which."""
 
     def __init__(self, version: int) -> None:
@@ -171,27 +171,27 @@ def decode(encoded: bytes) -> Frame:
 
     Raises
     ------
-    Malformed
-        Broken COBS, length or content; `CheckSumError`, `UnknownType` and `WrongVersion` are kinds of it. Nothing else is
+    MalformedError
+        Broken COBS, length or content; `CheckSumError`, `UnknownFrameError` and `WrongVersionError` are kinds of it. Nothing else is
         ever raised.
     """
     try:
         raw = cobs.decode(encoded)
     except cobs.DecodeError as error:
-        raise Malformed(str(error)) from None
+        raise MalformedError(str(error)) from None
     body = raw[:-4]
     if raw[-4:] != _CRC.pack(crc32(body)):
         raise CheckSumError("check sum")
     if len(body) < _HEADER.size:
-        raise Malformed(f"{len(body)} bytes are too few for a header")
+        raise MalformedError(f"{len(body)} bytes are too few for a header")
     version, kind = body[0], body[1]
     if version != (HANDSHAKE if kind == FrameType.HELLO else VERSION):
-        raise WrongVersion(version)
+        raise WrongVersionError(version)
     layout, unpack = _LAYOUTS.get(kind, (None, None))
     if layout is None or unpack is None:
-        raise UnknownType(f"frame type {kind}")
+        raise UnknownFrameError(f"frame type {kind}")
     if len(body) != layout.size:
-        raise Malformed(f"{len(body)} bytes in a {FrameType(kind).name} frame, expected {layout.size}")
+        raise MalformedError(f"{len(body)} bytes in a {FrameType(kind).name} frame, expected {layout.size}")
     return unpack(layout.unpack(body))
 
 
@@ -200,12 +200,12 @@ def negotiate(hello: Hello) -> int:
 
     Raises
     ------
-    WrongVersion
+    WrongVersionError
         There is none; the message says what each end speaks.
     """
     if hello.version_min <= VERSION and hello.version_max >= VERSION_MIN:
         return min(VERSION, hello.version_max)
-    raise WrongVersion(hello.version_max)
+    raise WrongVersionError(hello.version_max)
 
 
 def _wrap(body: bytes) -> bytes:
@@ -225,7 +225,7 @@ def _state(fields: tuple[float, ...]) -> State:
 def _command(fields: tuple[float, ...]) -> CommandFrame:
     (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase) = fields[4:]
     if waveform > Waveform.SMOOTH_STEP:
-        raise Malformed(f"waveform {waveform}")
+        raise MalformedError(f"waveform {waveform}")
     reference = ReferenceSignal(
         waveform=Waveform(int(waveform)), amplitude=amplitude, offset=offset, frequency=frequency, phase=phase
     )

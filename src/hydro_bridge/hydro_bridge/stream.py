@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from hydro_bridge.protocol import MAX_ENCODED, CheckSumError, Frame, Malformed, UnknownType, WrongVersion, decode
+from hydro_bridge.protocol import MAX_ENCODED, CheckSumError, Frame, MalformedError, UnknownFrameError, WrongVersionError, decode
 
 _WRAP = 1 << 32
 
@@ -75,12 +75,12 @@ class Decoder:
     def _check(self, piece: bytes) -> Frame | None:
         try:
             frame = decode(piece)
-        except UnknownType:
+        except UnknownFrameError:
             self.counts.unknown += 1
-        except WrongVersion as error:
+        except WrongVersionError as error:
             self.counts.wrong_version += 1
             self.foreign_version = error.version
-        except Malformed as error:
+        except MalformedError as error:
             self._bad(crc=isinstance(error, CheckSumError))
         else:
             self.counts.frames += 1

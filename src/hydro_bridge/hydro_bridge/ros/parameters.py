@@ -7,6 +7,7 @@ from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 
 from hydro_bridge.settings import FieldDoc, SettingsError, check, describe
@@ -34,7 +35,10 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
         default = getattr(settings, field.name)
         if isinstance(default, (bool, int, float, str)):
             doc = describe(type(settings))[field.name]
-            value = node.declare_parameter(prefix + field.name, default, _descriptor(default, doc)).value
+            try:
+                value = node.declare_parameter(prefix + field.name, default, _descriptor(default, doc)).value
+            except ParameterException as error:
+                raise SettingsError(f"parameter {prefix}{field.name}: {error}; {doc.text}") from None
             chosen[field.name] = _converted(prefix + field.name, value, default)
     declared = replace(settings, **chosen)  # type: ignore[type-var]
     check(declared)

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from hydro_bridge.cdr import STATE_TYPE, NotFixedError, encode_states, fixed_layout
+from hydro_bridge.schema import PACKAGED, UnknownTypeError, definition, installed_definition
+from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
+
+
+@pytest.fixture(scope="module")
+def typestore():
+    store = get_typestore(Stores.EMPTY)
+    for name in PACKAGED:
+        store.register({k: v for k, v in get_types_from_msg(definition(name).text, name).items() if k not in store.types})
+    return store
+
+
+def layout_of(name: str):
+    return fixed_layout(definition(name).text, name)
+
+
+def test_table_of_bench_state_is_the_state_dtype():
+    assert layout_of(STATE_TYPE).table == STATE_DTYPE
+
+
+@pytest.mark.parametrize("frame_id", ["bench", "", "a", "four", "longer than that"])
+def test_states_agree_with_an_independent_codec(typestore, make_states, frame_id):
+    states = make_states(5)
+    rows = encode_states(states, frame_id)
+    for row, state in zip(rows, states, strict=True):
+        message = typestore.deserialize_cdr(row.tobytes(), STATE_TYPE)
+        assert message.header.frame_id == frame_id
+        assert message.sequence == state["sequence"] and message.flags == state["flags"]
+        assert [getattr(message, name) for name in STATE_FIELDS] == [state[name] for name in STATE_FIELDS]
+        assert bytes(typestore.serialize_cdr(message, STATE_TYPE)) == row.tobytes()
+    back = layout_of(STATE_TYPE).decode(rows, np.zeros(5, np.int64))
+    np.testing.assert_allclose(back["time"], states["time"], atol=1e-6, rtol=0)
+    back["time"] = states["time"]
+    assert np.array_equal(back, states)
+
+
+def test_big_endian_and_mixed_frames_are_read(typestore, make_states):
+    states = make_states(2)
+    messages = [typestore.deserialize_cdr(row.tobytes(), STATE_TYPE) for row in encode_states(states)]
+    big = bytes(typestore.serialize_cdr(messages[0], STATE_TYPE, little_endian=False))
+    little = bytes(typestore.serialize_cdr(messages[1], STATE_TYPE))
+    rows = np.frombuffer(big + little, np.uint8).reshape(2, -1)
+    back = layout_of(STATE_TYPE).decode(rows, np.zeros(2, np.int64))
+    assert np.array_equal(back["load_force"], states["load_force"])
+    assert np.array_equal(back["sequence"], states["sequence"])
+
+
+def test_a_type_without_header_takes_the_log_time(typestore):
+    name = "hydro_msgs/msg/ReferenceSignal"
+    message = typestore.types[name](waveform=2, amplitude=300.0, offset=1.0, frequency=0.5, phase=0.1)
+    rows = np.frombuffer(bytes(typestore.serialize_cdr(message, name)), np.uint8)[None]
+    (row,) = layout_of(name).decode(rows, np.array([2_500_000_000]))
+    assert (row["time"], row["waveform"], row["amplitude"], row["frequency"]) == (2.5, 2, 300.0, 0.5)
+
+
+def test_strings_and_sequences_have_no_table():
+    with pytest.raises(NotFixedError):
+        layout_of("diagnostic_msgs/msg/DiagnosticArray")
+
+
+@pytest.mark.parametrize("damage", ["short", "xcdr2", "long frame_id"])
+def test_what_is_no_message_of_the_type_is_refused(make_states, damage):
+    rows = encode_states(make_states(1)).copy()
+    if damage == "short":
+        rows = rows[:, :100]
+    elif damage == "xcdr2":
+        rows[:, 1] = 7
+    else:
+        rows[:, 12] = 250
+    with pytest.raises(ValueError, match=r"bytes|CDR"):
+        layout_of(STATE_TYPE).decode(rows, np.zeros(1, np.int64))
+
+
+@pytest.mark.parametrize("name", PACKAGED)
+def test_packaged_definitions_are_those_of_the_installed_messages(name):
+    if not os.environ.get("AMENT_PREFIX_PATH"):
+        pytest.skip("no ROS environment: nothing is installed to compare with")
+    assert definition(name) == installed_definition(name), "renew it: python -m hydro_bridge.schema"
+
+
+def test_packaged_hashes_agree_with_an_independent_computation(typestore):
+    for name in PACKAGED:
+        assert typestore.hash_rihs01(name) == definition(name).type_hash
+
+
+def test_an_unknown_type_is_named():
+    with pytest.raises(UnknownTypeError, match="no_msgs/msg/Nothing"):
+        definition("no_msgs/msg/Nothing")

@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from math import inf, isfinite, nan
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hydro_bridge.guard import CommandGuard, GuardSettings
+from hydro_bridge.signals import Command, CorrectionStatus, ReferenceSignal, Waveform
+
+anything = st.floats(allow_nan=True, allow_infinity=True)
+LIMITS = GuardSettings()
+
+
+def fresh(**settings: object) -> CommandGuard:
+    guard = CommandGuard(settings=GuardSettings(**settings))  # type: ignore[arg-type]
+    guard.set_gains(30.0, 4.0, 0.0)
+    guard.set_correction(0.01, CorrectionStatus.MODIFIED, 77, 0.0)
+    return guard
+
+
+def test_before_anything_came_the_command_is_the_safe_one_and_nothing_is_complained_of():
+    guard = CommandGuard()
+    assert guard.command(0.0) == Command()
+    assert guard.take_events() == []
+
+
+def test_fresh_inputs_go_through():
+    command = fresh().command(0.01)
+    assert (command.delta_kp, command.delta_ki, command.delta_u) == (30.0, 4.0, 0.01)
+    assert command.corrects == 77 and command.filter_fresh
+
+
+@given(st.lists(st.tuples(anything, anything, anything, st.integers(0, 8), st.floats(0, 1)), max_size=20))
+def test_whatever_comes_in_what_goes_down_is_finite_and_within_limits(inputs):
+    guard = CommandGuard()
+    for kp, ki, u, status, now in sorted(inputs, key=lambda entry: entry[-1]):
+        guard.set_gains(kp, ki, now)
+        guard.set_correction(u, status, 1, now)
+        command = guard.command(now)
+        assert all(map(isfinite, (command.delta_kp, command.delta_ki, command.delta_u)))
+        assert LIMITS.delta_kp_min <= command.delta_kp <= LIMITS.delta_kp_max
+        assert LIMITS.delta_ki_min <= command.delta_ki <= LIMITS.delta_ki_max
+        assert abs(command.delta_u) <= LIMITS.delta_u_max
+
+
+@given(anything, anything, anything, anything)
+def test_whatever_reference_comes_in_what_goes_down_is_fit(amplitude, offset, frequency, phase):
+    guard = CommandGuard()
+    signal = ReferenceSignal(
+        waveform=Waveform.SINE, amplitude=amplitude, offset=offset, frequency=frequency, phase=phase
+    )
+    taken = guard.set_reference(signal)
+    down = guard.command(0.0).reference
+    assert down == (signal if taken else ReferenceSignal())
+    assert all(map(isfinite, (down.amplitude, down.offset, down.frequency, down.phase)))
+    assert down.amplitude + abs(down.offset) <= LIMITS.reference_force_max
+    assert guard.counts.references_refused == (not taken)
+
+
+def test_stale_correction_gives_base_gains_no_correction_and_is_told_once():
+    guard = fresh()
+    assert guard.command(0.02).filter_fresh
+    for now in (0.0201, 0.03, 0.04):
+        command = guard.command(now)
+        assert (command.delta_kp, command.delta_ki, command.delta_u) == (0.0, 0.0, 0.0) and not command.filter_fresh
+    assert guard.counts.stale_correction == 3
+    assert guard.take_events() == ["no correction for 20 ms: base gains, no correction"]
+    guard.set_correction(0.0, CorrectionStatus.PASS, 78, 0.05)
+    assert guard.command(0.05).delta_kp == 30.0
+    assert guard.take_events() == ["corrections are fresh again"]
+
+
+def test_stale_gains_give_base_gains_and_keep_the_correction():
+    guard = fresh()
+    guard.set_correction(0.01, CorrectionStatus.PASS, 300, 0.3)
+    command = guard.command(0.3)
+    assert (command.delta_kp, command.delta_ki, command.delta_u) == (0.0, 0.0, 0.01)
+    assert guard.counts.stale_gains == 1
+    assert guard.take_events() == ["gains are stale: base gains"]
+
+
+@pytest.mark.parametrize("status", [CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.BYPASSED])
+def test_a_filter_that_did_not_decide_is_no_filter(status):
+    guard = fresh()
+    guard.set_correction(0.0, status, 90, 0.021)
+    assert not guard.command(0.021).filter_fresh
+    assert guard.counts.undecided == 1
+
+
+@pytest.mark.parametrize("bad", [nan, inf, -inf])
+def test_not_finite_is_dropped_counted_and_the_last_value_ages_on(bad):
+    guard = fresh()
+    guard.set_gains(bad, 1.0, 0.01)
+    guard.set_correction(bad, CorrectionStatus.PASS, 80, 0.01)
+    assert guard.command(0.01).delta_kp == 30.0
+    assert guard.counts.not_finite == 2
+    assert not guard.command(0.0201).filter_fresh
+    assert guard.take_events()[0] == "gains are not finite: dropped"
+
+
+def test_out_of_range_is_clamped_counted_and_told_once():
+    guard = fresh()
+    for now in (0.0, 0.005, 0.01):
+        guard.set_gains(1e6, -3.0, now)
+    assert guard.command(0.01).delta_kp == 75.0 and guard.command(0.01).delta_ki == 0.0
+    assert guard.counts.clamped == 6
+    assert guard.take_events() == ["delta_kp is outside [0, 75]: clamped", "delta_ki is outside [0, 10]: clamped"]
+
+
+def test_without_the_filter_gains_pass_only_if_that_was_asked_for_and_the_flag_says_so():
+    guard = CommandGuard(settings=GuardSettings(require_filter=False))
+    guard.set_gains(30.0, 4.0, 0.0)
+    command = guard.command(0.01)
+    assert (command.delta_kp, command.delta_u) == (30.0, 0.0) and not command.filter_fresh
+
+
+def test_arming_is_as_last_asked_for():
+    guard = CommandGuard()
+    guard.set_arm(True)
+    assert guard.command(0.0).arm
+    guard.set_arm(False)
+    assert not guard.command(0.0).arm

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bridge's state machine against a small box at the other end of a pseudo-terminal."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+
+import pytest
+
+from hydro_bridge.guard import CommandGuard
+from hydro_bridge.link import Link, LinkState
+from hydro_bridge.port import Port, PortSettings
+from hydro_bridge.protocol import BoxInfo, CommandFrame, Hello, encode_hello, encode_state
+from hydro_bridge.signals import Command, CorrectionStatus, Flag
+from hydro_bridge.stream import Decoder
+
+
+class SmallBox:
+    """Speaks the protocol at 1 kHz: answers greetings, arms when told to."""
+
+    def __init__(self, cable, *, info: BoxInfo | None = None, obeys: bool = True) -> None:
+        self.cable, self.info, self.obeys = cable, info or BoxInfo(name="small box"), obeys
+        self.commands: list[CommandFrame] = []
+        self.flags = Flag(0)
+        self.sequence = 0
+        self.greets = True
+        self.version_max = 1
+        self.running = True
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        decoder, due = Decoder(), time.monotonic()
+        while self.running:
+            with suppress(OSError):
+                for frame in decoder.feed(self._read()):
+                    self._take(frame)
+                last = self.commands[-1].sequence if self.commands else 0
+                os.write(self.cable.box, encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last))
+            self.sequence += 1
+            due += 1e-3
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _read(self) -> bytes:
+        with suppress(BlockingIOError):
+            return os.read(self.cable.box, 4096)
+        return b""
+
+    def _take(self, frame) -> None:
+        if isinstance(frame, Hello) and self.greets:
+            wire = encode_hello(1, 0, self.info)
+            if self.version_max != 1:
+                wire = foreign_hello(self.version_max)
+            os.write(self.cable.box, wire)
+        elif isinstance(frame, CommandFrame):
+            self.commands.append(frame)
+            if self.obeys:
+                self.flags = Flag.ARMED if frame.command.arm else Flag(0)
+
+    def stop(self) -> None:
+        self.running = False
+        self.thread.join()
+
+
+def foreign_hello(version: int) -> bytes:
+    from struct import pack
+    from zlib import crc32
+
+    from cobs import cobs
+
+    body = bytearray(cobs.decode(encode_hello(1, 0, BoxInfo())[1:-1])[:-4])
+    body[14] = body[15] = version
+    return b"\0" + cobs.encode(bytes(body) + pack("<I", crc32(body))) + b"\0"
+
+
+def wait_until(condition: Callable[[], object], timeout: float = 5.0) -> None:
+    end = time.monotonic() + timeout
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.002)
+
+
+class Bench:
+    """A link in its thread, a box, and what came."""
+
+    def __init__(self, cable, **box: object) -> None:
+        self.cable = cable
+        self.log: list[str] = []
+        self.states: list[tuple[int, int, Flag]] = []
+        settings = PortSettings(path=str(cable.path), silence_max=0.3, backoff_first=0.02, backoff_max=0.1)
+        self.link = Link(Port(settings), CommandGuard(), self._on_state, self.log.append)
+        self.box = SmallBox(cable, **box)
+        self.thread = threading.Thread(target=self.link.run, daemon=True)
+        self.thread.start()
+
+    def _on_state(self, state, stamp_ns: int, flags: int) -> None:
+        self.states.append((state.sequence, stamp_ns, Flag(flags)))
+
+    def connected(self) -> Bench:
+        wait_until(lambda: self.link.state is LinkState.CONNECTED and len(self.states) > 20)
+        return self
+
+    def stop(self) -> None:
+        self.link.stop()
+        self.thread.join(5.0)
+        self.box.stop()
+        assert not self.thread.is_alive()
+
+
+@pytest.fixture
+def bench(cable):
+    made: list[Bench] = []
+
+    def make(**box: object) -> Bench:
+        made.append(Bench(cable, **box))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.stop()
+
+
+def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
+    it = bench().connected()
+    wait_until(lambda: len(it.states) > 200)
+    sequences, stamps, _ = zip(*list(it.states), strict=True)
+    assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
+    assert all(a < b for a, b in zip(stamps, stamps[1:], strict=False))
+    assert abs(stamps[-1] - time.time_ns()) < 1e9
+    assert it.log == [f"connected to small box on {it.cable.path}, protocol version 1; disarmed"]
+
+
+def test_a_command_follows_each_state_without_filter_and_states_are_flagged_stale(bench):
+    it = bench().connected()
+    before, seen = len(it.states), it.link.report.commands
+    wait_until(lambda: len(it.states) >= before + 200)
+    assert it.link.report.commands - seen >= 0.95 * (len(it.states) - before)
+    assert it.states[-1][2] & Flag.FILTER_STALE
+    assert it.box.commands[-1].command == Command()
+
+
+def test_a_correction_goes_down_at_once_and_its_turnaround_is_measured(bench):
+    it = bench().connected()
+    sequence = it.states[-1][0]
+    with it.link.lock:
+        it.link.guard.set_correction(0.015625, CorrectionStatus.MODIFIED, sequence, time.monotonic())
+    it.link.send(sequence)
+    wait_until(lambda: any(frame.command.delta_u == 0.015625 for frame in it.box.commands))
+    frame = next(frame for frame in it.box.commands if frame.command.delta_u == 0.015625)
+    assert frame.command.corrects == sequence and frame.command.filter_fresh
+    assert it.link.report.turnaround.count == 1
+    wait_until(lambda: it.link.report.round_trip.count > 0)
+
+
+def test_arming_is_confirmed_by_the_box_and_so_is_disarming(bench):
+    it = bench().connected()
+    assert it.link.arm(True) == ""
+    assert it.box.flags & Flag.ARMED and it.link.flags & Flag.ARMED
+    assert it.link.arm(False) == ""
+    assert not it.box.flags & Flag.ARMED
+
+
+def test_a_box_that_does_not_confirm_is_not_left_armed(bench):
+    it = bench(obeys=False).connected()
+    assert "did not confirm within 0.1 s" in it.link.arm(True, timeout=0.1)
+    assert not it.link.guard.armed
+
+
+def test_a_tripped_box_is_not_armed_before_it_was_disarmed(bench):
+    it = bench(obeys=False).connected()
+    it.box.flags = Flag.TRIPPED | Flag.FORCE_LIMIT
+    wait_until(lambda: it.link.flags & Flag.TRIPPED)
+    assert it.link.arm(True) == "the box has tripped (TRIPPED, FORCE_LIMIT, FILTER_STALE): disarm it, then arm it"
+
+
+def test_unplugged_and_replugged_it_reconnects_disarmed_and_can_be_armed_anew(bench):
+    it = bench().connected()
+    assert it.link.arm(True) == ""
+    it.cable.unplug()
+    wait_until(lambda: it.link.state is LinkState.CLOSED)
+    assert "there is no box" in it.link.arm(True)
+    it.box.commands.clear()
+    it.cable.plug_in()
+    wait_until(lambda: it.link.state is LinkState.CONNECTED)
+    wait_until(lambda: len(it.box.commands) > 20)
+    assert not any(frame.command.arm for frame in it.box.commands)
+    assert it.link.report.reconnects == 1
+    assert it.link.arm(True) == ""
+
+
+def test_a_silent_box_is_asked_again_and_loses_its_arming(bench):
+    it = bench().connected()
+    assert it.link.arm(True) == ""
+    it.box.stop()
+    wait_until(lambda: it.link.state is not LinkState.CONNECTED)
+    assert not it.link.guard.armed
+    assert any("no byte for 0.3 s" in sentence for sentence in it.log)
+
+
+def test_a_restarted_box_is_disarmed_and_followed_from_its_new_count(bench):
+    it = bench()
+    it.box.sequence = 100_000
+    it.connected()
+    assert it.link.arm(True) == ""
+    it.box.sequence = 0
+    wait_until(lambda: it.link.counts.restarts == 1)
+    wait_until(lambda: it.states[-1][0] < 100_000 and len(it.states) > 50)
+    assert not it.link.guard.armed and it.link.counts.lost < 1000
+
+
+def test_another_protocol_version_is_told_once_and_never_commanded(cable):
+    it = Bench.__new__(Bench)
+    it.cable, it.log, it.states = cable, [], []
+    settings = PortSettings(path=str(cable.path))
+    it.link = Link(Port(settings), CommandGuard(), it._on_state, it.log.append)
+    it.box = SmallBox(cable)
+    it.box.version_max = 3
+    it.thread = threading.Thread(target=it.link.run, daemon=True)
+    it.thread.start()
+    time.sleep(0.5)
+    try:
+        assert it.log == [
+            "the box speaks protocol version 3, here 1 is spoken: no command is sent until one is updated"
+        ]
+        assert it.box.commands == [] and it.states == []
+    finally:
+        it.stop()
+
+
+def test_limits_are_those_of_the_box_where_they_are_narrower(bench):
+    it = bench(info=BoxInfo(name="weak", delta_kp_max=10.0, delta_u_max=0.0625)).connected()
+    assert it.link.guard.settings.delta_kp_max == 10.0
+    assert it.link.guard.settings.delta_u_max == 0.0625
+    assert it.link.guard.settings.delta_ki_max == 10.0

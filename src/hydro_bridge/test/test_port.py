@@ -1,0 +1,87 @@
+# SPDX-License-Identifier: Apache-2.0
+"""On real pseudo-terminals: these behave as serial ports do, unplugging included."""
+
+from __future__ import annotations
+
+import os
+import time
+from contextlib import suppress
+
+import pytest
+
+from hydro_bridge.port import Port, PortLostError, PortSettings
+
+
+@pytest.fixture
+def port(cable):
+    made = Port(PortSettings(path=str(cable.path)))
+    yield made
+    made.close()
+
+
+def test_bytes_arrive_as_soon_as_they_are_there(cable, port):
+    port.open()
+    os.write(cable.box, b"\x00\x01\xff\r\n\x03")
+    began = time.monotonic()
+    assert port.read(5.0) == b"\x00\x01\xff\r\n\x03"
+    assert time.monotonic() - began < 1.0
+
+
+def test_nothing_comes_after_the_timeout(port):
+    port.open()
+    began = time.monotonic()
+    assert port.read(0.05) == b""
+    assert time.monotonic() - began >= 0.05
+
+
+def test_bytes_go_out_untouched(cable, port):
+    port.open()
+    assert port.write(bytes(range(256)))
+    assert os.read(cable.box, 1000) == bytes(range(256))
+
+
+def test_the_port_is_opened_exclusively(cable, port):
+    port.open()
+    with pytest.raises(PortLostError, match="in use by another program"):
+        Port(port.settings).open()
+
+
+def test_a_missing_port_is_named():
+    with pytest.raises(PortLostError, match="ttyNONE is not there: is the box plugged in"):
+        Port(PortSettings(path="/dev/ttyNONE")).open()
+
+
+def test_unplugging_is_noticed_by_reading_and_by_writing_and_replugging_opens(cable, port):
+    port.open()
+    cable.unplug()
+    with pytest.raises(PortLostError, match="unplugged"):
+        port.read(1.0)
+    with pytest.raises(PortLostError, match="unplugged"):
+        port.write(b"x")
+    with pytest.raises(PortLostError, match="not there"):
+        port.open()
+    cable.plug_in()
+    port.open()
+    os.write(cable.box, b"again")
+    assert port.read(1.0) == b"again"
+
+
+def test_a_box_that_does_not_read_never_blocks_a_write_and_frames_stay_whole(cable, port):
+    port.open()
+    began = time.monotonic()
+    frames = [b"<%06d>" % n for n in range(20_000)]
+    written = [frame for frame in frames if port.write(frame)]
+    assert time.monotonic() - began < 5.0
+    assert port.dropped_writes == len(frames) - len(written) > 0
+    received = b""
+    with suppress(BlockingIOError):
+        while True:
+            received += os.read(cable.box, 65536)
+            time.sleep(0.001)
+    assert received == b"".join(written)[: len(received)]
+
+
+def test_a_closed_port_says_so():
+    port = Port(PortSettings(path="/dev/ttyNONE"))
+    with pytest.raises(PortLostError, match="closed"):
+        port.read(0.01)

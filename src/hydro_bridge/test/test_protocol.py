@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import struct
+from zlib import crc32
+
+import pytest
+from cobs import cobs
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hydro_bridge.protocol import (
+    HANDSHAKE,
+    MAX_ENCODED,
+    VERSION,
+    BoxInfo,
+    CheckSumError,
+    CommandFrame,
+    Hello,
+    MalformedError,
+    State,
+    UnknownFrameError,
+    WrongVersionError,
+    decode,
+    encode_command,
+    encode_hello,
+    encode_state,
+    negotiate,
+)
+from hydro_bridge.signals import Command, ReferenceSignal, Waveform
+
+u32 = st.integers(0, 2**32 - 1)
+u64 = st.integers(0, 2**64 - 1)
+single = st.floats(width=32, allow_nan=False)
+signals = st.builds(
+    ReferenceSignal, waveform=st.sampled_from(Waveform), amplitude=single, offset=single, frequency=single, phase=single
+)
+commands = st.builds(
+    Command,
+    arm=st.booleans(),
+    delta_kp=single,
+    delta_ki=single,
+    delta_u=single,
+    reference=signals,
+    corrects=u32,
+    filter_fresh=st.booleans(),
+)
+
+
+def inside(wire: bytes) -> bytes:
+    assert wire[0] == 0 and wire[-1] == 0 and 0 not in wire[1:-1]
+    return wire[1:-1]
+
+
+def sealed(body: bytes) -> bytes:
+    return cobs.encode(body + struct.pack("<I", crc32(body)))
+
+
+@given(u32, u64, st.tuples(*[single] * 14), u32, u32)
+def test_state_round_trip(sequence, time_us, values, flags, last):
+    frame = decode(inside(encode_state(sequence, time_us, values, flags, last)))
+    assert frame == State(sequence, time_us, values, flags, last)
+
+
+@given(u32, u64, commands)
+def test_command_round_trip(sequence, time_us, command):
+    assert decode(inside(encode_command(sequence, time_us, command))) == CommandFrame(sequence, time_us, command)
+
+
+@given(u32, u64, st.text(max_size=8), single)
+def test_hello_round_trip(sequence, time_us, name, limit):
+    name = name.replace("\0", "")
+    info = BoxInfo(
+        name=name, valve_current_max=limit, delta_u_max=0.125, sample_period=0.25, base_kp=90.0, delta_ki_max=7.5
+    )
+    assert decode(inside(encode_hello(sequence, time_us, info))) == Hello(sequence, time_us, 1, VERSION, info)
+    assert decode(inside(encode_hello(sequence, time_us))) == Hello(sequence, time_us, 1, VERSION, None)
+
+
+def test_every_frame_fits_between_two_delimiters():
+    info = BoxInfo(name="x" * 100)
+    for wire in (encode_state(1, 2, [1.5] * 14, 3, 4), encode_command(1, 2, Command()), encode_hello(1, 2, info)):
+        assert len(inside(wire)) <= MAX_ENCODED
+
+
+def test_bytes_of_a_state_are_those_of_the_document():
+    body = cobs.decode(inside(encode_state(7, 0x0102030405060708, list(range(14)), 65, 9)))
+    expected = bytes([1, 2]) + struct.pack("<I", 7) + bytes([8, 7, 6, 5, 4, 3, 2, 1])
+    expected += struct.pack("<14f", *range(14)) + struct.pack("<II", 65, 9)
+    assert body == expected + struct.pack("<I", crc32(expected))
+
+
+def test_beyond_float32_becomes_infinity():
+    frame = decode(inside(encode_state(1, 2, [1e300, -1e300, *[0.0] * 12], 0, 0)))
+    assert isinstance(frame, State) and frame.values[:2] == (float("inf"), float("-inf"))
+    command = decode(inside(encode_command(1, 2, Command(delta_kp=1e300))))
+    assert isinstance(command, CommandFrame) and command.command.delta_kp == float("inf")
+
+
+@given(st.binary(max_size=200))
+def test_decoding_hostile_bytes_raises_malformed_only(data):
+    with pytest.raises(MalformedError):
+        decode(data.replace(b"\0", b"\1"))
+
+
+@given(st.binary(max_size=120))
+def test_decoding_hostile_bytes_with_a_valid_check_sum_raises_malformed_only(body):
+    try:
+        decode(sealed(body))
+    except MalformedError as error:
+        assert not isinstance(error, CheckSumError)
+
+
+@given(st.integers(0, 83 * 8 - 1))
+def test_any_flipped_bit_is_refused(bit):
+    wire = bytearray(inside(encode_state(1, 2, [3.25] * 14, 4, 5)))
+    wire[bit // 8 % len(wire)] ^= 1 << bit % 8
+    with pytest.raises(MalformedError):
+        decode(bytes(wire).replace(b"\0", b""))
+
+
+def body_of(wire: bytes) -> bytearray:
+    return bytearray(cobs.decode(inside(wire))[:-4])
+
+
+def test_unknown_type_of_this_version_is_told_from_another_version():
+    body = body_of(encode_state(1, 2, [0.0] * 14, 3, 4))
+    body[1] = 200
+    with pytest.raises(UnknownFrameError):
+        decode(sealed(bytes(body)))
+    body[0], body[1] = 2, 2
+    with pytest.raises(WrongVersionError) as caught:
+        decode(sealed(bytes(body)))
+    assert caught.value.version == 2
+
+
+def test_unknown_waveform_and_wrong_length_are_malformed():
+    body = body_of(encode_command(1, 2, Command()))
+    with pytest.raises(MalformedError, match="bytes in a COMMAND"):
+        decode(sealed(bytes(body) + b"x"))
+    body[34] = 9
+    with pytest.raises(MalformedError, match="waveform 9"):
+        decode(sealed(bytes(body)))
+
+
+def test_versions_are_negotiated():
+    hello = Hello(1, 2, 1, 1, BoxInfo())
+    assert negotiate(hello) == 1
+    assert negotiate(hello._replace(version_max=7)) == VERSION
+    with pytest.raises(WrongVersionError):
+        negotiate(hello._replace(version_min=2, version_max=3))
+    assert HANDSHAKE == 0

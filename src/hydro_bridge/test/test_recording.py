@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings as other programs read them, and recordings by other programs."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from mcap.reader import make_reader
+from mcap.stream_reader import StreamReader
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
+
+from hydro_bridge.cdr import STATE_TYPE, encode_states
+from hydro_bridge.recording import (
+    STATE_TOPIC,
+    BagWriter,
+    RecordingError,
+    TopicQos,
+    continuity,
+    messages,
+    read_bag,
+    repair,
+    stream_bag,
+)
+from hydro_bridge.schema import definition
+
+GAINS = "/hydro/gains"
+GAINS_TYPE = "hydro_msgs/msg/Gains"
+VERSION_9 = {
+    "version", "storage_identifier", "duration", "starting_time", "message_count", "topics_with_message_count",
+    "compression_format", "compression_mode", "relative_file_paths", "files", "custom_data", "ros_distro",
+}  # fmt: skip
+
+
+def gains(count: int, start_ns: int) -> list[tuple[int, bytes]]:
+    """Serialized Gains: header, delta_kp = n, delta_ki = -n, step n."""
+    head = b"\0\1\0\0" + np.array([start_ns // 10**9, 0, 1], "<u4").tobytes() + b"\0\0\0\0"
+    numbers = [(n, np.array([n, -n], "<f8").tobytes() + np.array([n], "<u4").tobytes()) for n in range(count)]
+    return [(start_ns + 10_000_000 * n, head + tail) for n, tail in numbers]
+
+
+@pytest.fixture
+def states(make_states):
+    return make_states(5000)
+
+
+@pytest.fixture
+def bag(tmp_path, states) -> Path:
+    folder = tmp_path / "run"
+    with BagWriter(folder, metadata={"weights": "sha256:1"}, attachments={"bench.yaml": b"stroke: 0.08\n"}) as writer:
+        writer.add_topic(GAINS, GAINS_TYPE)
+        for piece in np.array_split(states, 5):
+            writer.write_states(piece)
+            writer.flush()
+        for time_ns, data in gains(500, 1_700_000_000 * 10**9):
+            writer.write(GAINS, data, time_ns)
+    return folder
+
+
+def same(read, written) -> bool:
+    return all(np.array_equal(read[name], written[name]) for name in written.dtype.names if name != "time") and (
+        np.allclose(read["time"], written["time"], rtol=0, atol=1e-6)
+    )
+
+
+def mcap_of(folder: Path) -> Path:
+    (path,) = folder.glob("*.mcap")
+    return path
+
+
+@pytest.mark.parametrize("single", [False, True], ids=["folder", "file"])
+def test_what_was_written_is_read(bag, states, single):
+    recording = read_bag(mcap_of(bag) if single else bag)
+    assert same(recording.state, states)
+    assert recording.topics == {STATE_TOPIC: STATE_TYPE, GAINS: GAINS_TYPE}
+    assert np.array_equal(recording[GAINS]["delta_ki"], -np.arange(500.0))
+    assert recording.metadata["hydro"] == {"weights": "sha256:1"}
+    assert recording.attachments == {"bench.yaml": b"stroke: 0.08\n"}
+    assert recording.qos[STATE_TOPIC] == TopicQos(reliability="best_effort", depth=50)
+    assert recording.notes == ()
+    assert continuity(recording.state).whole
+
+
+@pytest.mark.parametrize("single", [False, True], ids=["folder", "file"])
+def test_rosbags_reads_every_message(bag, states, single):
+    store = get_typestore(Stores.EMPTY)
+    with Reader(mcap_of(bag) if single else bag) as reader:
+        from rosbags.typesys import get_types_from_msg
+
+        for connection in reader.connections:
+            types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+            store.register({name: fields for name, fields in types.items() if name not in store.types})
+        read = [
+            store.deserialize_cdr(data, connection.msgtype)
+            for connection, _, data in reader.messages()
+            if connection.topic == STATE_TOPIC
+        ]
+        assert {connection.topic: connection.msgcount for connection in reader.connections} == {
+            STATE_TOPIC: len(states),
+            GAINS: 500,
+        }
+        if not single:
+            assert {c.digest for c in reader.connections} == {
+                definition(STATE_TYPE).type_hash,
+                definition(GAINS_TYPE).type_hash,
+            }
+    assert [message.sequence for message in read] == states["sequence"].tolist()
+    assert [message.load_force for message in read] == states["load_force"].tolist()
+
+
+def test_mcap_reads_it_and_every_check_sum_holds(bag, states):
+    with mcap_of(bag).open("rb") as stream:
+        records = list(StreamReader(stream, validate_crcs=True).records)
+    assert sum(type(record).__name__ == "Message" for record in records) == len(states) + 500
+    with mcap_of(bag).open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary is not None and summary.statistics is not None
+        assert reader.get_header().profile == "ros2"
+        assert summary.statistics.message_count == len(states) + 500
+        assert all(chunk.message_index_offsets for chunk in summary.chunk_indexes)
+        assert len(summary.chunk_indexes) >= 5
+        for channel in summary.channels.values():
+            schema = summary.schemas[channel.schema_id]
+            assert schema.encoding == "ros2msg" and b"=" * 80 + b"\nMSG: std_msgs/Header\n" in schema.data
+            assert channel.metadata["topic_type_hash"] == definition(schema.name).type_hash
+            assert yaml.safe_load(channel.metadata["offered_qos_profiles"])[0]["history"] == "keep_last"
+        assert sum(1 for _ in reader.iter_messages(topics=[STATE_TOPIC])) == len(states)
+
+
+def test_metadata_yaml_has_every_key_of_version_9(bag, states):
+    text = (bag / "metadata.yaml").read_text()
+    information = yaml.safe_load(text)["rosbag2_bagfile_information"]
+    assert set(information) == VERSION_9 and information["version"] == 9
+    assert information["message_count"] == len(states) + 500
+    assert information["duration"]["nanoseconds"] == pytest.approx(4.999e9, abs=1e3)
+    assert information["relative_file_paths"] == [file["path"] for file in information["files"]] == ["run_0.mcap"]
+    for topic in information["topics_with_message_count"]:
+        assert isinstance(topic["topic_metadata"]["offered_qos_profiles"], list)
+        assert topic["topic_metadata"]["type_description_hash"].startswith("RIHS01_")
+    assert "&" not in text
+
+
+def test_streaming_gives_the_same_in_small_pieces(bag, states):
+    pieces = list(stream_bag(bag))
+    assert len(pieces) >= 5 and max(map(len, pieces)) <= 1000
+    assert same(np.concatenate(pieces), states)
+
+
+def test_messages_come_as_recorded_by_time_within_a_block(bag, states):
+    read = list(messages(bag))
+    assert len(read) == len(states) + 500
+    data = encode_states(states)
+    assert [d for topic, _, _, d in read if topic == STATE_TOPIC] == [row.tobytes() for row in data]
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.MCAP])
+def test_a_recording_by_rosbags_is_read(tmp_path, states, plugin):
+    known = definition(STATE_TYPE)
+    with Writer(tmp_path / "other", version=9, storage_plugin=plugin) as writer:
+        connection = writer.add_connection(STATE_TOPIC, STATE_TYPE, msgdef=known.text, rihs01=known.type_hash)
+        for row, time in zip(encode_states(states), states["time"], strict=True):
+            writer.write(connection, int(time * 1e9), row.tobytes())
+    assert same(read_bag(tmp_path / "other").state, states)
+
+
+def test_selected_topics_only(bag):
+    assert set(read_bag(bag, [GAINS]).tables) == {GAINS}
+
+
+@pytest.mark.parametrize("keep", [0.3, 0.6, 0.95])
+def test_a_recording_cut_off_anywhere_is_read_up_to_there_and_repaired(bag, states, keep):
+    path = mcap_of(bag)
+    path.write_bytes(path.read_bytes()[: int(keep * path.stat().st_size)])
+    cut = read_bag(bag)
+    count = len(cut.state)
+    assert 0 < count <= len(states) and same(cut.state, states[:count])
+    assert "was not finished" in cut.notes[0]
+    kept = repair(bag)
+    whole = read_bag(bag)
+    assert whole.notes == () and same(whole.state, states[:count])
+    assert whole.qos == cut.qos and whole.attachments == cut.attachments
+    with Reader(bag) as reader:
+        assert sum(1 for _ in reader.messages()) == kept
+    assert sorted(file.name for file in bag.iterdir()) == sorted(["metadata.yaml", mcap_of(bag).name])
+    assert not list(bag.parent.glob(".*.repair"))
+
+
+def test_at_any_time_the_folder_is_a_recording_and_what_was_flushed_is_there(tmp_path, states):
+    writer = BagWriter(tmp_path / "now")
+    writer.write_states(states[:1000])
+    writer.flush()
+    writer.write_states(states[1000:1500])  # still in memory
+    read = read_bag(tmp_path / "now")
+    assert same(read.state, states[:1000]) and read.notes
+    information = yaml.safe_load((tmp_path / "now/metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert set(information) == VERSION_9 and "not finished" in information["custom_data"]["hydro"]
+    writer.close()
+    assert same(read_bag(tmp_path / "now").state, states[:1500])
+
+
+def test_nothing_is_overwritten(bag):
+    with pytest.raises(RecordingError, match="exists already"):
+        BagWriter(bag)
+
+
+def test_a_whole_recording_is_not_repaired(bag):
+    with pytest.raises(RecordingError, match="nothing to repair"):
+        repair(bag)
+
+
+def test_damage_is_found_by_its_check_sum(bag):
+    path = mcap_of(bag)
+    data = bytearray(path.read_bytes())
+    with path.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+    assert summary is not None
+    data[summary.chunk_indexes[2].chunk_start_offset + summary.chunk_indexes[2].chunk_length // 2] ^= 0x10
+    path.write_bytes(data)
+    with pytest.raises(RecordingError, match="is damaged"):
+        read_bag(bag)
+
+
+def test_errors_are_one_clear_sentence(tmp_path, bag):
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "empty.mcap").touch()
+    (tmp_path / "text.mcap").write_text("no recording")
+    sentences = {
+        tmp_path / "nowhere": "does not exist",
+        tmp_path / "empty": "there is no .mcap in it",
+        tmp_path / "empty.mcap": "is empty",
+        tmp_path / "text.mcap": "is no MCAP file",
+    }
+    for path, sentence in sentences.items():
+        with pytest.raises(RecordingError, match=sentence):
+            read_bag(path)
+    with pytest.raises(RecordingError, match=r"no messages on /nothing; there is /hydro/gains, /hydro/state"):
+        read_bag(bag, ["/nothing"])
+    with pytest.raises(RecordingError, match="no messages on /nothing"):
+        list(stream_bag(bag, "/nothing"))
+
+
+def test_a_folder_without_metadata_is_read_with_a_note(bag, states):
+    (bag / "metadata.yaml").unlink()
+    recording = read_bag(bag)
+    assert same(recording.state, states) and "has no metadata.yaml" in recording.notes[0]
+
+
+def test_another_type_on_the_state_topic_is_told(tmp_path):
+    with BagWriter(tmp_path / "odd") as writer:
+        writer.add_topic(STATE_TOPIC, GAINS_TYPE)
+        for time_ns, data in gains(3, 10**9):
+            writer.write(STATE_TOPIC, data, time_ns)
+    with pytest.raises(RecordingError, match="is no hydro_msgs/msg/BenchState: it has no sequence"):
+        _ = read_bag(tmp_path / "odd").state
+
+
+def test_a_moved_folder_is_read(bag, states, tmp_path):
+    shutil.move(bag, tmp_path / "elsewhere")
+    assert same(read_bag(tmp_path / "elsewhere").state, states)
+
+
+def test_an_interrupted_sequence_is_reported(make_states):
+    states = make_states(1000)
+    assert continuity(states).whole
+    gap = continuity(np.delete(states, slice(100, 103)))
+    assert (gap.lost, gap.time_jumps, gap.whole) == (3, 0, False)
+    twice = continuity(np.concatenate([states[:10], states[9:]]))
+    assert (twice.duplicates, twice.lost) == (1, 0)
+    jump = states.copy()
+    jump["time"][500:] += 0.25
+    assert continuity(jump).time_jumps == 1 and continuity(jump).largest_jump == pytest.approx(0.25)
+    assert continuity(make_states(10, first=2**32 - 5)).whole
+    assert continuity(np.concatenate([make_states(5, first=10**7), make_states(5)])).restarts == 1

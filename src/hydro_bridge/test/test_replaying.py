@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from hydro_bridge.recording import STATE_TOPIC, BagWriter
+from hydro_bridge.recording_run import sequence_of
+from hydro_bridge.replaying import Replay, restamp
+from hydro_bridge.settings import SettingsError
+
+
+@pytest.fixture
+def bag(tmp_path, make_states):
+    with BagWriter(tmp_path / "run") as writer:
+        writer.write_states(make_states(300, first=1000))
+    return tmp_path / "run"
+
+
+def stamp(data: bytes) -> float:
+    sec, nanosec = np.frombuffer(data[4:12], "<u4")
+    return float(sec) + 1e-9 * float(nanosec)
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_messages_come_at_their_times_freshly_stamped(bag, speed):
+    came: list[tuple[float, bytes]] = []
+    Replay(bag, [STATE_TOPIC], lambda _, data: came.append((time.time(), data)), speed=speed).run()
+    assert [sequence_of(data) for _, data in came] == list(range(1000, 1300))
+    stamps = np.array([stamp(data) for _, data in came])
+    np.testing.assert_allclose(np.diff(stamps), 1e-3 / speed, atol=2e-6)
+    late = np.array([at for at, _ in came]) - stamps
+    assert np.all(late > -1e-3) and np.median(late) < 0.02
+
+
+def test_stamps_may_be_kept(bag):
+    came: list[bytes] = []
+    Replay(bag, [STATE_TOPIC], lambda _, data: came.append(data), speed=50.0, keep_stamps=True).run()
+    assert stamp(came[0]) == pytest.approx(1.7e9)
+
+
+def test_stopping_ends_a_loop(bag):
+    replay = Replay(bag, [STATE_TOPIC], lambda *_: None, speed=30.0, loop=True)
+    thread = threading.Thread(target=replay.run)
+    thread.start()
+    end = time.monotonic() + 10.0
+    while replay.published < 700 and time.monotonic() < end:
+        time.sleep(0.01)
+    replay.stop()
+    thread.join(2.0)
+    assert not thread.is_alive() and replay.published >= 700
+
+
+def test_restamping_changes_nothing_else(bag):
+    data = bytes(range(144))
+    assert restamp(data, 5_000_000_007) == data[:4] + b"\5\0\0\0\7\0\0\0" + data[12:]
+
+
+def test_speed_must_be_positive(bag):
+    with pytest.raises(SettingsError, match="above 0"):
+        Replay(bag, [], lambda *_: None, speed=0.0)

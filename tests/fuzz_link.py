@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A million hostile frames to the decoder of the serial line: `make fuzz`, or python tests/fuzz_link.py --frames 1000000.
+
+Frames of all types are sent through a line that damages them, each in one of the ways of `DAMAGES`, and cuts the stream
+anywhere. What must hold, and ends the program with status 1 where it does not: nothing is raised; no frame is accepted that
+was not sent; every frame that arrives whole is accepted, also right behind garbage; what is kept of a stream is bounded.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from binascii import crc32
+from collections.abc import Callable
+from random import Random
+
+from cobs import cobs
+
+from hydro_bridge.console import Table, add_json_argument, progress
+from hydro_bridge.protocol import MAX_ENCODED, BoxInfo, Frame, decode, encode_command, encode_hello, encode_state
+from hydro_bridge.signals import Command, ReferenceSignal, Waveform
+from hydro_bridge.stream import Decoder
+
+BATCH = 2000
+
+COLUMNS = {
+    "damage": "what was done to these frames",
+    "frames": "how many",
+    "delivered": "accepted just as sent (a duplicate counts twice)",
+    "refused": "not accepted",
+    "forged": "accepted although never sent: must be 0",
+    "whole_lost": "arrived whole and were not accepted: must be 0",
+}
+
+
+def _flip(wire: bytes, random: Random) -> bytes:
+    """One to eight bits turned over anywhere, delimiters included."""
+    damaged = bytearray(wire)
+    for _ in range(random.randint(1, 8)):
+        damaged[random.randrange(len(damaged))] ^= 1 << random.randrange(8)
+    return bytes(damaged)
+
+
+def _drop(wire: bytes, random: Random) -> bytes:
+    """Bytes missing in the middle."""
+    begin = random.randrange(1, len(wire) - 1)
+    return wire[:begin] + wire[begin + random.randint(1, 8) :]
+
+
+def _insert(wire: bytes, random: Random) -> bytes:
+    """Bytes too many in the middle."""
+    place = random.randrange(1, len(wire) - 1)
+    return wire[:place] + random.randbytes(random.randint(1, 8)) + wire[place:]
+
+
+def _truncate(wire: bytes, random: Random) -> bytes:
+    """The end is missing."""
+    return wire[: random.randrange(len(wire) - 1)]
+
+
+def _overwrite(wire: bytes, random: Random) -> bytes:
+    """A burst of noise over part of the frame."""
+    begin = random.randrange(len(wire))
+    burst = random.randbytes(random.randint(1, len(wire) - begin))
+    return wire[:begin] + burst + wire[begin + len(burst) :]
+
+
+def _seal_anew(wire: bytes, random: Random) -> bytes:
+    """Another version, type or length, with a check sum that holds: a foreign or a broken sender."""
+    body = bytearray(cobs.decode(wire[1:-1])[:-4])
+    body[random.choice((0, 1))] = random.randrange(4, 256)
+    body += random.randbytes(random.choice((0, 0, 1, 40)))
+    return b"\0" + cobs.encode(bytes(body) + crc32(body).to_bytes(4, "little")) + b"\0"
+
+
+def _garbage_before(wire: bytes, random: Random) -> bytes:
+    """Noise of any length right in front of a whole frame."""
+    return random.randbytes(random.choice((1, 3, 20, 5 * MAX_ENCODED))) + wire
+
+
+def _duplicate(wire: bytes, random: Random) -> bytes:
+    """The same frame twice."""
+    return wire + wire
+
+
+def _nothing(wire: bytes, random: Random) -> bytes:
+    """Nothing done."""
+    return wire
+
+
+DAMAGES: dict[str, tuple[Callable[[bytes, Random], bytes], bool]] = {
+    "none": (_nothing, True),
+    "bits flipped": (_flip, False),
+    "bytes dropped": (_drop, False),
+    "bytes inserted": (_insert, False),
+    "truncated": (_truncate, False),
+    "overwritten": (_overwrite, False),
+    "foreign": (_seal_anew, False),
+    "garbage before": (_garbage_before, True),
+    "duplicated": (_duplicate, True),
+    "reordered": (_nothing, True),
+}
+"""What is done, and whether the frame is still whole after it."""
+
+
+def make_frame(sequence: int, random: Random) -> bytes:
+    """A frame of any type with random content."""
+    time_us, kind = random.getrandbits(64), random.random()
+    if kind < 0.6:
+        return encode_state(sequence, time_us, [random.gauss(0, 1e4) for _ in range(14)], random.getrandbits(8), sequence)
+    if kind < 0.98:
+        numbers = [random.gauss(0, 100) for _ in range(7)]
+        signal = ReferenceSignal(
+            waveform=random.choice(tuple(Waveform)),
+            amplitude=numbers[3],
+            offset=numbers[4],
+            frequency=numbers[5],
+            phase=numbers[6],
+        )
+        command = Command(
+            arm=random.random() < 0.5,
+            delta_kp=numbers[0],
+            delta_ki=numbers[1],
+            delta_u=numbers[2],
+            reference=signal,
+            corrects=random.getrandbits(32),
+            filter_fresh=random.random() < 0.5,
+        )
+        return encode_command(sequence, time_us, command)
+    return encode_hello(sequence, time_us, BoxInfo(name="box", base_kp=random.random()) if kind < 0.99 else None)
+
+
+def hostile_batch(first: int, count: int, random: Random) -> tuple[bytes, dict[int, tuple[str, Frame]]]:
+    """Stream of damaged frames, and what was sent: sequence -> damage, frame."""
+    sent: dict[int, tuple[str, Frame]] = {}
+    wires: list[tuple[str, bytes]] = []
+    names = tuple(DAMAGES)
+    for sequence in range(first, first + count):
+        damage, wire = random.choice(names), make_frame(sequence, random)
+        sent[sequence] = (damage, decode(wire[1:-1]))
+        wires.append((damage, DAMAGES[damage][0](wire, random)))
+    for place in range(count - 1):
+        if wires[place][0] == "reordered":
+            wires[place], wires[place + 1] = wires[place + 1], wires[place]
+    return b"".join(wire for _, wire in wires) + b"\0", sent
+
+
+def cut(stream: bytes, random: Random) -> list[bytes]:
+    """The stream in chunks of 1 to 400 bytes, as a port would deliver it."""
+    chunks, place = [], 0
+    while place < len(stream):
+        size = random.choice((1, 2, 16, 85, 400))
+        chunks.append(stream[place : place + size])
+        place += size
+    return chunks
+
+
+def fuzz(frames: int, seed: int) -> tuple[Table, int]:
+    """Send `frames` frames; the table of results, and the number of violations."""
+    random, decoder = Random(seed), Decoder()
+    tally = {damage: dict.fromkeys(list(COLUMNS)[1:], 0) for damage in DAMAGES}
+    kept = 0
+    with progress(total=frames, label="hostile frames", unit=" frames") as bar:
+        for first in range(0, frames, BATCH):
+            count = min(BATCH, frames - first)
+            stream, sent = hostile_batch(first, count, random)
+            seen: set[int] = set()
+            for chunk in cut(stream, random):
+                for frame in decoder.feed(chunk):
+                    damage, original = sent.get(frame.sequence, ("overwritten", None))
+                    tally[damage]["delivered" if frame == original else "forged"] += 1
+                    seen.add(frame.sequence)
+                kept = max(kept, len(decoder._pending))
+            for sequence, (damage, _) in sent.items():
+                tally[damage]["frames"] += 1
+                tally[damage]["refused"] += sequence not in seen
+                tally[damage]["whole_lost"] += DAMAGES[damage][1] and sequence not in seen
+            bar.update(count)
+    table = Table(COLUMNS, title=f"{frames} frames, seed {seed}; at most {kept} bytes kept; {decoder.counts}")
+    for damage, numbers in tally.items():
+        table.add(damage=damage, **numbers)
+    violations = sum(row["forged"] + row["whole_lost"] for row in table.rows) + (kept > MAX_ENCODED)
+    return table, violations
+
+
+def main() -> int:
+    """Entry point; exit status 1 if a rule was broken."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=1_000_000, help="how many (default: %(default)s)")
+    parser.add_argument("--seed", type=int, default=0, help="of everything random (default: %(default)s)")
+    add_json_argument(parser)
+    options = parser.parse_args()
+    began = time.perf_counter()
+    table, violations = fuzz(options.frames, options.seed)
+    table.show(options.json)
+    print(f"{time.perf_counter() - began:.0f} s; {violations} violations")
+    return 1 if violations else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
