@@ -2,8 +2,11 @@
 """The whole graph: a plant, the filter, the recorder, the trainer.
 
 `ros2 launch hydro_policy train.launch.py plant:=sim|emulator|bench [port:=/dev/ttyUSB0] [out:=runs/launched]`. When the
-trainer ends, so does everything else.
+trainer ends, so does everything else. On the bench it waits until somebody arms: `ros2 service call /hydro/arm
+std_srvs/srv/SetBool '{data: true}'`.
 """
+
+from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription, LaunchDescriptionEntity
 from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction, Shutdown
@@ -20,9 +23,8 @@ def include(package: str, name: str, **arguments: str) -> IncludeLaunchDescripti
     return IncludeLaunchDescription(PythonLaunchDescriptionSource(path), launch_arguments=arguments.items())
 
 
-def plant(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+def plant(kind: str, port: str) -> list[LaunchDescriptionEntity]:
     """One of the three interchangeable sources of /hydro/state."""
-    kind, port = (LaunchConfiguration(name).perform(context) for name in ("plant", "port"))
     if kind == "sim":
         return [include("hydro_sim", "sim")]
     if kind == "emulator":
@@ -33,24 +35,33 @@ def plant(context: LaunchContext) -> list[LaunchDescriptionEntity]:
     return [include("hydro_bridge", "bridge", port=port)]
 
 
-def generate_launch_description() -> LaunchDescription:
-    out = LaunchConfiguration("out")
-    trainer = Node(
+def recorder(out: Path) -> Node:
+    return Node(package="hydro_bridge", executable="recorder", arguments=["--out", str(out / "bag")], output="screen")
+
+
+def trainer(kind: str, out: Path) -> Node:
+    run = ["--runs", str(out.parent), "--name", out.name]
+    return Node(
         package="hydro_policy",
         executable="trainer",
-        arguments=["--plant", "external", "--out", out],
+        arguments=["--plant", "external", "--rearm", "ask" if kind == "bench" else "auto", *run],
         output="screen",
         emulate_tty=True,
         on_exit=Shutdown(reason="the trainer has ended"),
     )
+
+
+def graph(context: LaunchContext) -> list[LaunchDescriptionEntity]:
+    kind, port, out = (LaunchConfiguration(name).perform(context) for name in ("plant", "port", "out"))
+    return [*plant(kind, port), include("hydro_filter", "filter"), recorder(Path(out)), trainer(kind, Path(out))]
+
+
+def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("plant", default_value="emulator", choices=["sim", "emulator", "bench"]),
             DeclareLaunchArgument("port", default_value="", description="serial device of the box"),
-            DeclareLaunchArgument("out", default_value="runs/launched", description="folder of the run"),
-            OpaqueFunction(function=plant),
-            include("hydro_filter", "filter"),
-            Node(package="hydro_bridge", executable="recorder", arguments=["--out", [out, "/bag"]], output="screen"),
-            trainer,
+            DeclareLaunchArgument("out", default_value="runs/launched", description="folder of the run, made here"),
+            OpaqueFunction(function=graph),
         ]
     )
