@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A million hostile frames to the decoder of the serial line: `make fuzz`, or python tests/fuzz_link.py --frames 1000000.
+"""A million hostile frames to the decoder of the serial line: `make fuzz`, or python tests/fuzz_link.py.
 
-Frames of all types are sent through a line that damages them, each in one of the ways of `DAMAGES`, and cuts the stream
-anywhere. What must hold, and ends the program with status 1 where it does not: nothing is raised; no frame is accepted that
-was not sent; every frame that arrives whole is accepted, also right behind garbage; what is kept of a stream is bounded.
+Frames of all types are sent through a line that damages them, each in one of the ways of `DAMAGES`, and cuts the
+stream anywhere. What must hold, and ends the program with status 1 where it does not: nothing is raised; no frame is
+accepted that was not sent; every frame that arrives whole is accepted, also right behind garbage; what is kept of a
+stream is bounded.
 """
 
 from __future__ import annotations
@@ -108,7 +109,9 @@ def make_frame(sequence: int, random: Random) -> bytes:
     """A frame of any type with random content."""
     time_us, kind = random.getrandbits(64), random.random()
     if kind < 0.6:
-        return encode_state(sequence, time_us, [random.gauss(0, 1e4) for _ in range(14)], random.getrandbits(8), sequence)
+        return encode_state(
+            sequence, time_us, [random.gauss(0, 1e4) for _ in range(14)], random.getrandbits(8), sequence
+        )
     if kind < 0.98:
         numbers = [random.gauss(0, 100) for _ in range(7)]
         signal = ReferenceSignal(

@@ -124,7 +124,7 @@ class BagWriter:
         self.flush()
 
     def add_topic(self, topic: str, type_name: str, qos: TopicQos | None = None) -> None:
-        """Announce a topic of type `package/msg/Type`; once, before its first message. Raises `schema.UnknownTypeError`."""
+        """Announce a topic of type `package/msg/Type`, once, before its first message; raises UnknownTypeError."""
         qos = qos or TopicQos()
         known = definition(type_name)
         if type_name not in self._schemas:

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """Serialized messages <-> arrays, many at a time.
 
-A message of numbers only, with at most a header in front, has the same bytes at the same places in every sample once the length
-of `header.frame_id` is known. So a thousand of them are one numpy view, not a thousand Python objects::
+A message of numbers only, with at most a header in front, has the same bytes at the same places in every sample once
+the length of `header.frame_id` is known. So a thousand of them are one numpy view, not a thousand Python objects::
 
     00 01 00 00 | sec i4 | nanosec u4 | length u4 | frame_id ... NUL, padding | numbers, each aligned to its size
-    CDR, little   0        4            8           12                          offsets count from behind the first four bytes
+    CDR, little   0        4            8           12
+
+The offsets count from behind the first four bytes.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ class FixedLayout:
             offsets.append(place + _ENCAPSULATION)
             place += size
         spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": place + _ENCAPSULATION}
-        return np.dtype(spec)  # type: ignore[call-overload,no-any-return]
+        return np.dtype(spec)  # type: ignore[call-overload]
 
     def decode(self, rows: ByteRows, log_times: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
         """Table of serialized messages.

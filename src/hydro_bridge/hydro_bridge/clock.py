@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The box's clock mapped to ROS time.
 
-A sample taken at box time b arrives at host time a = b + offset + delay, and the delay is never negative. So the smallest a - b
-within a window is the best estimate of the offset, the quickest delivery's delay included; the window forgets, for the two
-clocks drift. The estimate is slewed and never stepped: stamps are strictly monotone and a sample's spacing stays the box's.
+A sample taken at box time b arrives at host time a = b + offset + delay, and the delay is never negative. So the
+smallest a - b within a window is the best estimate of the offset, the quickest delivery's delay included; the window
+forgets, for the two clocks drift. The estimate is slewed and never stepped: stamps are strictly monotone and a
+sample's spacing stays the box's.
 """
 
 from __future__ import annotations

@@ -39,20 +39,21 @@ def fail(sentence: str) -> NoReturn:
 
 
 def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Callable[[], NoReturn]]:
-    """Decorate a `main`: its known errors become one sentence, Ctrl-C exit status 130, its return value the exit status.
+    """Decorate a `main`: known errors become one sentence, Ctrl-C status 130, its return value the exit status.
 
     Parameters
     ----------
     errors
         Known errors besides those of this package: for all others the traceback stays.
     """
+    known: tuple[type[Exception], ...] = (UserError, *KNOWN_ERRORS, *errors)
 
     def decorate(main: Callable[[], int | None]) -> Callable[[], NoReturn]:
         @wraps(main)
         def wrapped() -> NoReturn:
             try:
                 status = main() or 0
-            except (UserError, *KNOWN_ERRORS, *errors) as error:
+            except known as error:
                 fail(str(error))
             except KeyboardInterrupt:
                 status = 130
@@ -69,8 +70,11 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
 def progress(
     items: Iterable[T] | None = None, *, total: float | None = None, label: str = "", unit: str = "it"
 ) -> tqdm[T]:
-    """Progress bar on standard error: iterate it, or `update` it; nothing is drawn where standard error is no terminal."""
-    return tqdm(items, total=total, desc=label or None, unit=unit, file=sys.stderr, disable=None, dynamic_ncols=True)
+    """Progress bar on standard error, none where that is no terminal: iterate it, or `update` it."""
+    bar: tqdm[Any] = tqdm(
+        items, total=total, desc=label or None, unit=unit, file=sys.stderr, disable=None, dynamic_ncols=True
+    )
+    return bar
 
 
 @dataclass
@@ -112,7 +116,7 @@ class Table:
             self.write_json(json_file)
 
     def write_json(self, path: Path | str) -> None:
-        """Write `{"title": ..., "columns": {key: meaning}, "rows": [{key: value}]}`; what is not finite becomes null."""
+        """Write `{"title", "columns": {key: meaning}, "rows": [{key: value}]}`; what is not finite becomes null."""
         rows = [{key: _plain(value) for key, value in row.items()} for row in self.rows]
         content = {"title": self.title, "columns": dict(self.columns), "rows": rows}
         Path(path).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

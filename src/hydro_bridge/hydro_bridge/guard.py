@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What may go to the valve: every command of every plant node is put together here, finite, clamped and fresh.
 
-The guard believes nobody. A value that is not finite is dropped, one out of range is clamped, an old one is replaced by the
-safe one (base gains, no correction); each is counted, and each change is told once in a sentence (`take_events`).
-Source: failure table of docs/architecture.md.
+The guard believes nobody. A value that is not finite is dropped, one out of range is clamped, an old one is replaced
+by the safe one (base gains, no correction); each is counted, and each change is told once in a sentence
+(`take_events`). Source: failure table of docs/architecture.md.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class GuardSettings:
     delta_ki_max: float = 10.0
     """1/s^2, largest change of the integral gain, [0, 100]."""
     delta_u_max: float = 0.1
-    """A, largest magnitude of the correction, [0, 0.2]; twice the valve's current brings any nominal current anywhere."""
+    """A, largest magnitude of the correction, [0, 0.2]; twice the valve's current gets from end to end."""
     reference_force_max: float = 1000.0
     """N, largest |offset| + amplitude of the reference, [0, 5000]."""
     reference_frequency_max: float = 20.0
@@ -42,7 +42,7 @@ class GuardSettings:
     gains_age_max: float = 0.2
     """s, older gains are stale, [0.01, 2]."""
     require_filter: bool = True
-    """Without a fresh correction: base gains. False lets gains pass unfiltered; that is logged, flagged and on /diagnostics."""
+    """Without a fresh correction: base gains. False lets gains pass unfiltered: logged, flagged and on /diagnostics."""
 
 
 @dataclass(kw_only=True)

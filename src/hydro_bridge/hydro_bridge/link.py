@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bridge's end of the serial line: the state machine of docs/protocol.md, without ROS.
 
-One thread runs `run`: it opens the port, negotiates, hands each new sample on and sees to it that a command follows each
-sample. Other threads tell the guard what is wanted (under `lock`) and may `send` at once. CLOSED -> OPEN -> CONNECTED.
+One thread runs `run`: it opens the port, negotiates, hands each new sample on and sees to it that a command follows
+each sample. Other threads tell the guard what is wanted (under `lock`) and may `send` at once. CLOSED -> OPEN ->
+CONNECTED.
 """
 
 from __future__ import annotations
@@ -18,7 +19,17 @@ from hydro_bridge.clock import BoxClock
 from hydro_bridge.guard import CommandGuard, GuardSettings
 from hydro_bridge.latency import Latency
 from hydro_bridge.port import Port, PortLostError
-from hydro_bridge.protocol import VERSION, BoxInfo, CommandFrame, Hello, State, WrongVersionError, encode_command, encode_hello, negotiate
+from hydro_bridge.protocol import (
+    VERSION,
+    BoxInfo,
+    CommandFrame,
+    Hello,
+    State,
+    WrongVersionError,
+    encode_command,
+    encode_hello,
+    negotiate,
+)
 from hydro_bridge.signals import Flag
 from hydro_bridge.stream import Decoder, LinkCounts, SequenceTracker
 
@@ -60,7 +71,8 @@ class Link:
     guard
         Asked for every command; its limits are narrowed to those of the box on connecting.
     on_state
-        Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE filled in.
+        Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE filled
+        in.
     log
         Called with a sentence when something changes.
     """
@@ -146,7 +158,9 @@ class Link:
                 return f"the box has tripped ({_names(self.flags)}): disarm it, then arm it"
             self.guard.set_arm(arm)
         with self._news:
-            if self.state is LinkState.CLOSED or self._news.wait_for(lambda: bool(self.flags & Flag.ARMED) == arm, timeout):
+            if self.state is LinkState.CLOSED or self._news.wait_for(
+                lambda: bool(self.flags & Flag.ARMED) == arm, timeout
+            ):
                 return ""
         with self.lock:
             self.guard.set_arm(False)
@@ -210,7 +224,9 @@ class Link:
             self.guard.set_arm(False)
         self.report.reconnects += self._connected_before
         self._connected_before, self._corrected, self._complaint = True, False, ""
-        self._log(f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed")
+        self._log(
+            f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed"
+        )
 
     def _note_flags(self, flags: Flag) -> None:
         changed, self.flags = (flags ^ self.flags) & Flag.ARMED, flags
@@ -258,7 +274,9 @@ def _names(flags: Flag) -> str:
 
 
 def _foreign(version: int) -> str:
-    return f"the box speaks protocol version {version}, here {VERSION} is spoken: no command is sent until one is updated"
+    return (
+        f"the box speaks protocol version {version}, here {VERSION} is spoken: no command is sent until one is updated"
+    )
 
 
 def _within(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial port: opened exclusively and for low latency, read without waiting longer than needed, never blocked by a write."""
+"""The serial port: exclusive, low latency, never blocked by a write, and it may come and go."""
 
 from __future__ import annotations
 
@@ -54,7 +54,8 @@ class Port:
         except (serial.SerialException, OSError, ValueError) as error:
             raise PortLostError(_reason(path, error)) from None
         self.low_latency = False
-        with contextlib.suppress(Exception):  # pseudo-terminals and most drivers have no such mode, each says so its own way
+        # Pseudo-terminals and most drivers have no such mode, and each says so in its own way.
+        with contextlib.suppress(Exception):
             self._serial.set_low_latency_mode(True)
             self.low_latency = True
 

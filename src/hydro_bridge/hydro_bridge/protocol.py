@@ -18,7 +18,7 @@ from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
 
-from cobs import cobs  # type: ignore[import-untyped]
+from cobs import cobs
 
 from hydro_bridge.signals import STATE_FIELDS, Command, ReferenceSignal, Waveform
 
@@ -172,8 +172,8 @@ def decode(encoded: bytes) -> Frame:
     Raises
     ------
     MalformedError
-        Broken COBS, length or content; `CheckSumError`, `UnknownFrameError` and `WrongVersionError` are kinds of it. Nothing else is
-        ever raised.
+        Broken COBS, length or content; `CheckSumError`, `UnknownFrameError` and `WrongVersionError` are kinds of it.
+        Nothing else is ever raised.
     """
     try:
         raw = cobs.decode(encoded)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording of a running graph: bytes in as they come, counted, handed to the operating system twice a second. No ROS."""
+"""A recording of a running graph, without ROS: bytes as they come, counted, handed to the system twice a second."""
 
 from __future__ import annotations
 

@@ -37,8 +37,8 @@ class Replay:
     loop
         Begin again at the end.
     keep_stamps
-        Leave the header stamps as recorded; else each message is stamped with the time at which it is due, since a consumer
-        takes an old stamp for a stale sample.
+        Leave the header stamps as recorded; else each message is stamped with the time at which it is due, since a
+        consumer takes an old stamp for a stale sample.
     """
 
     def __init__(

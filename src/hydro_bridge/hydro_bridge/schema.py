@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Message definitions as recordings carry them: ros2msg text with its nested types, and the RIHS01 type hash.
 
-Those of the hydro graph are package data, so that recordings are written without a ROS installation; others come from the
-ament index. `python -m hydro_bridge.schema` renews the package data from the installed messages; a test compares the two.
+Those of the hydro graph are package data, so that recordings are written without a ROS installation; others come from
+the ament index. `python -m hydro_bridge.schema` renews the package data from the installed messages; a test compares
+the two.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a settings dataclass says about its fields, read from where it says it: the sentence below each field.
 
-The sentence gives the unit first and may give a range as ``[low, high]``. Parameters, command lines and checks all take it from
-here, so that it is written once.
+The sentence gives the unit first and may give a range as ``[low, high]``. Parameters, command lines and checks all
+take it from here, so that it is written once.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import inspect
 import re
 import textwrap
 from dataclasses import dataclass, fields
-from functools import cache
+from itertools import pairwise
 from typing import Any
 
 _RANGE = re.compile(r"\[\s*(-?[\d.]+(?:e[+-]?\d+)?)\s*,\s*(-?[\d.]+(?:e[+-]?\d+)?)\s*\]", re.IGNORECASE)
@@ -31,13 +31,21 @@ class FieldDoc:
     high: float | None
 
 
-@cache
+_KNOWN: dict[type[Any], dict[str, FieldDoc]] = {}
+
+
 def describe(settings: type[Any]) -> dict[str, FieldDoc]:
     """Documentation of each field of a settings dataclass, in order; empty text where there is none."""
+    if settings not in _KNOWN:
+        _KNOWN[settings] = _describe(settings)
+    return _KNOWN[settings]
+
+
+def _describe(settings: type[Any]) -> dict[str, FieldDoc]:
     tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
     body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
     texts: dict[str, str] = {}
-    for node, below in zip(body, body[1:], strict=False):
+    for node, below in pairwise(body):
         if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(below, ast.Expr):
             value = below.value
             if isinstance(value, ast.Constant) and isinstance(value.value, str):

@@ -1,14 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
 """From a stream of bytes to frames, whatever happens on the way: nothing raises, everything is counted.
 
-`Decoder` cuts the stream at the delimiters and checks each piece; `SequenceTracker` tells new samples from repeated and late ones.
+`Decoder` cuts the stream at the delimiters and checks each piece; `SequenceTracker` tells new samples from repeated
+and late ones.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from hydro_bridge.protocol import MAX_ENCODED, CheckSumError, Frame, MalformedError, UnknownFrameError, WrongVersionError, decode
+from hydro_bridge.protocol import (
+    MAX_ENCODED,
+    CheckSumError,
+    Frame,
+    MalformedError,
+    UnknownFrameError,
+    WrongVersionError,
+    decode,
+)
 
 _WRAP = 1 << 32
 
@@ -99,8 +108,8 @@ class Decoder:
 class SequenceTracker:
     """Tells which sequence numbers are new.
 
-    A number up to `window` behind the newest is a duplicate or late; one further behind, or more than `leap` ahead, means that
-    the sender was restarted.
+    A number up to `window` behind the newest is a duplicate or late; one further behind, or more than `leap` ahead,
+    means that the sender was restarted.
     """
 
     counts: LinkCounts = field(default_factory=LinkCounts)

@@ -4,14 +4,22 @@
 from __future__ import annotations
 
 import os
+import threading
+import time
 import tty
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
+from struct import pack
+from zlib import crc32
 
 import numpy as np
 import pytest
+from cobs import cobs
 
-from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, StateArray
+from hydro_bridge.protocol import BoxInfo, CommandFrame, Hello, encode_hello, encode_state
+from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, Flag, StateArray
+from hydro_bridge.stream import Decoder
 
 
 @pytest.fixture
@@ -56,3 +64,67 @@ def cable(tmp_path: Path) -> Iterator[Cable]:
     made = Cable(tmp_path / "ttyBOX")
     yield made
     made.unplug()
+
+
+class SmallBox:
+    """Speaks the protocol at 1 kHz: answers greetings, arms when told to."""
+
+    def __init__(self, cable: Cable, *, info: BoxInfo | None = None, obeys: bool = True, version: int = 1) -> None:
+        self.cable, self.info, self.obeys, self.version = cable, info or BoxInfo(name="small box"), obeys, version
+        self.commands: list[CommandFrame] = []
+        self.flags = Flag(0)
+        self.sequence = 0
+        self.running = True
+        self.thread = threading.Thread(target=self._run, daemon=True)
+        self.thread.start()
+
+    def _run(self) -> None:
+        decoder, due = Decoder(), time.monotonic()
+        while self.running:
+            with suppress(OSError):
+                for frame in decoder.feed(self._read()):
+                    self._take(frame)
+                last = self.commands[-1].sequence if self.commands else 0
+                os.write(
+                    self.cable.box, encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last)
+                )
+            self.sequence += 1
+            due += 1e-3
+            time.sleep(max(0.0, due - time.monotonic()))
+
+    def _read(self) -> bytes:
+        with suppress(BlockingIOError):
+            return os.read(self.cable.box, 4096)
+        return b""
+
+    def _take(self, frame: object) -> None:
+        if isinstance(frame, Hello):
+            os.write(self.cable.box, _hello(self.info, self.version))
+        elif isinstance(frame, CommandFrame):
+            self.commands.append(frame)
+            if self.obeys:
+                self.flags = Flag.ARMED if frame.command.arm else Flag(0)
+
+    def stop(self) -> None:
+        self.running = False
+        self.thread.join()
+
+
+def _hello(info: BoxInfo, version: int) -> bytes:
+    """HELLO of a box that speaks one version only, whichever."""
+    body = bytearray(cobs.decode(encode_hello(1, 0, info)[1:-1])[:-4])
+    body[14] = body[15] = version
+    return b"\0" + cobs.encode(bytes(body) + pack("<I", crc32(body))) + b"\0"
+
+
+@pytest.fixture
+def small_box(cable: Cable) -> Iterator[Callable[..., SmallBox]]:
+    made: list[SmallBox] = []
+
+    def make(**options: object) -> SmallBox:
+        made.append(SmallBox(cable, **options))  # type: ignore[arg-type]
+        return made[-1]
+
+    yield make
+    for box in made:
+        box.stop()

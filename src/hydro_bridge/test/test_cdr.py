@@ -16,7 +16,9 @@ from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
 def typestore():
     store = get_typestore(Stores.EMPTY)
     for name in PACKAGED:
-        store.register({k: v for k, v in get_types_from_msg(definition(name).text, name).items() if k not in store.types})
+        store.register(
+            {k: v for k, v in get_types_from_msg(definition(name).text, name).items() if k not in store.types}
+        )
     return store
 
 

@@ -3,78 +3,18 @@
 
 from __future__ import annotations
 
-import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from itertools import pairwise
 
 import pytest
 
 from hydro_bridge.guard import CommandGuard
 from hydro_bridge.link import Link, LinkState
 from hydro_bridge.port import Port, PortSettings
-from hydro_bridge.protocol import BoxInfo, CommandFrame, Hello, encode_hello, encode_state
+from hydro_bridge.protocol import BoxInfo
 from hydro_bridge.signals import Command, CorrectionStatus, Flag
-from hydro_bridge.stream import Decoder
-
-
-class SmallBox:
-    """Speaks the protocol at 1 kHz: answers greetings, arms when told to."""
-
-    def __init__(self, cable, *, info: BoxInfo | None = None, obeys: bool = True) -> None:
-        self.cable, self.info, self.obeys = cable, info or BoxInfo(name="small box"), obeys
-        self.commands: list[CommandFrame] = []
-        self.flags = Flag(0)
-        self.sequence = 0
-        self.greets = True
-        self.version_max = 1
-        self.running = True
-        self.thread = threading.Thread(target=self._run, daemon=True)
-        self.thread.start()
-
-    def _run(self) -> None:
-        decoder, due = Decoder(), time.monotonic()
-        while self.running:
-            with suppress(OSError):
-                for frame in decoder.feed(self._read()):
-                    self._take(frame)
-                last = self.commands[-1].sequence if self.commands else 0
-                os.write(self.cable.box, encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last))
-            self.sequence += 1
-            due += 1e-3
-            time.sleep(max(0.0, due - time.monotonic()))
-
-    def _read(self) -> bytes:
-        with suppress(BlockingIOError):
-            return os.read(self.cable.box, 4096)
-        return b""
-
-    def _take(self, frame) -> None:
-        if isinstance(frame, Hello) and self.greets:
-            wire = encode_hello(1, 0, self.info)
-            if self.version_max != 1:
-                wire = foreign_hello(self.version_max)
-            os.write(self.cable.box, wire)
-        elif isinstance(frame, CommandFrame):
-            self.commands.append(frame)
-            if self.obeys:
-                self.flags = Flag.ARMED if frame.command.arm else Flag(0)
-
-    def stop(self) -> None:
-        self.running = False
-        self.thread.join()
-
-
-def foreign_hello(version: int) -> bytes:
-    from struct import pack
-    from zlib import crc32
-
-    from cobs import cobs
-
-    body = bytearray(cobs.decode(encode_hello(1, 0, BoxInfo())[1:-1])[:-4])
-    body[14] = body[15] = version
-    return b"\0" + cobs.encode(bytes(body) + pack("<I", crc32(body))) + b"\0"
 
 
 def wait_until(condition: Callable[[], object], timeout: float = 5.0) -> None:
@@ -87,13 +27,13 @@ def wait_until(condition: Callable[[], object], timeout: float = 5.0) -> None:
 class Bench:
     """A link in its thread, a box, and what came."""
 
-    def __init__(self, cable, **box: object) -> None:
+    def __init__(self, cable, small_box, **box: object) -> None:
         self.cable = cable
         self.log: list[str] = []
         self.states: list[tuple[int, int, Flag]] = []
         settings = PortSettings(path=str(cable.path), silence_max=0.3, backoff_first=0.02, backoff_max=0.1)
         self.link = Link(Port(settings), CommandGuard(), self._on_state, self.log.append)
-        self.box = SmallBox(cable, **box)
+        self.box = small_box(**box)
         self.thread = threading.Thread(target=self.link.run, daemon=True)
         self.thread.start()
 
@@ -107,16 +47,15 @@ class Bench:
     def stop(self) -> None:
         self.link.stop()
         self.thread.join(5.0)
-        self.box.stop()
         assert not self.thread.is_alive()
 
 
 @pytest.fixture
-def bench(cable):
+def bench(cable, small_box):
     made: list[Bench] = []
 
     def make(**box: object) -> Bench:
-        made.append(Bench(cable, **box))
+        made.append(Bench(cable, small_box, **box))
         return made[-1]
 
     yield make
@@ -129,7 +68,7 @@ def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
     wait_until(lambda: len(it.states) > 200)
     sequences, stamps, _ = zip(*list(it.states), strict=True)
     assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
-    assert all(a < b for a, b in zip(stamps, stamps[1:], strict=False))
+    assert all(a < b for a, b in pairwise(stamps))
     assert abs(stamps[-1] - time.time_ns()) < 1e9
     assert it.log == [f"connected to small box on {it.cable.path}, protocol version 1; disarmed"]
 
@@ -212,23 +151,11 @@ def test_a_restarted_box_is_disarmed_and_followed_from_its_new_count(bench):
     assert not it.link.guard.armed and it.link.counts.lost < 1000
 
 
-def test_another_protocol_version_is_told_once_and_never_commanded(cable):
-    it = Bench.__new__(Bench)
-    it.cable, it.log, it.states = cable, [], []
-    settings = PortSettings(path=str(cable.path))
-    it.link = Link(Port(settings), CommandGuard(), it._on_state, it.log.append)
-    it.box = SmallBox(cable)
-    it.box.version_max = 3
-    it.thread = threading.Thread(target=it.link.run, daemon=True)
-    it.thread.start()
+def test_another_protocol_version_is_told_once_and_never_commanded(bench):
+    it = bench(version=3)
     time.sleep(0.5)
-    try:
-        assert it.log == [
-            "the box speaks protocol version 3, here 1 is spoken: no command is sent until one is updated"
-        ]
-        assert it.box.commands == [] and it.states == []
-    finally:
-        it.stop()
+    assert it.log == ["the box speaks protocol version 3, here 1 is spoken: no command is sent until one is updated"]
+    assert it.box.commands == [] and it.states == []
 
 
 def test_limits_are_those_of_the_box_where_they_are_narrower(bench):

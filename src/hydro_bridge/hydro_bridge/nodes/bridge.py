@@ -88,7 +88,7 @@ def arguments(own: Sequence[str]) -> tuple[PortSettings, bool]:
     """Settings and whether to ask for real-time scheduling, from the command line."""
     parser = argparse.ArgumentParser(
         prog="bridge",
-        description="The box on a serial line as topics: /hydro/state up; gains, correction, reference and arming down.",
+        description="The box on a serial line as topics: /hydro/state; gains, correction, reference, /hydro/arm.",
         epilog="Limits, ages and time-outs are ROS parameters: --ros-args -p guard.delta_kp_max:=50.0. The plant is "
         "armed by `ros2 service call /hydro/arm std_srvs/srv/SetBool '{data: true}'` or by the trainer.",
     )

@@ -54,7 +54,10 @@ class RecorderNode(Node):
         reliable = offered.reliability == ReliabilityPolicy.RELIABLE
         latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
         qos = QoSProfile(
-            history=HistoryPolicy.KEEP_LAST, depth=_QUEUE, reliability=offered.reliability, durability=offered.durability
+            history=HistoryPolicy.KEEP_LAST,
+            depth=_QUEUE,
+            reliability=offered.reliability,
+            durability=offered.durability,
         )
         recorded = TopicQos(
             reliability="reliable" if reliable else "best_effort",
@@ -88,8 +91,8 @@ class RecorderNode(Node):
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="recorder",
-        description="Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM; after kill -9 all but "
-        "the last second is there: every hydro tool reads it as it is, --repair makes it whole for all others.",
+        description="Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM. After kill -9 all "
+        "but the last second is there: hydro's tools read it as it is, --repair makes it whole for all others.",
         epilog="In Python: hydro_bridge.recording.read_bag(DIR).state['load_force'].",
     )
     action = parser.add_mutually_exclusive_group(required=True)

@@ -9,9 +9,11 @@ from __future__ import annotations
 import argparse
 import threading
 from pathlib import Path
+from typing import Any
 
 import rclpy
 from rclpy.node import Node
+from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
 
 from hydro_bridge.bag_writer import RecordingError
@@ -64,7 +66,7 @@ class ReplayerNode(Node):
         return Status(message="replaying", values=values)
 
 
-def _kind(topic: str) -> tuple[type, str, object]:
+def _kind(topic: str) -> tuple[type[Any], str, QoSProfile]:
     if topic not in GRAPH:
         raise RecordingError(f"{topic} is no topic of the hydro graph: use `ros2 bag play`")
     kind, qos = GRAPH[topic]
@@ -75,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="replayer",
         description="Publish a recording in the place of the bench: filter, trainer and recorder see the same topics.",
-        epilog="`ros2 bag play BAG` works too; the replayer stamps each sample anew, so that nobody takes it for stale.",
+        epilog="`ros2 bag play BAG` works too; this one stamps each sample anew, so that none is taken for stale.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
     parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Companion processes: executables of our packages, started and ended with the program that needs them, without `ros2 launch`.
+"""Companion processes: executables of our packages that start and end with the program that needs them.
 
-Each runs in a process group of its own. None outlives its parent: not on a clean exit, not on an error, and not on `kill -9`,
-for the kernel then sends it SIGTERM (PR_SET_PDEATHSIG).
+Each runs in a process group of its own. None outlives its parent: not on a clean exit, not on an error, and not on
+`kill -9`, for the kernel then sends it SIGTERM (PR_SET_PDEATHSIG).
 """
 
 from __future__ import annotations
@@ -49,7 +49,8 @@ class Companion:
     name
         In front of each line of its output; the executable's by default.
     output
-        Where its output goes; standard error by default, so that a progress bar or a table on standard output stays whole.
+        Where its output goes; standard error by default, so that a progress bar or a table on standard output stays
+        whole.
     """
 
     def __init__(
@@ -72,7 +73,7 @@ class Companion:
             text=True,
             errors="replace",
             start_new_session=True,
-            preexec_fn=lambda: _die_with(parent),
+            preexec_fn=lambda: _die_with(parent),  # noqa: PLW1509 - one call into libc, loaded before
         )
         self._echo = threading.Thread(target=self._repeat_output, name=f"output of {self.name}", daemon=True)
         self._echo.start()
@@ -83,7 +84,7 @@ class Companion:
         return self.process.poll() is None
 
     def stop(self, timeout: float = 5.0) -> int:
-        """End the process group: SIGINT, after `timeout` seconds SIGKILL. Returns the exit status, negative for a signal."""
+        """End the process group, by SIGINT and after `timeout` s by SIGKILL; the exit status, negative for a signal."""
         if self.running:
             self._signal(signal.SIGINT)
             try:
@@ -95,7 +96,7 @@ class Companion:
         self._echo.join(1.0)
         return status
 
-    def __enter__(self) -> Companion:  # noqa: PYI034 - typing has Self from 3.11 on
+    def __enter__(self) -> Companion:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -107,10 +108,11 @@ class Companion:
 
     def _repeat_output(self) -> None:
         assert self.process.stdout is not None
-        for line in self.process.stdout:
-            with suppress(ValueError):  # the program's output is closed already
-                self._output.write(f"[{self.name}] {line.rstrip()}\n")
-                self._output.flush()
+        with self.process.stdout as lines:
+            for line in lines:
+                with suppress(ValueError):  # the program's output is closed already
+                    self._output.write(f"[{self.name}] {line.rstrip()}\n")
+                    self._output.flush()
 
 
 def _die_with(parent: int) -> None:

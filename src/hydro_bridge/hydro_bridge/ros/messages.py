@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_msgs.msg import BenchState
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
-
-from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
 
 
 class StateMessage:

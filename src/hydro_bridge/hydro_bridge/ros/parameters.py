@@ -21,7 +21,8 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
     Parameters
     ----------
     settings
-        Instance of a settings dataclass: its values are the defaults. Fields that are no numbers, strings or flags are left out.
+        Instance of a settings dataclass: its values are the defaults. Fields that are no numbers, strings or flags
+        are left out.
     prefix
         Put in front of each name, for instance ``guard.``.
 

@@ -6,8 +6,9 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
-from hydro_msgs.msg import BenchState, Correction, Gains, ReferenceSignal, TrainingStatus
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+from hydro_msgs.msg import BenchState, Correction, Gains, ReferenceSignal, TrainingStatus
 
 STATE = "/hydro/state"
 GAINS = "/hydro/gains"

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The executables as users start them, in a running graph."""
+
+from __future__ import annotations
+
+import io
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import IO
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from rosbags.rosbag2 import Reader  # noqa: E402
+from std_srvs.srv import SetBool  # noqa: E402
+
+from hydro_bridge.recording import STATE_TOPIC, BagWriter, continuity, read_bag  # noqa: E402
+from hydro_bridge.ros import (  # noqa: E402
+    ARM_SERVICE,
+    CORRECTION,
+    GAINS,
+    GRAPH,
+    REFERENCE,
+    STATE,
+    Companion,
+    CompanionError,
+    executable_path,
+    reference_to_message,
+)
+from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform  # noqa: E402
+from hydro_msgs.msg import BenchState, Correction, Gains  # noqa: E402
+
+pytestmark = pytest.mark.graph
+
+
+class Probe:
+    """A node of the test's own: hears states, publishes what it is told."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("probe", context=self.context)
+        self.states: list[BenchState] = []
+        self.node.create_subscription(BenchState, STATE, self.states.append, GRAPH[STATE][1])
+        self.senders = {
+            topic: self.node.create_publisher(GRAPH[topic][0], topic, GRAPH[topic][1])
+            for topic in (GAINS, CORRECTION, REFERENCE)
+        }
+        self.arming = self.node.create_client(SetBool, ARM_SERVICE)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+
+    def wait(self, condition: Callable[[], object], timeout: float = 20.0) -> None:
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, "it did not happen"
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def arm(self, arm: bool) -> SetBool.Response:
+        self.wait(self.arming.service_is_ready)
+        answer = self.arming.call_async(SetBool.Request(data=arm))
+        self.wait(answer.done)
+        return answer.result()
+
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def probe() -> Iterator[Probe]:
+    made = Probe()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[..., Companion]]:
+    started: list[Companion] = []
+
+    def begin(executable: str, *arguments: object, output: io.StringIO | None = None) -> Companion:
+        companion = Companion("hydro_bridge", executable, [str(word) for word in arguments], output=output)
+        started.append(companion)
+        return companion
+
+    yield begin
+    for companion in started:
+        companion.stop()
+
+
+def test_bridge_carries_states_up_and_commands_down(cable, small_box, probe, start):
+    box = small_box()
+    start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.correction_age_max:=0.2")
+    probe.wait(lambda: len(probe.states) > 100)
+    assert probe.states[-1].flags & Flag.FILTER_STALE and probe.states[-1].header.frame_id == "bench"
+    signal_ = ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5)
+    probe.senders[REFERENCE].publish(reference_to_message(signal_))
+    probe.wait(lambda: box.commands[-1].command.reference == signal_)
+
+    def steered() -> bool:
+        probe.senders[GAINS].publish(Gains(delta_kp=32.0, delta_ki=2.0))
+        sequence, passed = probe.states[-1].sequence, int(CorrectionStatus.PASS)
+        probe.senders[CORRECTION].publish(Correction(sequence=sequence, delta_u=0.015625, status=passed))
+        command = box.commands[-1].command
+        return (command.delta_kp, command.delta_ki, command.delta_u) == (32.0, 2.0, 0.015625) and command.filter_fresh
+
+    probe.wait(steered)
+    probe.wait(lambda: box.commands[-1].command.delta_kp == 0.0)  # what came last grows stale
+    assert box.commands[-1].command.delta_u == 0.0
+
+
+def test_bridge_arms_disarms_and_is_disarmed_after_replugging(cable, small_box, probe, start):
+    box = small_box()
+    start("bridge", "--port", cable.path)
+    probe.wait(lambda: len(probe.states) > 20)
+    answer = probe.arm(True)
+    assert answer.success and answer.message == "armed" and box.flags & Flag.ARMED
+    cable.unplug()
+    time.sleep(0.3)
+    refused = probe.arm(True)
+    assert not refused.success and "there is no box" in refused.message
+    cable.plug_in()
+    seen = len(probe.states)
+    probe.wait(lambda: len(probe.states) > seen + 50)
+    assert not box.flags & Flag.ARMED
+    assert probe.arm(True).success
+    assert probe.arm(False).message == "disarmed" and not box.flags & Flag.ARMED
+
+
+def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start):
+    box = small_box()
+    bridge = start("bridge", "--port", cable.path)
+    probe.wait(lambda: len(probe.states) > 20)
+    assert probe.arm(True).success
+    assert bridge.stop() == 0
+    assert not box.commands[-1].command.arm
+
+
+def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, start, tmp_path):
+    small_box()
+    start("bridge", "--port", cable.path)
+    probe.wait(lambda: len(probe.states) > 20)
+    attached = tmp_path / "bench.yaml"
+    attached.write_text("stroke: 0.08\n")
+    recorder = start("recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached)
+    probe.wait((tmp_path / "run").exists)
+    time.sleep(3.0)
+    assert recorder.stop() == 0
+    recording = read_bag(tmp_path / "run")
+    assert len(recording.state) > 1000 and recording.notes == ()
+    assert continuity(recording.state, tolerance=0.5).lost == 0
+    assert recording.metadata["hydro"]["seed"] == "3" and recording.metadata["hydro"]["code_version"]
+    assert recording.attachments == {"bench.yaml": b"stroke: 0.08\n"}
+    assert "/diagnostics" in recording.topics
+    for path in (tmp_path / "run", tmp_path / "run/run_0.mcap"):
+        with Reader(path) as reader:
+            assert sum(1 for _ in reader.messages()) >= len(recording.state)
+
+
+def test_killed_recorder_loses_less_than_a_second(cable, small_box, probe, start, tmp_path):
+    small_box()
+    start("bridge", "--port", cable.path)
+    probe.wait(lambda: len(probe.states) > 20)
+    recorder = start("recorder", "--out", tmp_path / "run")
+    probe.wait((tmp_path / "run").exists)
+    begin = time.monotonic()
+    probe.wait(lambda: time.monotonic() > begin + 4.0)
+    os.killpg(recorder.process.pid, signal.SIGKILL)
+    recorder.process.wait()
+    last = probe.states[-1].sequence
+    recording = read_bag(tmp_path / "run")
+    states = recording.state
+    assert last - int(states["sequence"][-1]) < 1000
+    assert len(states) > 1000 and continuity(states, tolerance=0.5).lost == 0
+    assert "was not finished" in recording.notes[0]
+    assert start("recorder", "--repair", tmp_path / "run").process.wait(20.0) == 0
+    with Reader(tmp_path / "run") as reader:
+        read = [connection.topic for connection, _, _ in reader.messages()]
+    assert read.count(STATE_TOPIC) == len(states)
+
+
+def test_recorder_refuses_to_overwrite(start, tmp_path):
+    output = io.StringIO()
+    recorder = start("recorder", "--out", tmp_path, output=output)
+    assert recorder.process.wait(20.0) == 2
+    recorder.stop()
+    assert output.getvalue() == f"[recorder] error: {tmp_path} exists already; a recording is never overwritten\n"
+
+
+def test_replayer_takes_the_plants_place(probe, start, tmp_path, make_states):
+    states = make_states(1500)
+    with BagWriter(tmp_path / "run") as writer:
+        writer.write_states(states)
+    replayer = start("replayer", tmp_path / "run", "--loop")
+    probe.wait(lambda: len(probe.states) > 500)
+    answer = probe.arm(True)
+    assert not answer.success and answer.message == "a recording cannot be armed"
+    message = probe.states[-1]
+    assert message.load_force == states["load_force"][message.sequence]
+    assert abs(message.header.stamp.sec - time.time()) < 3
+    assert replayer.stop() == 0
+
+
+def test_companions_die_with_their_parent_even_if_it_is_killed(tmp_path):
+    code = (
+        "import sys, time; from hydro_bridge.ros import Companion; "
+        f"c = Companion('hydro_bridge', 'recorder', ['--out', {str(tmp_path / 'run')!r}]); "
+        "print(c.process.pid, flush=True); time.sleep(60)"
+    )
+    parent = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert parent.stdout is not None
+    child = int(parent.stdout.readline())
+    reading = threading.Thread(target=_drain, args=(parent.stdout,))
+    reading.start()
+    end = time.monotonic() + 20.0
+    while not (tmp_path / "run/metadata.yaml").exists() and time.monotonic() < end:
+        time.sleep(0.05)
+    parent.kill()
+    parent.wait()
+    reading.join(5.0)
+    while _alive(child) and time.monotonic() < end:
+        time.sleep(0.05)
+    assert not _alive(child)
+
+
+def _drain(pipe: IO[str]) -> None:
+    with pipe:
+        pipe.read()
+
+
+def _alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def test_an_executable_that_is_not_there_is_named():
+    with pytest.raises(CompanionError, match="hydro_bridge has no executable nothing"):
+        executable_path("hydro_bridge", "nothing")
