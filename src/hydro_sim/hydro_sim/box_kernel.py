@@ -13,7 +13,7 @@ from numba import njit
 
 from hydro_bridge.signals import Flag, Waveform
 from hydro_sim import force_law, reference
-from hydro_sim.hydraulics import SAMPLE
+from hydro_sim.timing import SAMPLE
 
 ARMED, SATURATED, WATCHDOG = int(Flag.ARMED), int(Flag.SATURATED), int(Flag.WATCHDOG)
 TRIPPED, SENSOR_FAULT = int(Flag.TRIPPED), int(Flag.SENSOR_FAULT)

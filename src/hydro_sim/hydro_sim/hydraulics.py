@@ -23,12 +23,10 @@ from numba import njit
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.bench import LOAD_CELL_DAMPING
+from hydro_sim.timing import SAMPLE as SAMPLE
 
 STATES = 6
 """Length of the physical state y."""
-
-SAMPLE = 1e-3
-"""s, one box sample; the current is held for it."""
 
 SUBSTEPS = 20
 """Runge-Kutta steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""

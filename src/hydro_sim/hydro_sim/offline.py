@@ -21,11 +21,8 @@ from hydro_sim import box_kernel
 from hydro_sim import plant as plants
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box, BoxConfig, fill_command
-from hydro_sim.hydraulics import SAMPLE
 from hydro_sim.plant import AnalyticPlant, Plant
-
-POLICY_SAMPLES = 10
-"""Box samples per policy step: gains come at 100 Hz."""
+from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -111,7 +111,7 @@ def draw(axes: Axes, states: StateArray, field: str, *, error_of: str | None = N
 
 
 def shade(axes: Axes, states: StateArray, *, named: bool = True) -> None:
-    """Shade where the box was tripped, without commands or at the valve's limit; `named`: with an entry in the legend."""
+    """Shade where the box was tripped, without commands or at the valve's limit; `named`: in the legend too."""
     time = np.asarray(states["time"])
     for flag, color, name in SHADES:
         for i, (first, last) in enumerate(stretches((states["flags"] & flag) != 0)):

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.hydraulics import SAMPLE
+from hydro_sim.timing import SAMPLE
 
 RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """What the sensors give, in the order of every raw array here."""

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Doing something once a period against absolute deadlines, as exactly as the kernel grants it."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import time
+
+from hydro_bridge.latency import Latency
+
+_PR_SET_TIMERSLACK = 29
+
+
+class Pacer:
+    """Deadlines at start + n period; what is late is caught up on, unless it was away for long.
+
+    Parameters
+    ----------
+    period
+        s between deadlines.
+    give_up
+        s behind (the machine slept) from which on the lost time is not caught up on, but left out.
+    """
+
+    def __init__(self, period: float, *, give_up: float = 0.1) -> None:
+        self.period_ns, self._give_up_ns = round(1e9 * period), round(1e9 * give_up)
+        self.lateness = Latency()
+        self.late = 0
+        """Periods that began more than a period late."""
+        self.skipped = 0.0
+        """s left out."""
+        self.restart()
+
+    def restart(self) -> None:
+        """Let the first deadline be now."""
+        self._deadline = time.monotonic_ns()
+        self.start_ns = time.time_ns()
+        """Host time of deadline 0, ns since the epoch."""
+        self._passed = 0
+
+    @property
+    def scheduled_ns(self) -> int:
+        """Host time [ns] for which the present period was meant: jitter of waking up is not in it."""
+        return self.start_ns + self._passed * self.period_ns
+
+    def wait(self) -> None:
+        """Sleep until the next deadline."""
+        self._deadline += self.period_ns
+        self._passed += 1
+        left = self._deadline - time.monotonic_ns()
+        if left > 0:
+            time.sleep(1e-9 * left)
+            left = self._deadline - time.monotonic_ns()
+        self.lateness.add(max(0.0, -1e-9 * left))
+        self.late += -left > self.period_ns
+        if -left > self._give_up_ns:
+            self.skipped -= 1e-9 * left
+            self._deadline -= left
+            self.start_ns -= left
+
+
+def raise_priority() -> str:
+    """Ask the kernel for real-time scheduling and exact timers for the calling thread; what it granted, in words."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; 50 us by default
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
+        return "SCHED_FIFO 40"
+    with contextlib.suppress(OSError):
+        return f"nice {os.nice(-10)}"
+    return "normal priority (no permission for more)"
