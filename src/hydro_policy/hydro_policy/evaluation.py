@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Force RMSE of controllers on sines, run by run on a live plant; knows no ROS.
 
-run       a new reference, 2 s to settle, then whole periods of at least 3 s in all, over which e = f_r - f_l is measured
-order     repeat, frequency, controller: the controllers follow each other closely, so a drifting bench treats them alike
+run       a new reference, 2 s to settle, then whole periods of at least 3 s in all over which e = f_r - f_l counts
+order     repeat, frequency, controller: controllers follow each other closely, so a drifting bench treats them alike
 failure   the box trips: the run counts as tripped. The plant is lost: the run is begun anew
 """
 
@@ -202,7 +202,9 @@ class EvaluationSession:
         asked = getattr(controller, "proportional", None)
         applied = float(np.median(trace.states["proportional_gain"]))
         if asked is not None and abs(asked - applied) > 1e-3 * max(abs(asked), 1.0):
-            sentence = f"{controller.name}: the box applied K_p = {applied:g}, not {asked:g}; widen the gain limits of the plant"
+            sentence = (
+                f"{controller.name}: the box applied K_p = {applied:g}, not {asked:g}; widen the plant's gain limits"
+            )
             if sentence not in self.warnings:
                 self.warnings.append(sentence)
                 self._outputs.say(sentence, warning=True)

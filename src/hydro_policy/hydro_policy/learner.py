@@ -23,7 +23,9 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 
+from hydro_bridge.signals import FloatArray
 from hydro_policy.checkpoint import save_checkpoint
 from hydro_policy.policy import Policy
 from hydro_policy.replay import ReplayBuffer
@@ -68,7 +70,7 @@ class LearnerMemory:
         """All of `Sac`, as `snapshot.dump` gives it."""
         return SharedBlob(self._snapshot)
 
-    def status(self) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    def status(self) -> FloatArray:
         """[updates, entropy coefficient, checkpoints written, 1 when ready]."""
         return np.frombuffer(self._status, np.float64)
 
@@ -135,13 +137,17 @@ class Learner:
 
 
 def write_run(
-    request: SaveRequest, learner: bytes, replay: ReplayBuffer, parameters: np.ndarray, settings: TrainingSettings
+    request: SaveRequest,
+    learner: bytes,
+    replay: ReplayBuffer,
+    parameters: NDArray[np.float32],
+    settings: TrainingSettings,
 ) -> None:
     """Checkpoint, policy.safetensors, and checkpoints/best if asked for."""
     run = RunDirectory(request.run)
     save_checkpoint(run.latest, learner, replay, request.trainer)
     policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
-    policy.load_flat(parameters)
+    policy.load_flat(parameters.astype(np.float64))
     notes = {key: request.trainer.get(key) for key in ("episode", "total_steps", "last_rmse")}
     run.best.mkdir(parents=True, exist_ok=True)
     for path in (run.policy, *([run.best / "policy.safetensors"] if request.best else [])):

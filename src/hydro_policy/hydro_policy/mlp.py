@@ -2,17 +2,18 @@
 """Small multi-layer perceptrons, several at once, with their gradients written out.
 
 At 2 x 32 units the arithmetic of one layer takes a few microseconds, as much as autograd needs to remember it. So a
-`StackedMlp` evaluates all its members (the two critics, say) in one batched product, keeps what the backward pass needs, and
-leaves every gradient in one flat vector beside the flat vector of parameters. `test_mlp.py` compares it with autograd.
+`StackedMlp` evaluates all its members (the two critics, say) in one batched product, keeps what its backward pass needs
+and leaves every gradient in one flat vector beside the flat vector of parameters. `test_mlp.py` compares with autograd.
 
     axes             [member, batch row, feature]
-    layer            z_k = h_{k-1} W_k + b_k        h_k = relu(z_k)        W_k [member, fan_in, fan_out], b_k [member, 1, fan_out]
+    layer            z_k = h_{k-1} W_k + b_k, h_k = relu(z_k); W_k [member, fan_in, fan_out], b_k [member, 1, fan_out]
     parameters       one vector: W_1 b_1 W_2 b_2 ... ; `weights[k]`, `biases[k]` are views into it
 """
 
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import torch
 from torch import Tensor
@@ -41,7 +42,7 @@ class StackedMlp:
         dtype: torch.dtype = torch.float32,
     ) -> None:
         self.members, self.sizes = members, sizes
-        shapes = [shape for i, o in zip(sizes, sizes[1:], strict=False) for shape in ((members, i, o), (members, 1, o))]
+        shapes = [shape for i, o in pairwise(sizes) for shape in ((members, i, o), (members, 1, o))]
         self.parameters = torch.zeros(sum(math.prod(shape) for shape in shapes), dtype=dtype)
         self.gradient = torch.zeros_like(self.parameters)
         self.weights, self.biases = _views(self.parameters, shapes)
@@ -54,7 +55,7 @@ class StackedMlp:
                     tensor.uniform_(-bound, bound, generator=generator)
 
     def forward(self, inputs: Tensor) -> Tensor:
-        """Evaluate; `inputs` [members, batch, sizes[0]] -> [members, batch, sizes[-1]]. Remembers what `backward` needs."""
+        """Evaluate inputs [members, batch, sizes[0]] -> [members, batch, sizes[-1]]; keeps what `backward` needs."""
         hidden, last = inputs, len(self.weights) - 1
         self._activations = [inputs]
         for layer, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
@@ -81,7 +82,7 @@ class StackedMlp:
     def _through(self, layer: int, output_gradient: Tensor) -> Tensor:
         """From the gradient at layer's z to that at the z before it: by W, then by relu."""
         before = torch.bmm(output_gradient, self.weights[layer].transpose(1, 2))
-        return torch.ops.aten.threshold_backward(before, self._activations[layer], 0)  # type: ignore[no-any-return]
+        return torch.ops.aten.threshold_backward(before, self._activations[layer], 0)
 
     def named_tensors(self) -> dict[str, Tensor]:
         """Copies of the weights by name, for files."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A session on a plant without a graph or a clock: box, guard and plant in a loop, learning in the same process.
 
-As fast as it goes, and the same bit for bit for the same seeds, which no real-time run can be. Used by tests, and to try
+As fast as it goes, and the same bit for bit for the same seeds, which no real-time run can be. For tests, and to try
 settings before bench time is spent on them.
 """
 

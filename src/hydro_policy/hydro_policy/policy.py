@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The policy as it acts: the actor's perceptron in numpy (some ten microseconds a call, no torch), and its file.
 
-policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro" a JSON text
-with architecture, observation names, centers and scales, and the range of the gains: all that is needed to act.
+policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro" JSON
+text with architecture, observation names, centers and scales, and the range of the gains: all that is needed to act.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
@@ -79,7 +80,9 @@ class Policy:
             "gains": asdict(gains),
             "notes": notes or {},
         }
-        tensors = {f"weight_{k}": w.astype(np.float32) for k, w in enumerate(self.weights)}
+        tensors: dict[str, NDArray[np.float32]] = {
+            f"weight_{k}": w.astype(np.float32) for k, w in enumerate(self.weights)
+        }
         tensors |= {f"bias_{k}": b.astype(np.float32) for k, b in enumerate(self.biases)}
         partial = path.with_name(path.name + ".partial")
         save_file(tensors, partial, {"hydro": json.dumps(header)})

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The replay buffer: a rolling table of transitions, one row each, so that a batch is one gather.
 
-It can lie in memory shared between the acting process, which appends, and the learning process, which draws: nothing is sent,
-and nothing is lost when the learner dies.
+It can lie in memory shared between the acting process, which appends, and the learning process, which draws: nothing is
+sent, and nothing is lost when the learner dies.
 """
 
 from __future__ import annotations

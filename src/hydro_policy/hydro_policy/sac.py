@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Soft Actor-Critic (Haarnoja et al. 2018) with the paper's Table training_agent as defaults.
 
-docs/training.md gives the equations; the comments here name them. The gradients of the two losses are written out (`mlp` says
-why), which also shows how little there is to the algorithm. Nothing here knows of hydraulics, ROS or processes.
+docs/training.md gives the equations line by line. The gradients of the two losses are written out (`mlp` says why), which
+also shows how little there is to the algorithm. Nothing here knows of hydraulics, ROS or processes.
 """
 
 from __future__ import annotations
@@ -60,18 +60,18 @@ class PolicySample:
 
 
 class SquashedGaussian:
-    """The actor: a = tanh(u), u ~ N(mu(o), sigma(o)^2), with mu and log sigma the two halves of a perceptron's output."""
+    """The actor: a = tanh(u), u ~ N(mu(o), sigma(o)^2); mu and log sigma are the halves of a perceptron's output."""
 
     def __init__(self, network: StackedMlp, settings: SacSettings) -> None:
         self.network, self._low, self._high = network, settings.log_std_min, settings.log_std_max
 
     def sample(self, observation: Tensor, noise: Tensor) -> PolicySample:
-        """Draw an action for each row of `observation` [batch, observations] with standard normal `noise` [batch, actions]."""
+        """Draw an action for each row of `observation` [batch, n] with standard normal `noise` [batch, actions]."""
         mean, raw = self.network.forward(observation.unsqueeze(0))[0].chunk(2, dim=1)
         log_std = raw.clamp(self._low, self._high)
         deviation = log_std.exp().mul_(noise)
         squashed = mean + deviation
-        # log pi = sum_j log N(u_j) - log(1 - tanh(u_j)^2), the second as 2 (log 2 - u - softplus(-2u)): exact for large |u|
+        # log pi = sum_j log N(u_j) - log(1 - tanh(u_j)^2); the latter = 2 (log 2 - u - softplus(-2u)), safe for large |u|
         correction = torch.nn.functional.softplus(-2.0 * squashed).add_(squashed).sub_(math.log(2.0)).mul_(2.0)
         density = noise.square().mul_(-0.5).sub_(log_std).sub_(0.5 * math.log(2.0 * math.pi))
         return PolicySample(

@@ -3,7 +3,7 @@
 
 header   int64 version | 2 slots of [int64 length | int64 CRC-32 | bytes]
 publish  write into slot (version + 1) mod 2, then count the version up
-read     copy slot version mod 2; a CRC that does not fit means a writer overtook us (or died halfway): no news this time
+read     copy slot version mod 2; where the CRC does not fit, a writer overtook us or died halfway: no news this time
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """All of `Sac` as bytes and back: the same bytes go to shared memory twice a second and into checkpoints.
 
-The bytes are a safetensors file: each network and each Adam moment as one flat float32 tensor, the random generator's state as
+The bytes are a safetensors file: each network and each Adam moment as one flat float32 tensor, the generator's state as
 uint8, and the counters as JSON under the header key "hydro". No pickle.
 """
 

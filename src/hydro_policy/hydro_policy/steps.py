@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From samples at 1 kHz to policy steps at 100 Hz, by sequence number: the policy runs on the plant's clock, not on ours.
+"""From samples at 1 kHz to policy steps at 100 Hz, by sequence number: the policy runs on the plant's clock.
 
 sequence   ... 19 | 20 21 22 23 24 25 26 27 28 29 | 30 ...
                     ^ step: observe, act            ^ step: reward of that action = mean over samples 21 to 30

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task as a Markov decision process: observation (eq. obs), reward (eq. reward), action as gains (eq. policy_action).
+"""The task as a Markov decision process: observation (eq. obs), reward (eq. reward), action (eq. policy_action).
 
 observation  13 numbers, each (value - center) / scale with the fixed numbers below, so that a policy's file is complete
 action       2 numbers in [-1, 1], mapped linearly to [delta_kp, delta_ki]
@@ -102,8 +102,8 @@ class TaskSettings:
     def reward(self, error: FloatArray, error_rate: FloatArray) -> float:
         """Eq. reward, averaged over the step's samples: e [n] in N, e' [n] in N/s.
 
-        The paper prints the reward at one instant. The load cell's derivative carries noise of the size of e' itself, so
-        the mean over the ten samples that the action acted on has a tenth of the variance and the same expectation.
+        The paper prints the reward at one instant. The load cell's derivative carries noise of the size of e' itself:
+        the mean over the ten samples that the action acted on has the same expectation and far less variance.
         """
         e, de = error / self.force_scale, error_rate / self.force_rate_scale
         return -float(self.error_weight * np.dot(e, e) + self.error_rate_weight * np.dot(de, de)) / len(error)

@@ -2,7 +2,7 @@
 """Whether the plant is there and armed, and the asking for both: shared by training and evaluation.
 
 no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
-disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; otherwise the user is told how
+disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else the user is told how
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class PlantWatch:
     outputs
         Where to ask.
     rearm
-        Whether a disarmed or tripped box may be armed without the user (simulation and emulator: yes; bench: on purpose only).
+        Whether a disarmed or tripped box may be armed without the user (simulation: yes; bench: on purpose only).
     """
 
     def __init__(self, outputs: Outputs, rearm: bool) -> None:

@@ -126,7 +126,7 @@ def test_bandit_with_known_optimum_is_solved() -> None:
 
 
 def test_linear_quadratic_regulator_is_learnt() -> None:
-    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, discount 0.9: within 10 % of the Riccati optimum's cost after 6000 updates."""
+    """x' = x + 0.5 a, cost x^2 + 0.1 a^2, discount 0.9: within 10 % of the Riccati optimum after 6000 updates."""
     b, q, r, gamma = 0.5, 1.0, 0.1, 0.9
     p = q
     for _ in range(500):  # discounted Riccati recursion

@@ -11,13 +11,14 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
 from hydro_policy.controllers import FixedGains
+from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
 from hydro_policy.offline import InlineLearner, OfflineGraph
 from hydro_policy.run import TrainingSettings
 from hydro_policy.sac import SacSettings
 from hydro_policy.steps import StepClock
 from hydro_policy.task import OBSERVATION_NAMES, GainRange, TaskSettings
-from hydro_policy.training import Phase, TrainingSession
+from hydro_policy.training import TrainingSession
 from hydro_sim.bench import Bench
 from hydro_sim.box import BoxConfig
 from hydro_sim.offline import Schedule, simulate
@@ -167,7 +168,7 @@ def test_a_trip_is_a_termination_with_penalty() -> None:
 
 
 def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
-    """The session on a box and plant, against `hydro_sim.offline.simulate` with the same gains: within 3 % at each sine."""
+    """The session on a box and plant, against `hydro_sim.offline.simulate` with the same gains: within 3 %."""
     settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=1.0)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
     session = EvaluationSession(settings, [FixedGains(90.0, 15.0), FixedGains(40.0, 10.0)], graph)
@@ -197,9 +198,7 @@ def test_evaluation_says_when_the_plant_does_not_apply_the_gains() -> None:
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
     session = EvaluationSession(EvaluationSettings(frequencies=(2.0,), measure=0.5), [FixedGains(150.0, 15.0)], graph)
     graph.run(session, 10.0)
-    assert session.warnings == [
-        "fixed (150, 15): the box applied K_p = 90, not 150; widen the gain limits of the plant"
-    ]
+    assert session.warnings == ["fixed (150, 15): the box applied K_p = 90, not 150; widen the plant's gain limits"]
 
 
 def test_evaluation_scores_a_trip_and_goes_on_once_the_bench_is_vented() -> None:
@@ -209,6 +208,6 @@ def test_evaluation_scores_a_trip_and_goes_on_once_the_bench_is_vented() -> None
     for trips in (1, 2):
         graph.run(session, 4.0)
         assert [score.tripped for score in session.scores] == [True] * trips
-        graph.vent()  # a closed valve holds the oil, and the force stays beyond the limit: arming trips again until it is let out
+        graph.vent()  # a closed valve holds the oil and so the force: arming trips again until it is let out
     assert session.finished
     assert all(math.isnan(score.rmse) for score in session.scores)

@@ -9,6 +9,9 @@
 
 from __future__ import annotations
 
+import math
+import re
+import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +22,7 @@ from hydro_bridge.ros import Companion
 from hydro_policy.task import GainRange
 
 PLANTS = ("sim", "emulator", "bench", "external")
+_REPEAT = 10.0  # s, before the same sentence is shown again
 _LOUD = ("warn", "error", "fatal", "traceback", "bypass")
 
 
@@ -51,6 +55,7 @@ class CompanionOutput:
 
     def __init__(self, log: IO[str] | None) -> None:
         self._log = log
+        self._shown: dict[str, float] = {}
 
     def write(self, text: str) -> int:
         """Take a line."""
@@ -60,9 +65,17 @@ class CompanionOutput:
 
         if self._log is not None:
             self._log.write(text)
-        if any(word in text.lower() for word in _LOUD):
+        if any(word in text.lower() for word in _LOUD) and self._is_news(text):
             tqdm.write(text.rstrip("\n"), file=stderr)
         return len(text)
+
+    def _is_news(self, text: str) -> bool:
+        """Whether the same sentence, numbers aside, was not shown lately: the log has them all."""
+        sentence, now = re.sub(r"[\d.]+", "", text), time.monotonic()
+        news = now - self._shown.get(sentence, -math.inf) > _REPEAT
+        if news:
+            self._shown[sentence] = now
+        return news
 
     def flush(self) -> None:
         """Write out the log."""

@@ -32,7 +32,7 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--rearm",
         choices=("auto", "ask"),
-        help="who arms: auto (default with sim and emulator), or you, on purpose (default otherwise): Enter, or /hydro/arm",
+        help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or /hydro/arm",
     )
 
 
@@ -48,7 +48,7 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
 
 
 def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings:
-    """All settings of a run as ROS parameters: episodes ..., sac.discount ..., task.error_weight ..., task.gains.delta_kp_max."""
+    """All settings of a run as ROS parameters: episodes, sac.discount, task.gains.delta_kp_max ..."""
     gains = declare_parameters(node, settings.task.gains, "task.gains.")
     task = replace(declare_parameters(node, settings.task, "task."), gains=gains)
     sac = declare_parameters(node, settings.sac, "sac.")

@@ -12,10 +12,11 @@ from tqdm import tqdm
 from hydro_bridge.console import progress
 from hydro_bridge.ros import TRAINING, TRAINING_QOS, DiagnosticsPublisher, Level, Status
 from hydro_msgs.msg import TrainingStatus
+from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.supervisor import LearnerSupervisor
-from hydro_policy.training import Phase, TrainingSession
+from hydro_policy.training import TrainingSession
 
 _REDRAW = 4  # ticks of 50 ms
 

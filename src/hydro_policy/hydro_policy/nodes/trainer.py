@@ -19,7 +19,8 @@ import torch
 from hydro_bridge.console import command
 from hydro_bridge.ros import CompanionError, ros_arguments
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
-from hydro_policy.controllers import FixedGains, PolicyController
+from hydro_policy.controllers import Controller, FixedGains, PolicyController
+from hydro_policy.episode import Phase
 from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
 from hydro_policy.nodes.graph import GraphNode, start_ros
@@ -27,7 +28,7 @@ from hydro_policy.nodes.options import add_plant_options, declare_settings, plan
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.run import RunDirectory, TrainingSettings, new_run
 from hydro_policy.supervisor import LearnerSupervisor
-from hydro_policy.training import Phase, TrainingSession
+from hydro_policy.training import TrainingSession
 
 DEMO = {"plant": "emulator", "episodes": 9, "updates_per_step": 2.0, "evaluate": True}
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
@@ -131,7 +132,7 @@ def drive(
     if not finished or not options.evaluate:
         return finished, None
     bar.phase = lambda: Phase.EVALUATING
-    controllers = [
+    controllers: list[Controller] = [
         PolicyController(session.policy, session.settings.task.gains, "policy"),
         FixedGains(90.0, 15.0),
         FixedGains(15.0, 5.0),
@@ -177,7 +178,7 @@ def _start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepar
 
 
 def _free(folder: Path) -> Path:
-    """`folder`, or the first of folder-2, folder-3 ... that is not there: a resumed run makes a recording of its own."""
+    """`folder`, or the first of folder-2, folder-3 ... that is not there: a resumed run has a recording of its own."""
     candidates = (folder.with_name(f"{folder.name}-{n}") for n in range(2, 10_000))
     return folder if not folder.exists() else next(path for path in candidates if not path.exists())
 
