@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Run every benchmark in a process of its own: `python -m benchmarks [--json FILE] [NAME ...]`, which is `make bench`."""
+"""Run every benchmark in a process of its own: `python -m benchmarks [--json FILE] [NAME ...]`, or `make bench`."""
 
 from __future__ import annotations
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The `filter` node: a Correction for every BenchState, also when there is nothing to correct: silence means dead.
+"""The filter: a Correction for every BenchState, also when there is nothing to correct, so that silence means dead.
+
+ros2 run hydro_filter filter [--bench FILE] [--contraction-rate 0.1] [--every 10] [--bypass] [--realtime] [--ros-args]
 
 States are answered in order, each once. After a hold-up those older than `state_age_max` are answered STALE without
 being evaluated, which takes the backlog away faster than it grows.
@@ -8,13 +10,13 @@ being evaluated, which takes the backlog away faster than it grows.
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 from rclpy.node import Node
 
+from hydro_bridge.console import command
 from hydro_bridge.ros import (
     CORRECTION,
     CORRECTION_QOS,
@@ -134,25 +136,21 @@ def arguments(given: list[str]) -> argparse.Namespace:
     return asked
 
 
-def main() -> int:
-    """Run the node."""
+@command(ValueError)
+def main() -> None:
+    """Entry point."""
     own, ros = ros_arguments()
     asked = arguments(own)
-    try:
-        bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
-        settings = FilterSettings(
-            contraction_rate=asked.contraction_rate,
-            noise_floor=asked.noise_floor,
-            state_age_max=asked.state_age_max,
-            bypass=asked.bypass,
-        )
-        check(settings)
-        run_node(lambda: FilterNode(bench, settings, every=asked.every, realtime=asked.realtime), ros)
-    except ValueError as error:
-        print(f"filter: {error}", file=sys.stderr)
-        return 2
-    return 0
+    bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
+    settings = FilterSettings(
+        contraction_rate=asked.contraction_rate,
+        noise_floor=asked.noise_floor,
+        state_age_max=asked.state_age_max,
+        bypass=asked.bypass,
+    )
+    check(settings)
+    run_node(lambda: FilterNode(bench, settings, every=asked.every, realtime=asked.realtime), ros)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole graph on this machine: box frame in to correction frame out, CPU per process, lost samples.
+
+Emulator (on its pseudo-terminal), bridge, filter and recorder run as processes; gains come at 100 Hz from here, as a
+trainer's would. `--load 1` adds a process that computes without pause, as a learner does. The bridge measures the latency
+(from a state frame's arrival to the command frame that carries its correction) and tells it on /diagnostics.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+
+import numpy as np
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import SetBool
+
+from hydro_bridge.console import Table, UserError, add_json_argument, command
+from hydro_bridge.recording import continuity, read_bag
+from hydro_bridge.ros import (
+    ARM_SERVICE,
+    DIAGNOSTICS,
+    DIAGNOSTICS_QOS,
+    GAINS,
+    GAINS_QOS,
+    REFERENCE,
+    REFERENCE_QOS,
+    Companion,
+    reference_to_message,
+)
+from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_msgs.msg import Gains
+from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+
+
+class Driver:
+    """The stand-in for a trainer: arms, sets the reference, publishes gains, listens to diagnostics."""
+
+    def __init__(self) -> None:
+        rclpy.init()
+        self.node = rclpy.create_node("benchmark")
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.told: dict[str, dict[str, str]] = {}
+        self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
+        self.node.create_publisher(ReferenceMessage, REFERENCE, REFERENCE_QOS).publish(reference_to_message(SINE))
+        self._gains = self.node.create_publisher(Gains, GAINS, GAINS_QOS)
+        self._rng = np.random.default_rng(0)
+        self._step = 0
+        self._arm = self.node.create_client(SetBool, ARM_SERVICE)
+
+    def arm(self, timeout: float = 30.0) -> None:
+        """Arm once the box answers."""
+        deadline = time.monotonic() + timeout
+        answer = ""
+        while time.monotonic() < deadline:
+            if self._arm.wait_for_service(timeout_sec=0.5):
+                future = self._arm.call_async(SetBool.Request(data=True))
+                self.executor.spin_until_future_complete(future, timeout_sec=2.0)
+                if future.done() and future.result().success:
+                    return
+                answer = future.result().message if future.done() else "no answer"
+            self.run(0.5)
+        raise UserError(f"the plant could not be armed: {answer or 'no plant'}")
+
+    def run(self, seconds: float) -> None:
+        """Publish gains at 100 Hz for a while."""
+        begin, steps = time.monotonic(), 0
+        while (left := begin + seconds - time.monotonic()) > 0:
+            due = steps * 0.01 - (seconds - left)
+            if due > 0:
+                self.executor.spin_once(timeout_sec=due)
+                continue
+            steps, self._step = steps + 1, self._step + 1
+            delta_kp, delta_ki = self._rng.uniform((0.0, 0.0), (75.0, 10.0))
+            message = Gains(delta_kp=delta_kp, delta_ki=delta_ki, step=self._step)
+            message.header.stamp = self.node.get_clock().now().to_msg()
+            self._gains.publish(message)
+
+    def close(self) -> None:
+        """End."""
+        self.executor.shutdown()
+        self.node.destroy_node()
+        rclpy.try_shutdown()
+
+    def _on_diagnostics(self, array: DiagnosticArray) -> None:
+        for status in array.status:
+            self.told[status.name] = {pair.key: pair.value for pair in status.values}
+
+
+def cpu_seconds(process: int) -> float:
+    """User and system time [s] of a process with all its threads, from /proc."""
+    fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def compute() -> None:
+    """Never end: what a learner does to a core."""
+    matrix = np.random.default_rng(0).normal(size=(200, 200))
+    while True:
+        matrix = np.tanh(matrix @ matrix / 200.0)
+
+
+@contextmanager
+def load(processes: int) -> Iterator[None]:
+    """Keep some cores busy."""
+    busy = [multiprocessing.get_context("spawn").Process(target=compute, daemon=True) for _ in range(processes)]
+    for process in busy:
+        process.start()
+    try:
+        yield
+    finally:
+        for process in busy:
+            process.kill()
+            process.join()
+
+
+def companions(folder: Path, *, realtime: bool) -> dict[str, tuple[str, list[str]]]:
+    """Package and arguments by executable."""
+    port, prompt = str(folder / "box"), ["--realtime"] if realtime else []
+    return {
+        "emulator": ("hydro_sim", ["--link", port]),
+        "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
+        "bridge": ("hydro_bridge", ["--port", port, *prompt]),
+        "filter": ("hydro_filter", prompt),
+    }
+
+
+def measure(asked: argparse.Namespace, folder: Path) -> Table:
+    """Run the graph and make the table."""
+    with ExitStack() as stack:
+        running = {
+            name: stack.enter_context(Companion(package, name, arguments))
+            for name, (package, arguments) in companions(folder, realtime=asked.realtime).items()
+        }
+        driver = Driver()
+        stack.callback(driver.close)
+        driver.arm()
+        stack.enter_context(load(asked.load))
+        driver.run(2.0)
+        before = {name: cpu_seconds(companion.process.pid) for name, companion in running.items()}
+        begin = time.monotonic()
+        driver.run(asked.seconds)
+        elapsed = time.monotonic() - begin
+        cpu = {name: cpu_seconds(companion.process.pid) - before[name] for name, companion in running.items()}
+        driver.run(1.2)  # the last diagnostics
+    lost = continuity(read_bag(folder / "bag").state)
+    bridge, own = driver.told.get("bridge", {}), driver.told.get("filter", {})
+    table = Table({"what": "", "value": ""}, title=_title(asked))
+    table.add(what="box frame in to correction frame out", value=bridge.get("state in to correction out", "not told"))
+    table.add(what="command out to confirmation in", value=bridge.get("command out to confirmation in", "not told"))
+    ages = "  ".join(
+        f"{key} {own.get(f'{part}_{key}_ms', '?')}" for part in ("work",) for key in ("p50", "p99", "p99_9")
+    )
+    table.add(what="filter: state's arrival to correction's publication", value=f"{ages} ms")
+    counts = ", ".join(
+        f"{own.get(key, '?')} {key}" for key in ("pass", "modified", "relaxed", "infeasible", "nan", "stale")
+    )
+    table.add(what="filter: corrections", value=counts)
+    for name, used in cpu.items():
+        table.add(what=f"{name}: share of a core", value=f"{used / elapsed:.1%}")
+    table.add(what="recording: samples, missing sequence numbers", value=f"{lost.samples}, {lost.lost}")
+    table.add(what="bridge: heartbeats (commands without a correction)", value=bridge.get("heartbeats", "not told"))
+    return table
+
+
+def _title(asked: argparse.Namespace) -> str:
+    kind = "SCHED_FIFO for bridge and filter" if asked.realtime else "ordinary scheduling"
+    return f"Graph for {asked.seconds:g} s on {os.cpu_count()} cores, {asked.load} computing besides, {kind}"
+
+
+@command()
+def main() -> None:
+    """Measure, print, write."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.latency", description=__doc__)
+    parser.add_argument("--seconds", type=float, default=20.0, help="default 20")
+    parser.add_argument("--realtime", action="store_true", help="bridge and filter ask for SCHED_FIFO")
+    parser.add_argument("--load", type=int, default=0, metavar="N", help="processes that compute without pause")
+    add_json_argument(parser)
+    asked = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        measure(asked, Path(folder)).show(asked.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
