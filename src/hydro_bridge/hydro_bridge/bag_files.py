@@ -8,7 +8,7 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.bag_writer import RecordingError
+from hydro_bridge.bag_types import RecordingError
 
 
 def mcap_files(path: Path) -> tuple[list[Path], list[str]]:

@@ -7,23 +7,17 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-from mcap.records import Channel
 
-from hydro_bridge.bag_files import mcap_files
-from hydro_bridge.bag_writer import RecordingError, TopicQos
-from hydro_bridge.cdr import STATE_TYPE, FixedLayout, NotFixedError, fixed_layout
-from hydro_bridge.mcap_scan import McapScan, Span
-from hydro_bridge.schema import UnknownTypeError, definition
+from hydro_bridge.bag_source import BagSource, Table, decode_span
+from hydro_bridge.bag_types import RecordingError, TopicQos
+from hydro_bridge.cdr import STATE_TYPE
 from hydro_bridge.signals import STATE_DTYPE, StateArray
 
-Table = npt.NDArray[np.void]
-"""Structured array of one topic: `time` [s], then the message's fields."""
 STATE_TOPIC = "/hydro/state"
 
 
@@ -73,48 +67,6 @@ class _Column:
         self.count += len(piece)
 
 
-@dataclass
-class _Source:
-    """The files of one recording, read one after the other."""
-
-    path: Path
-    scans: list[McapScan] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    _layouts: dict[tuple[str, bytes], FixedLayout | None] = field(default_factory=dict)
-
-    def __post_init__(self) -> None:
-        files, self.notes = mcap_files(self.path)
-        self.scans = [McapScan(path) for path in files]
-
-    def spans(self) -> Iterator[tuple[McapScan, Channel, bytes, Span]]:
-        for scan in self.scans:
-            for block, spans in scan.blocks():
-                for number, span in spans.items():
-                    if number not in scan.channels:
-                        raise RecordingError(f"{scan.path} has messages on a channel that it does not declare")
-                    yield scan, scan.channels[number], block, span
-            if not scan.finished:
-                self.notes.append(
-                    f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"
-                )
-
-    def layout(self, scan: McapScan, channel: Channel) -> FixedLayout | None:
-        """Layout of a channel's type; None if it is not numbers only."""
-        schema = scan.schemas.get(channel.schema_id)
-        if schema is None or channel.message_encoding != "cdr":
-            raise RecordingError(f"{scan.path}: {channel.topic} has no type or is not CDR")
-        key = (schema.name, schema.data)
-        if key not in self._layouts:
-            try:
-                text = schema.data.decode() if schema.encoding == "ros2msg" else definition(schema.name).text
-                self._layouts[key] = fixed_layout(text, schema.name)
-            except (NotFixedError, UnknownTypeError):
-                self._layouts[key] = None
-            except Exception as error:
-                raise RecordingError(f"{scan.path}: the definition of {schema.name} cannot be read: {error}") from None
-        return self._layouts[key]
-
-
 def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recording:
     """Read a recording into arrays.
 
@@ -130,7 +82,7 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
     RecordingError
         Nothing there, damaged, or a topic in `topics` has no messages.
     """
-    source = _Source(Path(path))
+    source = BagSource(Path(path))
     types: dict[str, str] = {}
     qos: dict[str, TopicQos] = {}
     columns: dict[str, _Column] = {}
@@ -142,7 +94,7 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
             continue
         layout = source.layout(scan, channel)
         if layout is not None:
-            piece = _decode(scan.path, channel.topic, layout, block, span)
+            piece = decode_span(scan.path, channel.topic, layout, block, span)
             columns.setdefault(channel.topic, _Column(np.empty(0, piece.dtype))).extend(piece)
     for topic in topics or ():
         if topic not in types:
@@ -160,7 +112,7 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
 
 def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
     """Arrays of one topic, one per block of the file (about a second, at most a megabyte); errors as `read_bag`."""
-    source = _Source(Path(path))
+    source = BagSource(Path(path))
     found = False
     for scan, channel, block, span in source.spans():
         if channel.topic == topic:
@@ -168,7 +120,7 @@ def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
             if layout is None:
                 raise RecordingError(f"{scan.path}: {topic} is not numbers only")
             found = True
-            piece = _decode(scan.path, topic, layout, block, span)
+            piece = decode_span(scan.path, topic, layout, block, span)
             yield as_states(piece, scan.path) if topic == STATE_TOPIC else piece
     if not found:
         topics = {channel.topic for scan in source.scans for channel in scan.channels.values()}
@@ -178,7 +130,7 @@ def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
 def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
     """Topic, type, log time [ns] and bytes of every message, by log time within a block; errors as `read_bag`."""
     spans: list[tuple[int, int, str, str, int]] = []
-    source, last = _Source(Path(path)), b""
+    source, last = BagSource(Path(path)), b""
     for scan, channel, block, span in source.spans():
         if block is not last:
             yield from _ordered(last, spans)
@@ -205,19 +157,6 @@ def as_states(table: Table, path: Path) -> StateArray:
 def _ordered(block: bytes, spans: list[tuple[int, int, str, str, int]]) -> Iterator[tuple[str, str, int, bytes]]:
     for time, start, topic, type_name, size in sorted(spans):
         yield topic, type_name, time, block[start : start + size]
-
-
-def _decode(path: Path, topic: str, layout: FixedLayout, block: bytes, span: Span) -> Table:
-    buffer = np.frombuffer(block, np.uint8)
-    out = np.empty(len(span.starts), layout.table)
-    for size in np.unique(span.sizes):
-        part = span.sizes == size
-        rows = np.lib.stride_tricks.sliding_window_view(buffer, int(size))[span.starts[part]]
-        try:
-            out[part] = layout.decode(rows, span.log_times[part])
-        except ValueError as error:
-            raise RecordingError(f"{path}: a message of {topic} cannot be read: {error}") from None
-    return out
 
 
 def _no_topic(path: Path, topic: str, topics: Collection[str]) -> str:

@@ -15,6 +15,7 @@ import numpy as np
 import yaml
 from mcap.writer import CompressionType, Writer
 
+from hydro_bridge.bag_types import RecordingError, TopicQos
 from hydro_bridge.cdr import STATE_TYPE, encode_states
 from hydro_bridge.schema import definition
 from hydro_bridge.signals import StateArray
@@ -22,50 +23,6 @@ from hydro_bridge.signals import StateArray
 VERSION = 9
 NOT_FINISHED = "recording was not finished"
 """Value of custom_data `hydro` in the metadata.yaml that stands there while the recording runs."""
-
-
-class RecordingError(Exception):
-    """A recording cannot be read or written; the message is one clear sentence."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class TopicQos:
-    """The quality of service that a topic was offered with; what is not named here is at its default."""
-
-    reliability: str = "reliable"
-    """reliable or best_effort."""
-    durability: str = "volatile"
-    """volatile or transient_local."""
-    depth: int = 10
-
-    @classmethod
-    def from_rosbag2(cls, profiles: str) -> TopicQos:
-        """From the YAML list in a channel's metadata; defaults for what is not there or not understood."""
-        listed = yaml.safe_load(profiles) or [{}]
-        first = listed[0]
-        numbers = {"reliability": {2: "best_effort"}, "durability": {1: "transient_local"}}  # before version 9
-        reliability = numbers["reliability"].get(first.get("reliability"), first.get("reliability"))
-        durability = numbers["durability"].get(first.get("durability"), first.get("durability"))
-        return cls(
-            reliability="best_effort" if reliability == "best_effort" else "reliable",
-            durability="transient_local" if durability == "transient_local" else "volatile",
-            depth=int(first.get("depth") or 10),
-        )
-
-    def as_rosbag2(self) -> dict[str, object]:
-        """All keys of an offered QoS profile, version 9."""
-        forever = {"sec": 9223372036, "nsec": 854775807}
-        return {
-            "history": "keep_last",
-            "depth": self.depth,
-            "reliability": self.reliability,
-            "durability": self.durability,
-            "deadline": dict(forever),
-            "lifespan": dict(forever),
-            "liveliness": "automatic",
-            "liveliness_lease_duration": dict(forever),
-            "avoid_ros_namespace_conventions": False,
-        }
 
 
 @dataclass(kw_only=True)

@@ -18,7 +18,7 @@ from typing import Any, NoReturn, TypeVar
 
 from tqdm import tqdm
 
-from hydro_bridge.bag_writer import RecordingError
+from hydro_bridge.bag_types import RecordingError
 from hydro_bridge.port import PortLostError
 from hydro_bridge.schema import UnknownTypeError
 from hydro_bridge.settings import SettingsError

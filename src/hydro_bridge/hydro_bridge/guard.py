@@ -8,10 +8,11 @@ by the safe one (base gains, no correction); each is counted, and each change is
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import inf, isfinite
 
-from hydro_bridge.signals import Command, CorrectionStatus, ReferenceSignal, Waveform
+from hydro_bridge.frames import BoxInfo
+from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, ReferenceSignal, Waveform
 
 DECIDED = frozenset(
     {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
@@ -38,7 +39,7 @@ class GuardSettings:
     reference_frequency_max: float = 20.0
     """Hz, largest frequency of the reference, [0.1, 100]."""
     correction_age_max: float = 0.02
-    """s, an older correction is stale, [0.001, 0.2]."""
+    """s, an older correction is stale, and so is one of an older sample, [0.001, 0.2]."""
     gains_age_max: float = 0.2
     """s, older gains are stale, [0.01, 2]."""
     require_filter: bool = True
@@ -54,6 +55,8 @@ class GuardCounts:
     clamped: int = 0
     undecided: int = 0
     """Corrections with status NAN, STALE or BYPASSED."""
+    outdated: int = 0
+    """Corrections of a sample that was too old when they came, or of one that never was."""
     references_refused: int = 0
     stale_correction: int = 0
     """Commands for which the correction was stale."""
@@ -75,6 +78,7 @@ class CommandGuard:
     _delta_u: float = 0.0
     _corrects: int = 0
     _correction_at: float = -inf
+    _newest: int | None = None
     _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
     _arm: bool = False
     _troubles: set[str] = field(default_factory=set)
@@ -114,11 +118,21 @@ class CommandGuard:
             self.counts.not_finite += 1
         elif status not in DECIDED:
             self.counts.undecided += 1
+        elif self._newest is not None and (self._newest - sequence) & 0xFFFFFFFF > self._samples_back:
+            self.counts.outdated += 1
         else:
             limit = self.settings.delta_u_max
             self._delta_u = self._clamp("delta_u", delta_u, -limit, limit)
             self._corrects = sequence & 0xFFFFFFFF
             self._correction_at = now
+
+    def note_sample(self, sequence: int | None) -> None:
+        """Say which sample is the newest; None for a new start. Without it corrections age by their arrival alone."""
+        self._newest = sequence
+
+    @property
+    def _samples_back(self) -> int:
+        return round(self.settings.correction_age_max / SAMPLE_PERIOD)
 
     def set_reference(self, signal: ReferenceSignal) -> bool:
         """Take a new reference; out of range or not finite: refused, the last one stays, and False comes back."""
@@ -193,3 +207,15 @@ def _unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
     if not 0.0 < signal.frequency <= limits.reference_frequency_max and signal.waveform != Waveform.HOLD:
         return f"frequency {signal.frequency:g} Hz is outside (0, {limits.reference_frequency_max:g}]"
     return ""
+
+
+def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
+    """Limits that neither the settings nor the box exceed."""
+    return replace(
+        wanted,
+        delta_kp_min=max(wanted.delta_kp_min, box.delta_kp_min),
+        delta_kp_max=min(wanted.delta_kp_max, box.delta_kp_max),
+        delta_ki_min=max(wanted.delta_ki_min, box.delta_ki_min),
+        delta_ki_max=min(wanted.delta_ki_max, box.delta_ki_max),
+        delta_u_max=min(wanted.delta_u_max, box.delta_u_max),
+    )

@@ -10,14 +10,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
 
 from hydro_bridge.clock import BoxClock
-from hydro_bridge.guard import CommandGuard, GuardSettings
-from hydro_bridge.latency import Latency
+from hydro_bridge.guard import CommandGuard, narrowed
+from hydro_bridge.link_times import LinkTimes
 from hydro_bridge.port import Port, PortLostError
 from hydro_bridge.protocol import (
     VERSION,
@@ -35,7 +34,6 @@ from hydro_bridge.stream import Decoder, LinkCounts, SequenceTracker
 
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
-_RECENT = 256
 
 
 class LinkState(Enum):
@@ -55,10 +53,7 @@ class LinkReport:
     commands: int = 0
     heartbeats: int = 0
     """Commands sent because no correction came in time."""
-    turnaround: Latency = field(default_factory=Latency)
-    """State frame in to the command frame that corrects it out."""
-    round_trip: Latency = field(default_factory=Latency)
-    """Command frame out to the first state frame in that confirms it; up to one sample of it is the box's own."""
+    times: LinkTimes = field(default_factory=LinkTimes)
 
 
 class Link:
@@ -100,9 +95,6 @@ class Link:
         self._sequence = 0
         self._corrected = True
         self._connected_before = False
-        self._confirmed = 0
-        self._sent: deque[tuple[int, float]] = deque(maxlen=_RECENT)
-        self._arrived: dict[int, float] = {}
         self._complaint = ""
 
     def run(self) -> None:
@@ -144,10 +136,7 @@ class Link:
             except PortLostError:
                 return  # the reading thread notices too, and reopens
             self.report.commands += 1
-            self._sent.append((self._sequence, now))
-        arrived = self._arrived.get(corrects) if corrects is not None else None
-        if arrived is not None:
-            self.report.turnaround.add(time.monotonic() - arrived)
+            self.report.times.command_sent(self._sequence, corrects, time.monotonic())
 
     def arm(self, arm: bool, timeout: float = 0.5) -> str:
         """Arm or disarm, and wait for the box to confirm; why it did not, or nothing. Not for the thread of `run`."""
@@ -198,15 +187,15 @@ class Link:
         if self.counts.restarts > restarts:
             self._restarted()
         missed, self._corrected = not self._corrected, False
-        self._arrived[frame.sequence] = now
-        self._arrived.pop((frame.sequence - _RECENT) & 0xFFFFFFFF, None)
+        with self.lock:
+            self.report.times.state_arrived(frame.sequence, frame.last_command, now)
+            self.guard.note_sample(frame.sequence)
         stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
         self._note_flags(Flag(frame.flags | stale))
         self._on_state(frame, self.clock.stamp(frame.time_us, time.time_ns()), int(self.flags))
         if missed:  # no correction came for the sample before: the box hears from us all the same
             self.report.heartbeats += 1
             self.send()
-        self._measure_round_trip(frame.last_command, now)
 
     def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
         try:
@@ -220,7 +209,7 @@ class Link:
             return
         with self.lock:
             self.box, self.state = info, LinkState.CONNECTED
-            self.guard.settings = _within(self._wanted_limits, info)
+            self.guard.settings = narrowed(self._wanted_limits, info)
             self.guard.set_arm(False)
         self.report.reconnects += self._connected_before
         self._connected_before, self._corrected, self._complaint = True, False, ""
@@ -233,14 +222,6 @@ class Link:
         if changed:
             with self._news:
                 self._news.notify_all()
-
-    def _measure_round_trip(self, confirmed: int, now: float) -> None:
-        if confirmed != self._confirmed:
-            self._confirmed = confirmed
-            while self._sent and (confirmed - self._sent[0][0]) & 0xFFFFFFFF < _RECENT:
-                sequence, at = self._sent.popleft()
-                if sequence == confirmed:
-                    self.report.round_trip.add(now - at)
 
     def _restarted(self) -> None:
         self._log("the box was restarted: disarmed until armed anew")
@@ -256,8 +237,8 @@ class Link:
     def _disarm_and_forget(self) -> None:
         with self.lock:
             self.guard.set_arm(False)
-            self._sent.clear()
-            self._arrived.clear()
+            self.guard.note_sample(None)
+            self.report.times.forget()
         self._note_flags(Flag(0))
         self._tracker.reset()
         self.clock.reset()
@@ -276,16 +257,4 @@ def _names(flags: Flag) -> str:
 def _foreign(version: int) -> str:
     return (
         f"the box speaks protocol version {version}, here {VERSION} is spoken: no command is sent until one is updated"
-    )
-
-
-def _within(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
-    """Limits that neither the settings nor the box exceed."""
-    return replace(
-        wanted,
-        delta_kp_min=max(wanted.delta_kp_min, box.delta_kp_min),
-        delta_kp_max=min(wanted.delta_kp_max, box.delta_kp_max),
-        delta_ki_min=max(wanted.delta_ki_min, box.delta_ki_min),
-        delta_ki_max=min(wanted.delta_ki_max, box.delta_ki_max),
-        delta_u_max=min(wanted.delta_u_max, box.delta_u_max),
     )

@@ -20,7 +20,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
 
-from hydro_bridge.bag_writer import RecordingError
+from hydro_bridge.bag_types import RecordingError
 
 _MAGIC = b"\x89MCAP0\r\n"
 _RECORD = Struct("<BQ")

@@ -12,7 +12,8 @@ import shutil
 from pathlib import Path
 
 from hydro_bridge.bag_reader import STATE_TOPIC, Recording, messages, read_bag, stream_bag
-from hydro_bridge.bag_writer import BagWriter, RecordingError, TopicQos
+from hydro_bridge.bag_types import RecordingError, TopicQos
+from hydro_bridge.bag_writer import BagWriter
 from hydro_bridge.continuity import Continuity, continuity
 
 __all__ = [

@@ -10,7 +10,8 @@ from pathlib import Path
 from struct import unpack_from
 
 from hydro_bridge.bag_reader import STATE_TOPIC
-from hydro_bridge.bag_writer import BagWriter, RecordingError, TopicQos
+from hydro_bridge.bag_types import RecordingError, TopicQos
+from hydro_bridge.bag_writer import BagWriter
 from hydro_bridge.stream import LinkCounts, SequenceTracker
 
 FLUSH_PERIOD = 0.5

@@ -20,6 +20,9 @@ FloatArray = npt.NDArray[np.float64]
 StateArray = npt.NDArray[np.void]
 """Array of `STATE_DTYPE` records, one per millisecond."""
 
+SAMPLE_PERIOD = 1e-3
+"""s, of the box."""
+
 STATE_FIELDS: tuple[str, ...] = (
     "hydraulic_force",  # N
     "hydraulic_force_rate",  # N/s

@@ -7,7 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.guard import CommandGuard, GuardSettings
+from hydro_bridge.frames import BoxInfo
+from hydro_bridge.guard import CommandGuard, GuardSettings, narrowed
 from hydro_bridge.signals import Command, CorrectionStatus, ReferenceSignal, Waveform
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -123,3 +124,22 @@ def test_arming_is_as_last_asked_for():
     assert guard.command(0.0).arm
     guard.set_arm(False)
     assert not guard.command(0.0).arm
+
+
+def test_a_correction_of_an_old_sample_is_no_fresh_one_however_lately_it_came():
+    for newest, corrects, fresh_ in ((100, 100, True), (120, 100, True), (121, 100, False), (5, 6, False)):
+        guard = CommandGuard()
+        guard.note_sample(newest)
+        guard.set_correction(0.01, CorrectionStatus.PASS, corrects, 1.0)
+        assert guard.command(1.0).filter_fresh is fresh_
+        assert guard.counts.outdated == (not fresh_)
+    guard.note_sample(3)  # the count of samples wraps
+    guard.set_correction(0.01, CorrectionStatus.PASS, 2**32 - 3, 1.0)
+    assert guard.command(1.0).filter_fresh
+
+
+def test_the_box_narrows_the_limits_and_never_widens_them():
+    box = BoxInfo(delta_kp_min=-5.0, delta_kp_max=10.0, delta_ki_max=99.0, delta_u_max=0.0625)
+    limits = narrowed(GuardSettings(), box)
+    assert (limits.delta_kp_min, limits.delta_kp_max) == (0.0, 10.0)
+    assert (limits.delta_ki_max, limits.delta_u_max) == (10.0, 0.0625)

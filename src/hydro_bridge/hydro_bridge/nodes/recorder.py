@@ -18,7 +18,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from hydro_bridge.bag_writer import TopicQos
+from hydro_bridge.bag_types import TopicQos
 from hydro_bridge.console import command
 from hydro_bridge.recording import repair
 from hydro_bridge.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
 
-from hydro_bridge.bag_writer import RecordingError
+from hydro_bridge.bag_types import RecordingError
 from hydro_bridge.console import command
 from hydro_bridge.recording import read_bag
 from hydro_bridge.replaying import Replay

@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a frame of the serial line can be, and what can be wrong with one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import NamedTuple
+
+from hydro_bridge.signals import Command
+
+VERSION = 1
+"""The version spoken here, and the only one."""
+
+
+class FrameType(IntEnum):
+    """Second byte of a frame."""
+
+    HELLO = 1
+    STATE = 2
+    COMMAND = 3
+
+
+class MalformedError(ValueError):
+    """A frame whose check sum holds but whose content does not follow the byte tables."""
+
+
+class CheckSumError(MalformedError):
+    """The CRC-32 does not hold."""
+
+
+class UnknownFrameError(MalformedError):
+    """A frame type of this version that is not known here: skipped, so that a newer box may add some."""
+
+
+class WrongVersionError(MalformedError):
+    """A frame of another version; `version` says which."""
+
+    def __init__(self, version: int) -> None:
+        super().__init__(f"frame of version {version}, here {VERSION} is spoken")
+        self.version = version
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxInfo:
+    """What a box says about itself in its HELLO; the bridge never sends more than these limits allow."""
+
+    name: str = ""
+    """Firmware and its version, at most 32 bytes of UTF-8."""
+    valve_current_max: float = 0.05
+    """A."""
+    base_kp: float = 15.0
+    """1/s, proportional gain to which `delta_kp` is added."""
+    base_ki: float = 5.0
+    """1/s^2, integral gain to which `delta_ki` is added."""
+    delta_kp_min: float = 0.0
+    """1/s."""
+    delta_kp_max: float = 75.0
+    """1/s."""
+    delta_ki_min: float = 0.0
+    """1/s^2."""
+    delta_ki_max: float = 10.0
+    """1/s^2."""
+    delta_u_max: float = 0.1
+    """A."""
+    sample_period: float = 1e-3
+    """s."""
+
+
+class Hello(NamedTuple):
+    """Who is there and which versions it speaks; `info` is None from the host."""
+
+    sequence: int
+    time_us: int
+    version_min: int
+    version_max: int
+    info: BoxInfo | None
+
+
+class State(NamedTuple):
+    """One sample: `values` in STATE_FIELDS order, flags, and the sequence of the newest command that the box has."""
+
+    sequence: int
+    time_us: int
+    values: tuple[float, ...]
+    flags: int
+    last_command: int
+
+
+class CommandFrame(NamedTuple):
+    """One command as the box receives it."""
+
+    sequence: int
+    time_us: int
+    command: Command
+
+
+Frame = Hello | State | CommandFrame
