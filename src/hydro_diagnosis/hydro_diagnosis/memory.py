@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 from numba import njit
 from scipy.linalg import expm
+from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import FloatArray
@@ -25,12 +26,17 @@ class RecordMemory:
         lagged, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * signal[0]])
         return np.asarray(lagged, dtype=np.float64)
 
-    def low_pass(self, key: str, signal: FloatArray, bandwidth: float) -> FloatArray:
+    def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """See `Memory.low_pass`; the signal is a straight line between samples."""
-        numerator, denominator = butterworth(round(bandwidth, 9), self.step)
+        numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
         state = np.cumsum((numerator - denominator)[::-1])[::-1][1:] * signal[0]
         passed, _ = lfilter(numerator, denominator, signal, zi=state)
         return np.asarray(passed, dtype=np.float64)
+
+    def lead(self, signal: FloatArray, seconds: float) -> FloatArray:
+        """See `Memory.lead`; the slope is taken over some 10 samples, so that noise stays below the signal's own."""
+        slope = gaussian_filter1d(signal, 4.0, order=1, mode="nearest") / self.step
+        return signal + seconds * np.asarray(slope)
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """See `Memory.bristle`."""
@@ -55,8 +61,12 @@ class StepMemory:
         self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time_constant))
         return state
 
-    def low_pass(self, key: str, signal: FloatArray, bandwidth: float) -> FloatArray:
+    def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """Not needed while stepping: sensors are applied to the whole outcome."""
+        raise NotImplementedError
+
+    def lead(self, signal: FloatArray, seconds: float) -> FloatArray:
+        """Not needed while stepping, as above."""
         raise NotImplementedError
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
@@ -83,7 +93,7 @@ def _bristle(position, stiffness, limit):
 
 
 @lru_cache(maxsize=256)
-def butterworth(bandwidth: float, step: float) -> tuple[FloatArray, FloatArray]:
+def amplifier(bandwidth: float, damping: float, step: float) -> tuple[FloatArray, FloatArray]:
     """Second-order low-pass, sampled exactly for an input that is a straight line between samples.
 
     Returns
@@ -93,7 +103,7 @@ def butterworth(bandwidth: float, step: float) -> tuple[FloatArray, FloatArray]:
     omega = 2.0 * np.pi * bandwidth
     augmented = np.zeros((4, 4))  # position, velocity, input, its slope
     augmented[0, 1] = 1.0
-    augmented[1] = [-omega * omega, -np.sqrt(2.0) * omega, omega * omega, 0.0]
+    augmented[1] = [-omega * omega, -2.0 * damping * omega, omega * omega, 0.0]
     augmented[2, 3] = 1.0
     step_map = expm(augmented * step)
     transition = step_map[:2, :2]

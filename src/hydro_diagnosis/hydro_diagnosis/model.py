@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from hydro_sim.bench import Bench
+from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 from scipy.signal import lfilter
 
 from hydro_diagnosis import chambers
@@ -64,6 +64,7 @@ class SegmentModel:
         if self.has_position:
             self.x, self.v, self.a = kinematics(channels["piston_position"], self.step)
             self.kinematics = Kinematics(self.time, self.x, self.v)
+            self.recorded = Kinematics(self.time, channels["piston_position"], self.v)
 
     def bench(self, claims: Sequence[Claim]) -> Bench:
         """The bench with the values that the claims replace."""
@@ -78,7 +79,7 @@ class SegmentModel:
         """A channel with the sensors' gains and biases taken out."""
         signal = self.channels[channel]
         for claim in claims:
-            signal = claim.effect.unmeasure(channel, signal, claim.values)
+            signal = claim.effect.unmeasure(channel, signal, self.memory, claim.values)
         return signal
 
     def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim]) -> FloatArray:
@@ -140,11 +141,11 @@ class SegmentModel:
             level = claim.effect.drag(level, motion, claim.values)
         return level
 
-    def spring_force(self, bench: Bench, claims: Sequence[Claim]) -> FloatArray:
-        """True force [N] of the load, at the kinematics' width."""
-        force = bench.spring_stiffness * (self.x - bench.spring_rest_position)
+    def spring_force(self, bench: Bench, claims: Sequence[Claim], motion: Kinematics) -> FloatArray:
+        """True force [N] of the load."""
+        force = bench.spring_stiffness * (motion.position - bench.spring_rest_position)
         for claim in claims:
-            force = claim.effect.load(force, self.kinematics, bench, claim.values)
+            force = claim.effect.load(force, motion, bench, claim.values)
         return force
 
     def force_on_rod(self, claims: Sequence[Claim]) -> FloatArray:
@@ -155,7 +156,7 @@ class SegmentModel:
         for claim in claims:
             force = claim.effect.resistance(force, level, self.kinematics, self.memory, claim.values)
         inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
-        return finish(inertia + force + self.spring_force(bench, claims))
+        return finish(inertia + force + self.spring_force(bench, claims, self.kinematics))
 
     def friction_doubt(self, claims: Sequence[Claim]) -> FloatArray:
         """Standard deviation [N] of the dry friction, because the velocity's zero is only known so well."""
@@ -191,9 +192,9 @@ class SegmentModel:
     def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated."""
         bench = self.bench(claims)
-        force = self.spring_force(bench, claims)
+        force = self.spring_force(bench, claims, self.recorded)
         if bench.load_cell_bandwidth is not None:
-            force = self.memory.low_pass("load_force", force, bench.load_cell_bandwidth)
+            force = self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
         return self._kept(smooth(self.channels["load_force"] - self.reading("load_force", force, claims)))
 
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:

@@ -53,6 +53,10 @@ def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
 _SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 
 
+FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
+"""Pa, N: below this the residuals' own discretisation is not better than the sensors (docs/diagnosis.md, "Noise floor")."""
+
+
 def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:
     """Standard deviation of each residual if nothing is missing, in its physical unit."""
     position = sensors.get("piston_position", 0.0)
@@ -69,4 +73,4 @@ def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> d
     }
     for chamber in "ab":
         noise["pressure_" + chamber] = sensors.get("pressure_" + chamber, 0.0) * TOTAL_NOISE_GAIN
-    return noise
+    return {channel: hypot(deviation, FLOOR[channel]) for channel, deviation in noise.items()}

@@ -53,8 +53,11 @@ class Memory(Protocol):
     def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
         """First-order lag of a signal, `time_constant` in s."""
 
-    def low_pass(self, key: str, signal: FloatArray, bandwidth: float) -> FloatArray:
-        """Second-order Butterworth low-pass, `bandwidth` in Hz."""
+    def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
+        """Second-order low-pass, `bandwidth` in Hz."""
+
+    def lead(self, signal: FloatArray, seconds: float) -> FloatArray:
+        """A slow signal, brought forward in time to first order."""
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """Elastic force [N] of a bristle that yields at `limit` [N] while `position` [m] moves (Dahl)."""
@@ -158,8 +161,8 @@ class Effect:
         """Reading of a sensor for its true signal."""
         return signal
 
-    def unmeasure(self, channel: str, reading: FloatArray, values: Values) -> FloatArray:
-        """True signal from a reading, as far as an algebraic inverse goes."""
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        """True signal from a reading, as far as that can be undone."""
         return reading
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, FloatArray, Memory, Parameter, Values
@@ -51,7 +52,7 @@ class LoadCellGain(_Sensor):
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return signal * values["ratio"] if channel == self.channel else signal
 
-    def unmeasure(self, channel: str, reading: FloatArray, values: Values) -> FloatArray:
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return reading / values["ratio"] if channel == self.channel else reading
 
     def sentence(self, values: Values) -> str:
@@ -67,7 +68,7 @@ class LoadCellBias(_Sensor):
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return signal + values["force"] if channel == self.channel else signal
 
-    def unmeasure(self, channel: str, reading: FloatArray, values: Values) -> FloatArray:
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return reading - values["force"] if channel == self.channel else reading
 
     def sentence(self, values: Values) -> str:
@@ -85,7 +86,7 @@ class PressureSensorBias(_Sensor):
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return signal + values["pressure"] if channel == self.channel else signal
 
-    def unmeasure(self, channel: str, reading: FloatArray, values: Values) -> FloatArray:
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return reading - values["pressure"] if channel == self.channel else reading
 
     def sentence(self, values: Values) -> str:
@@ -93,20 +94,26 @@ class PressureSensorBias(_Sensor):
 
 
 class SensorLag(_Sensor):
-    """Second-order Butterworth low-pass in a sensor's amplifier; at the load it replaces what the bench file says."""
+    """Second-order low-pass in a sensor's amplifier; at the load it replaces the one that the bench file states."""
 
     id = "sensor_lag"
     parameters = (
         Parameter(name="bandwidth", unit="Hz", low=2.0, high=400.0, neutral=400.0, probes=(15.0, 40.0, 120.0)),
+        Parameter(name="damping", unit="-", low=0.3, high=1.5, neutral=0.7071, probes=(0.7071,), reported=False),
     )
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, load_cell_bandwidth=values["bandwidth"]) if self.channel == "load_force" else bench
+        return replace(bench, load_cell_bandwidth=None) if self.channel == "load_force" else bench
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if channel != self.channel or channel == "load_force":
+        if channel != self.channel:
             return signal
-        return memory.low_pass(channel, signal, values["bandwidth"])
+        return memory.low_pass(channel, signal, values["bandwidth"], values["damping"])
+
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if channel != self.channel:
+            return reading
+        return memory.lead(reading, values["damping"] / (np.pi * values["bandwidth"]))
 
     def sentence(self, values: Values) -> str:
         return f"The amplifier of {self.words} is a low-pass near {values['bandwidth']:.3g} Hz."

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checks on what was read: repaired and listed where that is honest, refused in one sentence where it is not.
+
+The outcome is contiguous segments on an even grid: a recording is cut where samples, numbers or a sensor are missing for
+longer than `BRIDGED`, and straight lines bridge what is shorter.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from hydro_sim.bench import Bench
+
+from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.recording import MEASURED, Recording, Segment
+from hydro_diagnosis.table import InputError, RawTable
+
+BRIDGED = 5
+"""Samples, the longest gap that is bridged by a straight line."""
+SHORTEST = 1.5
+"""s, the shortest segment that is used."""
+FROZEN = 40
+"""Samples: a noisy sensor that repeats the same number so often has stopped."""
+STILL = 1e-5
+"""m: a recording whose position moves less shows nothing."""
+Mask = npt.NDArray[np.bool_]
+
+
+def checked(table: RawTable, bench: Bench) -> Recording:
+    """A recording that can be diagnosed.
+
+    Raises
+    ------
+    InputError
+        Too short, clock broken, nothing moves, or saturated throughout.
+    """
+    notes: list[str] = []
+    step, index = _grid(table, notes)
+    columns = _alive(table, notes)
+    if not any(name in columns for name in MEASURED):
+        raise InputError(f"{table.name}: no sensor in it is alive")
+    _refuse_useless(table.name, columns, bench)
+    bad = _bad_samples(table.name, columns, notes)
+    segments = _segments(table.name, step, index, columns, bad, notes)
+    if not segments:
+        raise InputError(f"{table.name}: no stretch of {SHORTEST:g} s without a gap: too short to be diagnosed")
+    return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in notes))
+
+
+def _grid(table: RawTable, notes: list[str]) -> tuple[float, npt.NDArray[np.int64]]:
+    """Sampling time and the number of each sample on an even grid; steps back become gaps."""
+    time = table.time
+    if len(time) < 3 or np.count_nonzero(np.isfinite(time)) < 3:
+        raise InputError(f"{table.name}: the recording is empty")
+    steps = np.diff(time)
+    forward = steps[np.isfinite(steps) & (steps > 0.0)]
+    if len(forward) < 0.5 * len(steps):
+        raise InputError(f"{table.name}: the time does not run forward")
+    step = float(np.median(forward))
+    step = 1e-3 if abs(step - 1e-3) < 5e-5 else step
+    counts = np.diff(table.sample) if table.sample is not None else steps / step
+    whole = np.rint(np.where(np.isfinite(counts), counts, 1e6)).astype(np.int64)
+    jumps = int(np.count_nonzero((np.abs(steps - whole * step) > max(5e-3, 2.0 * step)) & np.isfinite(steps)))
+    if jumps and table.sample is not None:
+        whole[np.abs(steps - whole * step) > max(5e-3, 2.0 * step)] = 10**6
+        notes.append(f"the clock jumps {jumps} times; the recording is cut there")
+    back = int(np.count_nonzero(whole < 0))
+    if back:
+        notes.append(f"the time steps back {back} times; the recording is cut there")
+    lost = int(np.sum(whole[(whole > 1) & (whole < 10**6)] - 1))
+    if lost:
+        notes.append(f"{lost} samples are missing")
+    whole[whole < 0] = 10**6
+    return step, np.concatenate([[0], np.cumsum(whole)])
+
+
+def _alive(table: RawTable, notes: list[str]) -> dict[str, FloatArray]:
+    """Columns without those that hold nothing or never change."""
+    alive = {}
+    for name, values in table.columns.items():
+        finite = values[np.isfinite(values)]
+        if len(finite) < 0.5 * len(values):
+            notes.append(f"{name} is missing in most samples and was left out")
+        elif name in MEASURED and np.ptp(finite) == 0.0 and name != "piston_position":
+            if np.any(finite != 0.0):
+                notes.append(f"{name} is frozen throughout and was left out")
+        else:
+            alive[name] = values
+    return alive
+
+
+def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> None:
+    if "piston_position" in columns:
+        span = float(np.nanmax(columns["piston_position"]) - np.nanmin(columns["piston_position"]))
+        if span < STILL:
+            raise InputError(f"{name}: the piston position does not change (by {span:.2g} m): nothing can be diagnosed")
+    if "valve_current" in columns:
+        limit = bench.valve_current_max * 0.999
+        share = float(np.mean(np.abs(columns["valve_current"]) >= limit))
+        if share > 0.6:
+            raise InputError(f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples")
+
+
+def _bad_samples(name: str, columns: dict[str, FloatArray], notes: list[str]) -> Mask:
+    bad = np.zeros(len(next(iter(columns.values()))), dtype=bool)
+    for channel, values in columns.items():
+        if channel not in MEASURED and channel != "valve_current":
+            continue
+        missing = ~np.isfinite(values)
+        if missing.any():
+            notes.append(f"{channel} is not a number in {int(missing.sum())} samples")
+        frozen = _repeats(values) if channel in MEASURED and channel != "piston_position" else np.zeros_like(bad)
+        if frozen.any():
+            notes.append(f"{channel} is frozen in {int(frozen.sum())} samples; the recording is cut there")
+        bad |= missing | frozen
+    return bad
+
+
+def _repeats(values: FloatArray) -> Mask:
+    """Samples within a run of at least `FROZEN` equal values."""
+    same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
+    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
+    repeats = np.zeros(len(values), dtype=bool)
+    for begin, end in zip(edges[::2], edges[1::2]):
+        if end - begin >= FROZEN:
+            repeats[begin : end + 1] = True
+    return repeats
+
+
+def _segments(
+    name: str,
+    step: float,
+    index: npt.NDArray[np.int64],
+    columns: dict[str, FloatArray],
+    bad: Mask,
+    notes: list[str],
+) -> list[Segment]:
+    good = np.flatnonzero(~bad)
+    if len(good) < 2:
+        return []
+    unique, first = np.unique(index[good], return_index=True)
+    if len(unique) < len(good):
+        notes.append(f"{len(good) - len(unique)} samples come twice; the first was kept")
+    rows = good[first]
+    cuts = np.flatnonzero(np.diff(unique) > BRIDGED + 1)
+    starts, ends = np.concatenate([[0], cuts + 1]), np.concatenate([cuts + 1, [len(unique)]])
+    segments, bridged, short = [], 0, 0
+    origin = unique[0]
+    for begin, end in zip(starts, ends):
+        at = unique[begin:end]
+        even = np.arange(at[0], at[-1] + 1)
+        if len(even) * step < SHORTEST:
+            short += len(even)
+            continue
+        bridged += len(even) - len(at)
+        channels = {key: np.interp(even, at, values[rows[begin:end]]) for key, values in columns.items()}
+        start = float(min(at[0] - origin, 10**5) * step)
+        segments.append(Segment(name, start, step, channels))
+    if bridged:
+        notes.append(f"{bridged} missing samples were bridged by straight lines")
+    if short:
+        notes.append(f"{short} samples stand in stretches shorter than {SHORTEST:g} s and were not used")
+    return segments
