@@ -29,7 +29,7 @@ from hydro_bridge.protocol import (
     encode_hello,
     negotiate,
 )
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import Flag, flag_names
 from hydro_bridge.stream import Decoder, LinkCounts, SequenceTracker
 
 _HELLO_PERIOD = 0.1
@@ -144,7 +144,7 @@ class Link:
             if arm and self.state is not LinkState.CONNECTED:
                 return f"there is no box: the port is {self.state.value}"
             if arm and self.flags & Flag.TRIPPED:
-                return f"the box has tripped ({_names(self.flags)}): disarm it, then arm it"
+                return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
             self.guard.set_arm(arm)
         with self._news:
             if self.state is LinkState.CLOSED or self._news.wait_for(
@@ -153,7 +153,7 @@ class Link:
                 return ""
         with self.lock:
             self.guard.set_arm(False)
-        return f"the box did not confirm within {timeout:g} s ({_names(self.flags)})"
+        return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
 
     def _converse(self) -> None:
         """Read until the port is lost."""
@@ -248,10 +248,6 @@ class Link:
         if sentence != self._complaint:
             self._complaint = sentence
             self._log(sentence)
-
-
-def _names(flags: Flag) -> str:
-    return ", ".join(flag.name or "" for flag in Flag if flag in flags) or "no flags"
 
 
 def _foreign(version: int) -> str:

@@ -69,6 +69,11 @@ class Flag(IntFlag):
     EXTRAPOLATING = 128
 
 
+def flag_names(flags: int) -> str:
+    """Names of the flags that are set, for people (`Flag.name` of several is None before Python 3.11)."""
+    return ", ".join(str(flag.name) for flag in Flag if flag & flags) or "no flags"
+
+
 class Waveform(IntEnum):
     """`ReferenceSignal.waveform`: hold = offset, the others add `amplitude` times a shape within [-1, 1]."""
 

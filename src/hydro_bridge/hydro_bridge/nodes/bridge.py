@@ -19,7 +19,7 @@ from hydro_bridge.port import Port, PortSettings
 from hydro_bridge.protocol import State
 from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
 from hydro_bridge.settings import describe
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import Flag, flag_names
 
 
 class BridgeSide(Link):
@@ -33,7 +33,7 @@ class BridgeSide(Link):
         values = {
             "port": self.port.settings.path,
             "box": self.box.name if self.box else "",
-            "flags": flags.name or "none",
+            "flags": flag_names(flags),
             "require filter": self.guard.settings.require_filter,
             **asdict(self.counts),
             "reconnects": report.reconnects,
