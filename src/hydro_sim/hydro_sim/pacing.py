@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import os
 import time
 
 from hydro_bridge.latency import Latency
@@ -61,13 +60,7 @@ class Pacer:
             self.start_ns -= left
 
 
-def raise_priority() -> str:
-    """Ask the kernel for real-time scheduling and exact timers for the calling thread; what it granted, in words."""
+def exact_timers() -> None:
+    """Ask the kernel to wake the calling thread when it is due, not when it is convenient (50 us later by default)."""
     with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; 50 us by default
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
-        return "SCHED_FIFO 40"
-    with contextlib.suppress(OSError):
-        return f"nice {os.nice(-10)}"
-    return "normal priority (no permission for more)"
+        ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns

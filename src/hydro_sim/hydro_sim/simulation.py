@@ -25,10 +25,10 @@ from typing import Any
 
 from hydro_bridge.guard import CommandGuard
 from hydro_bridge.settings import check
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import Command, Flag, FloatArray
 from hydro_sim.box import Box
 from hydro_sim.lockstep import LockStep
-from hydro_sim.pacing import Pacer, raise_priority
+from hydro_sim.pacing import Pacer, exact_timers
 from hydro_sim.plant import Plant
 from hydro_sim.timing import SAMPLE
 
@@ -106,8 +106,8 @@ class Simulation:
 
     def run(self) -> None:
         """Simulate until `stop`; the body of the plant's thread."""
-        self._log(f"scheduled with {raise_priority()}")
-        measurement = self._plant.reset(self.settings.seed)
+        exact_timers()
+        measurement = self._warm_up()
         self._began = time.monotonic()
         self.pacer.restart()
         while not self._stopping.is_set():
@@ -152,6 +152,14 @@ class Simulation:
         with self.lock:
             self.guard.set_arm(False)
         return f"the box did not confirm within {timeout:g} s ({self.flags.name})"
+
+    def _warm_up(self) -> FloatArray:
+        """Let everything compile before there are deadlines; returns the first measurement."""
+        self._box.receive(Command(), 0.0)
+        self._box.tick(self._plant.reset(self.settings.seed), 0.0)
+        self._plant.step(0.0)
+        self._box.reset()
+        return self._plant.reset(self.settings.seed)
 
     def _wait(self, sequence: int, resend: Callable[[], None]) -> None:
         if self.settings.speed > 0.0 or not self.steps.engaged:
