@@ -2,8 +2,8 @@
 """The whole graph on this machine: box frame in to correction frame out, CPU per process, lost samples.
 
 Emulator (on its pseudo-terminal), bridge, filter and recorder run as processes; gains come at 100 Hz from here, as a
-trainer's would. `--load 1` adds a process that computes without pause, as a learner does. The bridge measures the latency
-(from a state frame's arrival to the command frame that carries its correction) and tells it on /diagnostics.
+trainer's would. `--load 1` adds a process that computes without pause, as a learner does. The bridge measures the
+latency, from a state frame's arrival to the command frame that carries its correction, and tells it on /diagnostics.
 """
 
 from __future__ import annotations
@@ -160,14 +160,11 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
     table = Table({"what": "", "value": ""}, title=_title(asked))
     table.add(what="box frame in to correction frame out", value=bridge.get("state in to correction out", "not told"))
     table.add(what="command out to confirmation in", value=bridge.get("command out to confirmation in", "not told"))
-    ages = "  ".join(
-        f"{key} {own.get(f'{part}_{key}_ms', '?')}" for part in ("work",) for key in ("p50", "p99", "p99_9")
-    )
-    table.add(what="filter: state's arrival to correction's publication", value=f"{ages} ms")
-    counts = ", ".join(
-        f"{own.get(key, '?')} {key}" for key in ("pass", "modified", "relaxed", "infeasible", "nan", "stale")
-    )
-    table.add(what="filter: corrections", value=counts)
+    work = "  ".join(f"{key} {own.get(f'work_{key}_ms', '?')}" for key in ("p50", "p99", "p99_9"))
+    table.add(what="filter: callback to publication", value=f"{work} ms")
+    statuses = ("pass", "modified", "relaxed", "infeasible", "nan", "stale")
+    told = ", ".join(f"{own.get(key, '?')} {key}" for key in (*statuses, "missing_states"))
+    table.add(what="filter: corrections", value=told)
     for name, used in cpu.items():
         table.add(what=f"{name}: share of a core", value=f"{used / elapsed:.1%}")
     table.add(what="recording: samples, missing sequence numbers", value=f"{lost.samples}, {lost.lost}")

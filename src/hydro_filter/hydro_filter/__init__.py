@@ -7,3 +7,10 @@ What it can and cannot do: docs/safety.md.
 a protocol and its analytic form; `certificate` puts them together to a half-line, `qp` finds the smallest correction
 on it, `filter` is the whole, one sample in and one correction out; `nodes` moves messages.
 """
+
+from pathlib import Path
+
+import hydro_sim
+from hydro_sim.compiled import forget_stale
+
+forget_stale(Path(__file__).parent, Path(hydro_sim.__file__).parent)

@@ -21,9 +21,8 @@ from hydro_filter.filter import ContractionFilter, Result
 from hydro_filter.sample import Sample
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box
-from hydro_sim.hydraulics import SAMPLE
-from hydro_sim.offline import POLICY_SAMPLES
 from hydro_sim.plant import Plant
+from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 
 class Run(NamedTuple):

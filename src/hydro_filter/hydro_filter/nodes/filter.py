@@ -64,7 +64,6 @@ class FilterNode(Node):
         self._message = Correction()
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self._clock = self.get_clock()
         self.filter.correct(Sample(np.zeros(len(PLANT_FIELDS)), 0.0, 0.0, 0.0))  # compiles now, not at the first sample
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
         self.get_logger().info(
@@ -94,7 +93,7 @@ class FilterNode(Node):
         self._publisher.publish(message)
 
     def _now(self) -> float:
-        return 1e-9 * float(self._clock.now().nanoseconds)
+        return 1e-9 * float(self.get_clock().now().nanoseconds)
 
     def _status(self) -> Status:
         news = self.tally.news()
