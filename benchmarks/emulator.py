@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU of one emulated second: on the serial line with a reader that commands at 1 kHz, stepped without a line, and offline.
+"""CPU of one emulated second: on the serial line with a reader that commands at 1 kHz, stepped, and offline.
 
 CPU by os.times (user and system) of the emulator's process; the goal for the serial line is below 0.15 s.
 """
@@ -60,7 +60,7 @@ def command_back(path: str, seconds: float) -> None:
 def serial(seconds: float) -> dict[str, float]:
     """The real-time loop with all that belongs to it."""
     machine = Machine(profile("default"))
-    machine.tick()
+    machine.warm_up()
     with tempfile.TemporaryDirectory() as folder:
         terminal = Terminal(Path(folder) / "port")
         link = BoxLink(terminal, box_info(Bench.nominal(), BoxConfig()), LinkFaults())
@@ -79,8 +79,8 @@ def serial(seconds: float) -> dict[str, float]:
         reader.join()
     share = link.report.commands / timing.samples
     print(
-        f"serial line, {priority}: {spent / seconds:.3f} s of CPU per s; {timing.late} of {timing.samples} samples late by more "
-        f"than 1 ms, worst {1e3 * timing.worst:.2f} ms; {share:.1%} of the samples with a new command"
+        f"serial line, {priority}: {spent / seconds:.3f} s of CPU per s; {timing.late} of {timing.samples} samples "
+        f"late by more than 1 ms, worst {1e3 * timing.worst:.2f} ms; {share:.1%} of the samples with a new command"
     )
     return {"cpu": spent / seconds, "late": timing.late, "worst": timing.worst, "commanded": share}
 
@@ -88,6 +88,7 @@ def serial(seconds: float) -> dict[str, float]:
 def stepped(seconds: float) -> float:
     """Box and plant without a line, sample by sample."""
     machine = Machine(profile("default"))
+    machine.warm_up()
     machine.receive(Command())
     machine.tick()
     command = Command(arm=True, delta_kp=75.0, delta_ki=10.0, reference=SINE)

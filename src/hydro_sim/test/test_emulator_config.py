@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import fields
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_type_hints
 
 import pytest
 import yaml
@@ -103,6 +103,7 @@ def test_numbers_that_yaml_reads_as_text_are_numbers() -> None:
             {"effects": {"friction_presliding": {}, "friction_coulomb": {"form": "static"}}},
             "give friction_coulomb form",
         ),
+        ({"profile": "nominal", "effects": {"friction_presliding": {}}}, "give friction_coulomb form"),
         ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
         ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),
         ({"bench": {"spring_rest_position": 0.09}}, "must lie within the stroke"),
@@ -130,12 +131,12 @@ def test_unreadable_files_are_refused_in_one_sentence(tmp_path: Path) -> None:
 @pytest.mark.parametrize("section", ["effects", "outside"])
 def test_every_effect_alone_changes_what_the_plant_computes_with(section: str) -> None:
     """No switch is dead: each one changes the numbers that the compiled plant gets."""
-    nominal = compile_parameters(profile("nominal"))
     for field in fields(Effects if section == "effects" else Outside):
-        changed = compile_parameters(
-            truth_from_mapping({"profile": "nominal", section: {field.name: EXAMPLES[field.name]}})
-        )
-        assert changed.tobytes() != nominal.tobytes(), field.name
+        other = {"friction_coulomb": {"form": "lugre"}} if field.name == "friction_presliding" else {}
+        without = compile_parameters(truth_from_mapping({"profile": "nominal", "effects": other}))
+        changes = {section: {**other, field.name: EXAMPLES[field.name]}}
+        changed = compile_parameters(truth_from_mapping({"profile": "nominal", **changes}))
+        assert changed.tobytes() != without.tobytes(), field.name
 
 
 EXAMPLES: dict[str, Any] = {
@@ -183,6 +184,15 @@ EXAMPLES: dict[str, Any] = {
     "wall_flexibility": {"compliance": 1e-14},
     "supply_ripple": {"amplitude": 1e5},
 }
+
+
+@pytest.mark.parametrize("section", [Effects, Outside])
+def test_documentation_names_every_effect_and_every_setting(section: type) -> None:
+    page = Path(__file__).parents[3] / "docs" / "emulator.md"
+    rows = {line.split("|")[1].strip(" +"): line for line in page.read_text().splitlines() if line.count("|") > 3}
+    for field in fields(section):
+        settings = fields(get_type_hints(section)[field.name].__args__[0])
+        assert all(f"`{setting.name}`" in rows[field.name] for setting in settings), field.name
 
 
 def test_schedule_is_read_strictly_and_fitted(tmp_path: Path) -> None:

@@ -83,9 +83,7 @@ def _serve(options: argparse.Namespace) -> None:
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     box = BoxConfig()
     machine = Machine(jobs.truth(options.truth), bench, box, options.seed)
-    machine.tick()  # compiles, before the clock starts
-    machine.plant.reset(options.seed)
-    machine.restart()
+    machine.warm_up()
     faults = load_faults(options.faults)
     terminal = Terminal(options.link or default_link())
     link = BoxLink(terminal, box_info(bench, box), faults, options.seed)

@@ -42,7 +42,7 @@ class FrictionStribeck:
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionPresliding:
-    """Elastic deflection before sliding; makes the friction LuGre."""
+    """Elastic deflection before sliding, of a friction_coulomb of form lugre (which without it has these defaults)."""
 
     stiffness: float = quantity(5e5, unit="N/m", low=1e4, high=1.2e6)
     damping: float = quantity(300.0, unit="N s/m", low=0.0, high=5000.0)

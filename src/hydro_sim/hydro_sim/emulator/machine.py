@@ -66,6 +66,7 @@ class Machine:
         self, config: TruthConfig, bench: Bench | None = None, box: BoxConfig | None = None, seed: int = 0
     ) -> None:
         believed = bench or Bench.nominal()
+        self._seed = seed
         self.plant = truth.TruthPlant(config, seed)
         self.records = (self.plant.parameters, self.plant.differentiation, self.plant.state, self.plant.chain)
         self.bench = believed.constants()
@@ -80,6 +81,13 @@ class Machine:
     def time(self) -> float:
         """Box time [s] of the coming sample."""
         return self.samples * SAMPLE_TIME
+
+    def warm_up(self) -> None:
+        """Run everything once, so that nothing is left to compile, and start anew."""
+        self.receive(Command())
+        self.tick()
+        self.plant.reset(self._seed)
+        self.restart()
 
     def restart(self) -> None:
         """Power-cycle the box: disarmed, sequence and clock from zero. The plant goes on."""

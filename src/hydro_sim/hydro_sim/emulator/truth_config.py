@@ -80,12 +80,12 @@ def profile(name: str) -> TruthConfig:
         raise ConfigError(f"profile must be nominal or default, not {name!r}")
     return TruthConfig(
         effects=Effects(
-            valve_lag=ValveLag(bandwidth=110.0, damping=0.8, rate_limit=6.0),
+            valve_lag=ValveLag(bandwidth=110.0, damping=1.2, rate_limit=6.0),
             friction_coulomb=FrictionCoulomb(force=12.0, form="lugre"),
             friction_stribeck=FrictionStribeck(breakaway_force=5.0, velocity=0.01),
             friction_presliding=FrictionPresliding(stiffness=5e5),
             leakage_internal=LeakageInternal(coefficient=1e-13),
-            sensor_lag=(SensorLag(sensor="load_force", bandwidth=25.0, damping=0.5),),
+            sensor_lag=(SensorLag(sensor="load_force", bandwidth=25.0, damping=0.55),),
         )
     )
 
@@ -133,9 +133,11 @@ def check(config: TruthConfig) -> TruthConfig:
     ConfigError
         If values that are each in range contradict one another.
     """
-    forms = {e.form for e in (config.effects.friction_coulomb,) if e is not None}
-    if config.effects.friction_presliding is not None and forms - {"lugre"}:
-        raise ConfigError("friction_presliding is LuGre friction: give friction_coulomb form: lugre with it")
+    coulomb = config.effects.friction_coulomb
+    if config.effects.friction_presliding is not None and (coulomb is None or coulomb.form != "lugre"):
+        raise ConfigError(
+            "effects.friction_presliding is part of LuGre friction: give friction_coulomb form: lugre with it"
+        )
     if not 0.0 < config.bench.spring_rest_position < config.bench.stroke:
         raise ConfigError("bench.spring_rest_position must lie within the stroke")
     added = config.effects.moving_mass
