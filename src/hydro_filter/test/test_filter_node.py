@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 pytestmark = pytest.mark.graph
-rclpy = pytest.importorskip("rclpy")
+pytest.importorskip("hydro_msgs.msg", reason="source install/setup.bash")
 
+import rclpy  # noqa: E402
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
