@@ -9,6 +9,7 @@ package's caches whenever any of its sources, or of the packages it calls into, 
 from __future__ import annotations
 
 import contextlib
+import fcntl
 from pathlib import Path
 
 STAMP = "sources.stamp"
@@ -28,11 +29,16 @@ def forget_stale(*packages: Path) -> bool:
     sources = [path.stat() for package in packages for path in sorted(package.rglob("*.py"))]
     present = repr([(source.st_mtime_ns, source.st_size) for source in sources])
     with contextlib.suppress(OSError):
-        if stamp.exists() and stamp.read_text() == present:
-            return False
-        for index in packages[0].rglob("*.nbi"):
-            index.unlink(missing_ok=True)
         stamp.parent.mkdir(exist_ok=True)
-        stamp.write_text(present)
-        return True
+        with stamp.open("a+") as file:
+            # A graph starts its nodes at once: the second must not delete what the first has just compiled.
+            fcntl.flock(file, fcntl.LOCK_EX)
+            file.seek(0)
+            if file.read() == present:
+                return False
+            for index in packages[0].rglob("*.nbi"):
+                index.unlink(missing_ok=True)
+            file.truncate(0)
+            file.write(present)
+            return True
     return False
