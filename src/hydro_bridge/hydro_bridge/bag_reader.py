@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Reads recordings into arrays by field name: a rosbag2 folder or a single .mcap, ours or by any other writer.
 
-`read_bag` gives everything, `stream_bag` one topic piece by piece in bounded memory, `messages` the bytes as recorded.
+`read_bag` gives everything, `stream_bag` one topic piece by piece in bounded memory, `messages` the bytes as
+recorded, `objects` the messages of a topic that is not numbers only.
 """
 
 from __future__ import annotations
@@ -10,8 +11,10 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bag_source import BagSource, Table, decode_span
 from hydro_bridge.bag_types import RecordingError, TopicQos
@@ -139,6 +142,26 @@ def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
         columns = zip(span.log_times.tolist(), span.starts.tolist(), span.sizes.tolist(), strict=True)
         spans += [(time, start, channel.topic, type_name, size) for time, start, size in columns]
     yield from _ordered(last, spans)
+
+
+def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
+    """Log time [s] and message of whatever type, one object each: for /diagnostics and the like; errors as `read_bag`."""
+    source, store = BagSource(Path(path)), get_typestore(Stores.EMPTY)
+    found = False
+    for scan, channel, block, span in source.spans():
+        if channel.topic != topic:
+            continue
+        name, text = source.type_of(scan, channel)
+        if not found:
+            store.register(get_types_from_msg(text, name))
+            found = True
+        for start, size, time_ns in zip(
+            span.starts.tolist(), span.sizes.tolist(), span.log_times.tolist(), strict=True
+        ):
+            yield 1e-9 * time_ns, store.deserialize_cdr(block[start : start + size], name)
+    if not found:
+        topics = {channel.topic for scan in source.scans for channel in scan.channels.values()}
+        raise RecordingError(_no_topic(source.path, topic, topics))
 
 
 def as_states(table: Table, path: Path) -> StateArray:

@@ -28,7 +28,7 @@ class BagSource:
     path: Path
     scans: list[McapScan] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
-    _layouts: dict[tuple[str, bytes], FixedLayout | None] = field(default_factory=dict)
+    _layouts: dict[tuple[str, str], FixedLayout | None] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         files, self.notes = mcap_files(self.path)
@@ -47,21 +47,28 @@ class BagSource:
                     f"{scan.path.name} was not finished (its recorder was killed?): read up to where it ends"
                 )
 
-    def layout(self, scan: McapScan, channel: Channel) -> FixedLayout | None:
-        """Layout of a channel's type; None if it is not numbers only."""
+    def type_of(self, scan: McapScan, channel: Channel) -> tuple[str, str]:
+        """Name and ros2msg text of a channel's type; raises RecordingError."""
         schema = scan.schemas.get(channel.schema_id)
         if schema is None or channel.message_encoding != "cdr":
             raise RecordingError(f"{scan.path}: {channel.topic} has no type or is not CDR")
-        key = (schema.name, schema.data)
-        if key not in self._layouts:
+        try:
+            text = schema.data.decode() if schema.encoding == "ros2msg" else definition(schema.name).text
+        except (UnknownTypeError, UnicodeDecodeError):
+            raise RecordingError(f"{scan.path}: the definition of {schema.name} cannot be read") from None
+        return schema.name, text
+
+    def layout(self, scan: McapScan, channel: Channel) -> FixedLayout | None:
+        """Layout of a channel's type, None if it is not numbers only; raises RecordingError."""
+        name, text = self.type_of(scan, channel)
+        if (name, text) not in self._layouts:
             try:
-                text = schema.data.decode() if schema.encoding == "ros2msg" else definition(schema.name).text
-                self._layouts[key] = fixed_layout(text, schema.name)
-            except (NotFixedError, UnknownTypeError):
-                self._layouts[key] = None
-            except Exception as error:
-                raise RecordingError(f"{scan.path}: the definition of {schema.name} cannot be read: {error}") from None
-        return self._layouts[key]
+                self._layouts[name, text] = fixed_layout(text, name)
+            except NotFixedError:
+                self._layouts[name, text] = None
+            except Exception as error:  # noqa: BLE001 - rosbags raises its parser's kinds
+                raise RecordingError(f"{scan.path}: the definition of {name} cannot be read: {error}") from None
+        return self._layouts[name, text]
 
 
 def decode_span(path: Path, topic: str, layout: FixedLayout, block: bytes, span: Span) -> Table:

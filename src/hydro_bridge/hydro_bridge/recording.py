@@ -11,7 +11,7 @@ import os
 import shutil
 from pathlib import Path
 
-from hydro_bridge.bag_reader import STATE_TOPIC, Recording, messages, read_bag, stream_bag
+from hydro_bridge.bag_reader import STATE_TOPIC, Recording, messages, objects, read_bag, stream_bag
 from hydro_bridge.bag_types import RecordingError, TopicQos
 from hydro_bridge.bag_writer import BagWriter
 from hydro_bridge.continuity import Continuity, continuity
@@ -25,6 +25,7 @@ __all__ = [
     "TopicQos",
     "continuity",
     "messages",
+    "objects",
     "read_bag",
     "repair",
     "stream_bag",

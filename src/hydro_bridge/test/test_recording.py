@@ -22,6 +22,7 @@ from hydro_bridge.recording import (
     TopicQos,
     continuity,
     messages,
+    objects,
     read_bag,
     repair,
     stream_bag,
@@ -276,3 +277,11 @@ def test_an_interrupted_sequence_is_reported(make_states):
     assert continuity(jump).time_jumps == 1 and continuity(jump).largest_jump == pytest.approx(0.25)
     assert continuity(make_states(10, first=2**32 - 5)).whole
     assert continuity(np.concatenate([make_states(5, first=10**7), make_states(5)])).restarts == 1
+
+
+def test_messages_of_any_type_are_read_as_objects(bag):
+    read = list(objects(bag, GAINS))
+    assert [message.step for _, message in read] == list(range(500))
+    assert read[1][0] - read[0][0] == pytest.approx(0.01, abs=1e-6)
+    with pytest.raises(RecordingError, match="no messages on /nothing"):
+        list(objects(bag, "/nothing"))
