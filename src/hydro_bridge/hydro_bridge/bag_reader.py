@@ -145,7 +145,7 @@ def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
 
 
 def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
-    """Log time [s] and message of whatever type, one object each: for /diagnostics and the like; errors as `read_bag`."""
+    """Log time [s] and message, one object each, of a topic of any type such as /diagnostics; errors as `read_bag`."""
     source, store = BagSource(Path(path)), get_typestore(Stores.EMPTY)
     found = False
     for scan, channel, block, span in source.spans():

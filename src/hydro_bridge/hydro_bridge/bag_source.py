@@ -66,7 +66,7 @@ class BagSource:
                 self._layouts[name, text] = fixed_layout(text, name)
             except NotFixedError:
                 self._layouts[name, text] = None
-            except Exception as error:  # noqa: BLE001 - rosbags raises its parser's kinds
+            except Exception as error:
                 raise RecordingError(f"{scan.path}: the definition of {name} cannot be read: {error}") from None
         return self._layouts[name, text]
 
