@@ -107,6 +107,8 @@ def test_numbers_that_yaml_reads_as_text_are_numbers() -> None:
         ({"effects": {"moving_mass": {"mass": float("nan")}}}, "must be a number in kg, not nan"),
         ({"bench": {"moving_mass": 0.5}, "effects": {"moving_mass": {"mass": -0.5}}}, "takes away all"),
         ({"bench": {"spring_rest_position": 0.09}}, "must lie within the stroke"),
+        ({"effects": {"spring_rest": {"position": 0.09}}}, "must lie within the stroke"),
+        ({"effects": {"friction_viscous": {"coefficient": -61}}}, "takes away more than all"),
     ],
 )
 def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: str) -> None:

@@ -138,8 +138,12 @@ def check(config: TruthConfig) -> TruthConfig:
         raise ConfigError(
             "effects.friction_presliding is part of LuGre friction: give friction_coulomb form: lugre with it"
         )
-    if not 0.0 < config.bench.spring_rest_position < config.bench.stroke:
-        raise ConfigError("bench.spring_rest_position must lie within the stroke")
+    rest = config.effects.spring_rest
+    if not 0.0 < (config.bench.spring_rest_position if rest is None else rest.position) < config.bench.stroke:
+        raise ConfigError("the spring's rest position must lie within the stroke")
+    viscous = config.effects.friction_viscous
+    if viscous is not None and config.bench.viscous_friction + viscous.coefficient < 0.0:
+        raise ConfigError("effects.friction_viscous takes away more than all of the viscous friction")
     added = config.effects.moving_mass
     if added is not None and config.bench.moving_mass + added.mass < 0.05:
         raise ConfigError("effects.moving_mass takes away all of the moving mass")
