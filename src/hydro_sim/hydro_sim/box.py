@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.settings import SettingsError, check
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim import box_kernel, hydraulics
 from hydro_sim.bench import Bench
@@ -72,14 +73,11 @@ class BoxConfig:
     """Force in the tracking error; the paper writes `hydraulic` once, its objective is `load`."""
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if entry.name != "feedback" and not np.isfinite(value):
-                raise ValueError(f"box setting {entry.name} = {value!r} is not a finite number")
+        check(self)
         if self.feedback not in ("load", "hydraulic"):
-            raise ValueError(f"box setting feedback = {self.feedback!r} is neither 'load' nor 'hydraulic'")
-        if not 0.0 < self.hold_timeout <= self.trip_timeout:
-            raise ValueError("box settings need 0 < hold_timeout <= trip_timeout")
+            raise SettingsError(f"feedback is {self.feedback!r}, allowed are 'load' and 'hydraulic'")
+        if self.hold_timeout > self.trip_timeout:
+            raise SettingsError(f"hold_timeout {self.hold_timeout:g} s is above trip_timeout {self.trip_timeout:g} s")
 
     def constants(self, bench: Bench) -> npt.NDArray[np.void]:
         """What the compiled box reads: one record of `box_kernel.SETTINGS_DTYPE`, shape (1,)."""

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
 from hydro_sim.timing import SAMPLE
 
@@ -49,6 +50,9 @@ class Sensors:
     velocity_age: float = 1e-3
     """s, [0.0005, 0.02]."""
 
+    def __post_init__(self) -> None:
+        check(self)
+
     def constants(self, scale: float = 1.0) -> npt.NDArray[np.void]:
         """For compiled code: one record of `SENSORS_DTYPE`, shape (1,); noise and step times `scale` (0: ideal)."""
         memories = _memory(self.force_rate_age), _memory(self.velocity_age)
@@ -58,8 +62,6 @@ class Sensors:
 
 def _memory(age: float) -> float:
     """Coefficient a of a differentiator of that age [s]."""
-    if not SAMPLE / 2.0 <= age <= 0.02:
-        raise ValueError(f"a rate's age of {age:g} s is outside [{SAMPLE / 2.0:g}, 0.02] s")
     return (age / SAMPLE - 0.5) / (age / SAMPLE + 0.5)
 
 

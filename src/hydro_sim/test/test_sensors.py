@@ -68,7 +68,7 @@ def test_noise_is_the_same_however_many_rows_are_taken() -> None:
 
 
 def test_impossible_settings_are_refused(bench: Bench) -> None:
-    with pytest.raises(ValueError, match=r"age of 0\.0001 s is outside"):
-        Sensors(velocity_age=1e-4).constants()
+    with pytest.raises(ValueError, match="velocity_age"):
+        Sensors(velocity_age=1e-4)
     with pytest.raises(ValueError, match="noise scale -1"):
         AnalyticPlant(bench, noise=-1)

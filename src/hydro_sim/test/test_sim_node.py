@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sim as users start it. That it can stand for emulator and bridge: tests/test_graph_plants.py."""
+
+from __future__ import annotations
+
+import subprocess
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+rclpy = pytest.importorskip("rclpy")
+
+from rclpy.experimental import EventsExecutor  # noqa: E402
+from rosgraph_msgs.msg import Clock  # noqa: E402
+
+from hydro_bridge.ros import CORRECTION, GRAPH, STATE, Companion, executable_path, seconds  # noqa: E402
+from hydro_msgs.msg import BenchState, Correction  # noqa: E402
+
+pytestmark = pytest.mark.graph
+
+
+@pytest.mark.parametrize(
+    ("arguments", "sentence"),
+    [
+        (["--bench", "nowhere.yaml"], "error: nowhere.yaml: No such file or directory"),
+        (["--speed", "-1"], "error: speed is -1, allowed is [0, 100]"),
+        (["--ros-args", "-p", "box.load_force_limit:=-5.0"], "error: parameter box.load_force_limit: "),
+    ],
+)
+def test_what_it_cannot_use_is_refused_in_one_sentence(arguments: list[str], sentence: str, tmp_path: Path) -> None:
+    sim = [str(executable_path("hydro_sim", "sim")), *arguments]
+    ended = subprocess.run(sim, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert ended.returncode == 2
+    assert sentence in ended.stderr and "Traceback" not in ended.stderr
+
+
+@pytest.fixture
+def lock_step() -> Iterator[None]:
+    sim = Companion("hydro_sim", "sim", ["--speed", "0"])
+    yield
+    sim.stop()
+
+
+def test_lock_step_waits_for_the_filter_and_publishes_the_clock(lock_step: None) -> None:
+    """A filter that answers at once: no sample is lost, and each comes with its time on /clock."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("probe", context=context)
+    answer = node.create_publisher(Correction, CORRECTION, GRAPH[CORRECTION][1])
+    states: list[tuple[int, float]] = []
+    times: list[float] = []
+    enough = rclpy.task.Future()
+
+    def on_state(message: BenchState) -> None:
+        states.append((message.sequence, seconds(message.header.stamp)))
+        answer.publish(Correction(header=message.header, sequence=message.sequence))
+        if len(states) == 1500:
+            enough.set_result(None)
+
+    node.create_subscription(BenchState, STATE, on_state, GRAPH[STATE][1])
+    node.create_subscription(Clock, "/clock", lambda message: times.append(seconds(message.clock)), 1000)
+    executor = EventsExecutor(context=context)
+    executor.add_node(node)
+    watch = threading.Timer(30.0, lambda: enough.set_result(None))
+    watch.start()
+    while not enough.done():
+        executor.spin_until_future_complete(enough, timeout_sec=0.2)
+    watch.cancel()
+    executor.shutdown()
+    node.destroy_node()
+    rclpy.shutdown(context=context)
+    answered = [sequence for sequence, _ in states[-1000:]]
+    assert answered == list(range(answered[0], answered[0] + 1000))
+    assert [stamp for _, stamp in states[-1000:]] == pytest.approx([1e-3 * sequence for sequence in answered])
+    assert set(times) >= {stamp for _, stamp in states[-1000:-10]}

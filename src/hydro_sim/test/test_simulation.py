@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulation behind the sim node, its pace and its lock-step, with peers in other threads and without ROS."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from hydro_bridge.guard import CommandGuard
+from hydro_bridge.settings import SettingsError
+from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
+from hydro_sim.bench import Bench
+from hydro_sim.box import Box
+from hydro_sim.lockstep import RESEND
+from hydro_sim.pacing import Pacer
+from hydro_sim.plant import AnalyticPlant
+from hydro_sim.simulation import SimSettings, Simulation
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=2.0)
+VALVE, NOMINAL, K_P = (
+    2 + STATE_FIELDS.index(name) for name in ("valve_current", "nominal_valve_current", "proportional_gain")
+)
+
+
+class Graph:
+    """A simulation, and whoever else: `answer` is called in a thread of its own with each sample."""
+
+    def __init__(self, bench: Bench, answer: Callable[[Graph, tuple[Any, ...]], None], **settings: Any) -> None:
+        self.samples: list[tuple[Any, ...]] = []
+        self.stamps: list[int] = []
+        self.said: list[str] = []
+        self.inbox: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
+        self.answer = answer
+        plant = AnalyticPlant(bench)
+        self.guard = CommandGuard()
+        self.guard.set_reference(SINE)
+        self.simulation = Simulation(
+            Box(bench), plant, self.guard, SimSettings(**settings), self._on_state, self.said.append
+        )
+        self.threads = [threading.Thread(target=target, daemon=True) for target in (self._peer, self.simulation.run)]
+        for thread in self.threads:
+            thread.start()
+
+    def _on_state(self, stamp: int, fields: tuple[Any, ...]) -> None:
+        self.samples.append(fields)
+        self.stamps.append(stamp)
+        self.inbox.put(fields)
+
+    def _peer(self) -> None:
+        while (fields := self.inbox.get()) is not None:
+            self.answer(self, fields)
+
+    def correct(self, fields: tuple[Any, ...], delta_u: float = 0.0) -> None:
+        with self.simulation.lock:
+            now = self.simulation.clock()
+            self.guard.set_correction(delta_u, CorrectionStatus.PASS, fields[1], now)
+        self.simulation.send(fields[1])
+
+    def gain(self, delta_kp: float) -> None:
+        with self.simulation.lock:
+            self.guard.set_gains(delta_kp, 0.0, self.simulation.clock())
+        self.simulation.gained()
+
+    def wait(self, condition: Callable[[], object], timeout: float = 20.0) -> None:
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, "it did not happen"
+            time.sleep(1e-3)
+
+    def close(self) -> None:
+        self.simulation.stop()
+        self.inbox.put(None)
+        for thread in self.threads:
+            thread.join(5.0)
+            assert not thread.is_alive()
+
+
+@pytest.fixture
+def graph(bench: Bench) -> Iterator[Callable[..., Graph]]:
+    made: list[Graph] = []
+
+    def make(answer: Callable[[Graph, tuple[Any, ...]], None], **settings: Any) -> Graph:
+        made.append(Graph(bench, answer, **settings))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def silent(_graph: Graph, _fields: tuple[Any, ...]) -> None:
+    """Nobody is there."""
+
+
+def dither(sequence: int) -> float:
+    return 1e-4 * (sequence % 7 - 3)
+
+
+def test_in_lock_step_each_sample_carries_the_correction_of_the_one_before(graph: Callable[..., Graph]) -> None:
+    def answer(running: Graph, fields: tuple[Any, ...]) -> None:
+        if fields[1] % 50 == 0:
+            time.sleep(0.03)  # a slow filter slows the simulation, and nothing is lost
+        if fields[1] % 10 == 9:
+            running.gain(float(fields[1] // 10 % 70))
+        running.correct(fields, dither(fields[1]))
+
+    running = graph(answer, speed=0.0)
+    running.wait(lambda: len(running.samples) > 30)
+    assert running.simulation.arm(True) == ""
+    running.wait(lambda: len(running.samples) > 600)
+    samples = [fields for fields in running.samples[:600] if fields[-1] == Flag.ARMED]
+    assert len(samples) > 400
+    assert [fields[1] for fields in running.samples[:600]] == list(range(600))
+    first = samples[0][1] + 12
+    for fields in samples[12:]:
+        sequence = fields[1]
+        assert fields[VALVE] == fields[NOMINAL] + dither(sequence - 1)
+        assert fields[K_P] == 15.0 + (sequence - 1 - 9) // 10 % 70, (sequence, first)
+    assert running.stamps[:600] == [1_000_000 * k for k in range(600)]
+
+
+def test_lock_step_is_as_fast_as_its_peers(graph: Callable[..., Graph]) -> None:
+    running = graph(lambda one, fields: one.correct(fields), speed=0.0)
+    running.wait(lambda: len(running.samples) > 100)
+    begin, before = time.monotonic(), len(running.samples)
+    running.wait(lambda: len(running.samples) > before + 2000)
+    assert (time.monotonic() - begin) < 2.0
+
+
+def test_a_peer_that_falls_silent_is_named_and_left_behind(graph: Callable[..., Graph]) -> None:
+    def answer(running: Graph, fields: tuple[Any, ...]) -> None:
+        if fields[1] < 50:
+            running.correct(fields)
+
+    running = graph(answer, speed=0.0, silence_max=0.6)
+    running.wait(lambda: len(running.samples) > 200)
+    assert running.said[0] == "in lock-step with the filter"
+    assert running.said[1].startswith("no answer of the filter to sample 50 for 0.6 s")
+    assert [fields[1] for fields in running.samples].count(50) >= 1 + int(0.6 / RESEND) - 1
+
+
+def test_a_sample_that_got_lost_is_sent_again(graph: Callable[..., Graph]) -> None:
+    lost: list[int] = []
+
+    def answer(running: Graph, fields: tuple[Any, ...]) -> None:
+        if fields[1] == 40 and not lost:
+            lost.append(40)
+        else:
+            running.correct(fields)
+
+    running = graph(answer, speed=0.0)
+    running.wait(lambda: len(running.samples) > 100)
+    assert [fields[1] for fields in running.samples].count(40) == 2
+    assert running.said == ["in lock-step with the filter"]
+
+
+def test_the_trainer_is_awaited_only_while_armed(graph: Callable[..., Graph]) -> None:
+    sent: list[int] = []
+
+    def answer(running: Graph, fields: tuple[Any, ...]) -> None:
+        if fields[-1] & Flag.ARMED or not sent:
+            sent.append(fields[1])
+            running.gain(10.0)
+
+    running = graph(answer, speed=0.0, silence_max=600.0)
+    running.wait(lambda: len(running.samples) > 200)
+    assert running.simulation.arm(True) == ""
+    running.wait(lambda: len(sent) > 50)
+    assert running.simulation.arm(False) == ""
+    after = len(running.samples)
+    running.wait(lambda: len(running.samples) > after + 100)
+
+
+def test_real_time_stamps_are_a_millisecond_apart_and_commands_age_by_the_host(graph: Callable[..., Graph]) -> None:
+    running = graph(silent)
+    running.wait(lambda: len(running.samples) >= 300)
+    assert abs(running.simulation.clock() - time.monotonic()) < 0.5
+    steps = [later - earlier for earlier, later in zip(running.stamps, running.stamps[1:300], strict=False)]
+    assert min(steps) == 1_000_000 and sorted(steps)[-3] == 1_000_000
+    assert abs(1e-9 * running.stamps[-1] - time.time()) < 1.0
+
+
+def test_a_multiple_of_real_time_counts_its_own_time(graph: Callable[..., Graph]) -> None:
+    running = graph(silent, speed=5.0)
+    running.wait(lambda: len(running.samples) > 0)
+    begin, before = time.monotonic(), len(running.samples)
+    running.wait(lambda: len(running.samples) > before + 1000)
+    assert 0.19 < time.monotonic() - begin < 1.0
+    assert running.simulation.clock() == pytest.approx(1e-3 * len(running.samples), abs=0.1)
+
+
+def test_a_tripped_box_says_how_to_go_on(graph: Callable[..., Graph]) -> None:
+    running = graph(silent)
+    running.wait(lambda: len(running.samples) > 0)
+    assert running.simulation.arm(True) == ""
+    running.guard.set_reference(ReferenceSignal(offset=790.0))
+    running.wait(lambda: running.simulation.flags & Flag.TRIPPED)
+    refusal = running.simulation.arm(True)
+    assert refusal.startswith("the box has tripped (") and refusal.endswith("disarm it, then arm it")
+    assert any("FORCE_LIMIT" in sentence for sentence in running.said)
+    assert running.simulation.arm(False) == ""
+
+
+def test_time_away_is_left_out_and_a_short_delay_is_caught_up_on() -> None:
+    pacer = Pacer(1e-3, give_up=0.05)
+    start = pacer.scheduled_ns
+    time.sleep(0.02)
+    for _ in range(30):
+        pacer.wait()
+    assert pacer.scheduled_ns == start + 30_000_000 and pacer.skipped == 0.0 and pacer.late >= 15
+    time.sleep(0.1)
+    pacer.wait()
+    assert pacer.skipped >= 0.09
+    assert abs(pacer.scheduled_ns - time.time_ns()) < 5_000_000
+
+
+@pytest.mark.parametrize("bad", [{"speed": -1.0}, {"noise": float("nan")}, {"seed": -1}])
+def test_settings_out_of_range_are_refused(bad: dict[str, Any]) -> None:
+    with pytest.raises(SettingsError, match=next(iter(bad))):
+        SimSettings(**bad)
