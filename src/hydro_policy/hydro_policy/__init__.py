@@ -3,6 +3,6 @@
 
 Mathematics: `task` (observation, reward, gains), `mlp` and `sac` (networks, algorithm), `replay`, `policy` (acting).
 Sessions: `steps` (samples to steps), `watch` (plant and arming), `training` and `episode`, `evaluation`, `controllers`,
-`report`; `offline` runs them without a graph. Learning: `learner` (the process), `supervisor` (the acting side's handle),
-`shared` (memory between the two). Files: `run`, `checkpoint`, `snapshot`. The ROS side is under `nodes`.
+`report`; `offline` runs them without a graph. Learning: `learner` (the process), `supervisor` (its handle), `shared`
+(memory between the two). Files: `run`, `checkpoint`, `snapshot`. The ROS side is under `nodes`.
 """

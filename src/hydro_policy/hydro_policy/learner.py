@@ -90,13 +90,14 @@ class SaveRequest:
 class Learner:
     """The learning loop's state, without the process around it."""
 
-    def __init__(self, memory: LearnerMemory, settings: TrainingSettings, start: bytes | None) -> None:
+    def __init__(self, memory: LearnerMemory, settings: TrainingSettings) -> None:
         self.settings = settings
         self.sac = Sac(OBSERVATIONS, ACTIONS, settings.sac)
-        if start is not None:
-            restore(self.sac, start)
         self.replay = memory.replay()
         self._weights, self._snapshot, self._status = memory.weights(), memory.snapshot(), memory.status()
+        start = self._snapshot.latest()  # of a predecessor, or of a checkpoint
+        if start is not None:
+            restore(self.sac, start)
         self._published = 0.0
         self.publish(time.monotonic())
 
@@ -154,7 +155,7 @@ def write_run(
         policy.save(path, settings.task.gains, notes)
 
 
-def run_learner(memory: LearnerMemory, settings: TrainingSettings, start: bytes | None, requests: Connection) -> None:
+def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection) -> None:
     """Body of the learning process; ends on None from the pipe, or when the acting process is gone."""
     signal.signal(
         signal.SIGINT, signal.SIG_IGN
@@ -162,7 +163,7 @@ def run_learner(memory: LearnerMemory, settings: TrainingSettings, start: bytes 
     os.nice(10)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
-    learner = Learner(memory, settings, start)
+    learner = Learner(memory, settings)
     last: SaveRequest | None = None
     while True:
         worked = learner.work()

@@ -33,7 +33,7 @@ class InlineLearner:
 
     def __init__(self, settings: TrainingSettings, run: RunDirectory | None = None) -> None:
         self._memory = _PrivateMemory(settings)
-        self._learner = Learner(self._memory, settings, None)
+        self._learner = Learner(self._memory, settings)
         self._run, self._weights = run, self._memory.weights()
         self.replay = self._learner.replay
         self.ready = self.alive = True

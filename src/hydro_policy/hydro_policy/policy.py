@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The policy as it acts: the actor's perceptron in numpy (some ten microseconds a call, no torch), and its file.
 
-policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro" JSON
-text with architecture, observation names, centers and scales, and the range of the gains: all that is needed to act.
+policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro"
+JSON with architecture, observation names, centers and scales, and the range of the gains: all that is needed to act.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Soft Actor-Critic (Haarnoja et al. 2018) with the paper's Table training_agent as defaults.
 
-docs/training.md gives the equations line by line. The gradients of the two losses are written out (`mlp` says why), which
-also shows how little there is to the algorithm. Nothing here knows of hydraulics, ROS or processes.
+docs/training.md gives the equations line by line. The gradients of the two losses are written out (`mlp` says why), and
+that shows how little there is to the algorithm. Nothing here knows of hydraulics, ROS or processes.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class SquashedGaussian:
         log_std = raw.clamp(self._low, self._high)
         deviation = log_std.exp().mul_(noise)
         squashed = mean + deviation
-        # log pi = sum_j log N(u_j) - log(1 - tanh(u_j)^2); the latter = 2 (log 2 - u - softplus(-2u)), safe for large |u|
+        # log pi = sum_j log N(u_j) - log(1 - tanh(u_j)^2), the latter 2 (log 2 - u - softplus(-2u)) for large |u|
         correction = torch.nn.functional.softplus(-2.0 * squashed).add_(squashed).sub_(math.log(2.0)).mul_(2.0)
         density = noise.square().mul_(-0.5).sub_(log_std).sub_(0.5 * math.log(2.0 * math.pi))
         return PolicySample(

@@ -148,7 +148,7 @@ class LearnerSupervisor:
         self._status[READY] = 0.0
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
-        arguments = (self._memory, self._settings, self._snapshot.latest(), theirs)
+        arguments = (self._memory, self._settings, theirs)  # small: what does not fit the pipe would wait for the child
         self._process: BaseProcess = self._context.Process(
             target=run_learner, args=arguments, name="learner", daemon=True
         )

@@ -85,7 +85,7 @@ class CompanionOutput:
 
 def start_companions(
     stack: ExitStack, options: PlantOptions, gains: GainRange, folder: Path, log: IO[str] | None
-) -> None:
+) -> list[Companion]:
     """Start them in order; `stack` ends them, the last first, so that the recorder sees everything.
 
     Raises
@@ -94,8 +94,31 @@ def start_companions(
         One cannot be started: the packages are not built or sourced.
     """
     output = CompanionOutput(log)
-    for package, executable, arguments in commands(options, gains, folder):
+    return [
         stack.enter_context(Companion(package, executable, arguments, output=output))  # type: ignore[arg-type]
+        for package, executable, arguments in commands(options, gains, folder)
+    ]
+
+
+class CompanionWatch:
+    """Notices a companion that ended by itself, once."""
+
+    def __init__(self, companions: list[Companion]) -> None:
+        self._running = list(companions)
+
+    def ended(self) -> list[str]:
+        """Sentences about those that ended since the last call."""
+        gone = [companion for companion in self._running if not companion.running]
+        self._running = [companion for companion in self._running if companion not in gone]
+        return [f"{c.name} ended by itself (exit status {c.process.returncode}){_outcome(c.name)}" for c in gone]
+
+
+def _outcome(name: str) -> str:
+    if name == "recorder":
+        return ": what it had written stays readable, acting goes on unrecorded"
+    if name == "filter":
+        return ": the plant holds base gains from now on"
+    return ": no samples come from now on"
 
 
 def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tuple[str, str, list[str]]]:

@@ -21,7 +21,7 @@ from hydro_bridge.ros import CompanionError, declare_parameters, ros_arguments
 from hydro_policy import report
 from hydro_policy.controllers import Controller, FixedGains, policy_controller
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
-from hydro_policy.nodes.companions import start_companions
+from hydro_policy.nodes.companions import CompanionWatch, start_companions
 from hydro_policy.nodes.graph import GraphNode, start_ros
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.progress import EvaluationProgress
@@ -84,7 +84,7 @@ def evaluate(options: argparse.Namespace) -> int:
         stack.callback(node.destroy_node)
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
         plant = plant_options(options, recording=options.record, seed=options.seed)
-        start_companions(stack, plant, reach(controllers), folder, None)
+        node.companions = CompanionWatch(start_companions(stack, plant, reach(controllers), folder, None))
         if not rearms(options):
             node.listen_for_enter()
         stack.callback(node.disarm)

@@ -37,6 +37,7 @@ from hydro_bridge.ros import (
 from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import BenchState, Gains
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.session import Session
 
 TICK = 0.05  # s
@@ -58,6 +59,7 @@ class GraphNode(Node):
     def __init__(self, name: str, log: IO[str] | None = None) -> None:
         super().__init__(name)
         self.log = log
+        self.companions = CompanionWatch([])
         self.response = Latency()  # state taken -> gains published, in this process
         self.age = Latency()  # state's stamp -> gains published, the whole way
         self.jitter = Latency()  # |interval between gains - 10 ms|
@@ -143,6 +145,8 @@ class GraphNode(Node):
             self._keys.get_nowait()
             self._session.watch.arm_now(now)
         self._session.on_tick(now)
+        for sentence in self.companions.ended():
+            self.say(sentence, warning=True)
         self._each_tick()
         if self._session.finished:
             self._finish()

@@ -17,11 +17,11 @@ import rclpy
 import torch
 
 from hydro_bridge.console import command
-from hydro_bridge.ros import CompanionError, ros_arguments
+from hydro_bridge.ros import Companion, CompanionError, ros_arguments
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.episode import Phase
-from hydro_policy.nodes.companions import start_companions
+from hydro_policy.nodes.companions import CompanionWatch, start_companions
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
 from hydro_policy.nodes.graph import GraphNode, start_ros
 from hydro_policy.nodes.options import add_plant_options, declare_settings, plant_options, rearms
@@ -105,7 +105,8 @@ def train(options: argparse.Namespace) -> int:
         node.log = log
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
         learner = LearnerSupervisor(settings, run, prepared.checkpoint)
-        recording = _start_plant(stack, options, prepared, log)
+        recording, companions = _start_plant(stack, options, prepared, log)
+        node.companions = CompanionWatch(companions)
         state = prepared.checkpoint.trainer if prepared.checkpoint else None
         session = TrainingSession(settings, learner, node, rearm=rearms(options), state=state)
         stack.callback(lambda: learner.stop(session.state()))
@@ -164,8 +165,10 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     return Prepared(run, settings, checkpoint)
 
 
-def _start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepared, log: IO[str]) -> Path | None:
-    """Start the companions; returns where the recording goes."""
+def _start_plant(
+    stack: ExitStack, options: argparse.Namespace, prepared: Prepared, log: IO[str]
+) -> tuple[Path | None, list[Companion]]:
+    """Start the companions; returns where the recording goes, and them."""
     run = prepared.run
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
@@ -173,8 +176,7 @@ def _start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepar
     plant = plant_options(
         options, recording=recording, metadata=metadata, attachments=attachments, seed=prepared.settings.seed
     )
-    start_companions(stack, plant, prepared.settings.task.gains, run.path, log)
-    return recording
+    return recording, start_companions(stack, plant, prepared.settings.task.gains, run.path, log)
 
 
 def _free(folder: Path) -> Path:

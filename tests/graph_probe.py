@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the whole-graph tests share: a node that watches, and a trainer as users start it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_srvs.srv import SetBool
+
+from hydro_bridge.ros import ARM_SERVICE, GAINS, GRAPH, REFERENCE, STATE, TRAINING, executable_path
+from hydro_bridge.signals import Flag
+
+
+class Probe:
+    """Hears states, gains and training status; arms, and publishes what it is told."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("probe", context=self.context)
+        self.heard: dict[str, list[tuple[float, Any]]] = {topic: [] for topic in (STATE, GAINS, TRAINING)}
+        for topic, messages in self.heard.items():
+            kind, qos = GRAPH[topic]
+            self.node.create_subscription(
+                kind, topic, lambda m, heard=messages: heard.append((time.monotonic(), m)), qos
+            )
+        self.senders = {t: self.node.create_publisher(GRAPH[t][0], t, GRAPH[t][1]) for t in (GAINS, REFERENCE)}
+        self.arming = self.node.create_client(SetBool, ARM_SERVICE)
+        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def spin(self, seconds: float) -> None:
+        """Let messages come in for so long."""
+        self.wait(lambda: False, seconds, required=False)
+
+    def wait(self, condition: Callable[[], object], timeout: float = 30.0, *, required: bool = True) -> None:
+        """Let messages come in until `condition` holds; fails after `timeout` seconds."""
+        end = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > end:
+                assert not required, "waited in vain"
+                return
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def arm(self, arm: bool) -> None:
+        """Ask the plant, and wait until it confirms."""
+        self.wait(self.arming.service_is_ready)
+        answer = self.arming.call_async(SetBool.Request(data=arm))
+        self.wait(answer.done)
+        assert answer.result().success, answer.result().message
+        self.wait(lambda: bool(self.flags() & Flag.ARMED) == arm)
+
+    def last(self, topic: str) -> Any:
+        """The latest message of a topic."""
+        return self.heard[topic][-1][1]
+
+    def flags(self) -> int:
+        """Flags of the latest sample; 0 before the first."""
+        return int(self.last(STATE).flags) if self.heard[STATE] else 0
+
+    def forget(self) -> None:
+        """Drop what was heard."""
+        for messages in self.heard.values():
+            messages.clear()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+class Trainer:
+    """A trainer with its companions, in a process group of its own; `text` is what it has printed."""
+
+    def __init__(self, *words: str) -> None:
+        self.process = subprocess.Popen(
+            [str(executable_path("hydro_policy", "trainer")), *words],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            start_new_session=True,
+        )
+        self.text = ""
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    def child(self, word: str) -> int:
+        """Process id of the one child whose command line holds `word`."""
+        found = [pid for pid in _children(self.process.pid) if word in _command_line(pid)]
+        assert len(found) == 1, f"{word}: {[_command_line(pid) for pid in _children(self.process.pid)]}"
+        return found[0]
+
+    def end(self, number: int = signal.SIGINT, timeout: float = 40.0) -> int:
+        """Send a signal, and wait for the exit status."""
+        self.process.send_signal(number)
+        status = self.process.wait(timeout)
+        self._reader.join(5.0)
+        return status
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.text += line
+
+
+@contextmanager
+def trainer(*words: str) -> Iterator[Trainer]:
+    """Start a trainer, and be sure that it is gone in the end; on failure its output is printed."""
+    run = Trainer(*words)
+    try:
+        yield run
+    except BaseException:
+        print(run.text)
+        raise
+    finally:
+        if run.process.poll() is None:
+            run.process.terminate()
+            try:
+                run.process.wait(30.0)
+            except subprocess.TimeoutExpired:
+                run.process.kill()
+
+
+def _children(pid: int) -> list[int]:
+    tasks = Path(f"/proc/{pid}/task").iterdir()
+    return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+
+
+def _command_line(pid: int) -> str:
+    return Path(f"/proc/{pid}/cmdline").read_bytes().replace(b"\0", b" ").decode()
+
+
+@contextmanager
+def own_domain() -> Iterator[None]:
+    """A ROS domain that no other test of this machine is likely to use, on this machine only."""
+    before = {name: os.environ.get(name) for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
+    os.environ |= {"ROS_DOMAIN_ID": str(120 + os.getpid() % 80), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name)
+            else:
+                os.environ[name] = value

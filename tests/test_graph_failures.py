@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong while a policy is trained on the emulator over the serial link, and what the user is told."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.recording import read_bag
+from hydro_bridge.ros import GAINS, STATE, TRAINING
+from hydro_bridge.signals import Flag
+from hydro_msgs.msg import TrainingStatus
+from hydro_policy.checkpoint import load_checkpoint
+from hydro_policy.run import RunDirectory
+from tests.graph_probe import Probe, Trainer, own_domain, trainer
+
+pytestmark = pytest.mark.graph
+
+SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100")
+
+
+@pytest.fixture
+def probe() -> Iterator[Probe]:
+    with own_domain():
+        watcher = Probe()
+        yield watcher
+        watcher.close()
+
+
+def phase(probe: Probe) -> int:
+    return int(probe.last(TRAINING).phase) if probe.heard[TRAINING] else -1
+
+
+def start(run: Path, *words: str) -> AbstractContextManager[Trainer]:
+    """A trainer on the emulator with short episodes."""
+    return trainer("--plant", "emulator", "--runs", str(run.parent), "--name", run.name, *words, *SHORT)
+
+
+def is_learning(probe: Probe) -> bool:
+    return phase(probe) == TrainingStatus.TRAINING and probe.last(TRAINING).updates > 0
+
+
+def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(
+    probe: Probe, tmp_path: Path
+) -> None:
+    with start(tmp_path / "run") as run:
+        probe.wait(lambda: is_learning(probe), 60.0)
+        probe.spin(1.5)
+        before = probe.last(TRAINING).updates
+        probe.forget()
+        os.kill(run.child("spawn_main"), signal.SIGKILL)
+        probe.wait(lambda: "learner lost (killed by signal 9)" in run.text, 5.0)
+        probe.wait(lambda: is_learning(probe) and probe.last(TRAINING).updates > before, 30.0)
+        steps = [message.step for _, message in probe.heard[GAINS]]
+        times = [time for time, _ in probe.heard[GAINS]]
+        assert all(later - earlier == 1 for earlier, later in pairwise(steps)), "a policy step is missing"
+        assert max(b - a for a, b in pairwise(times)) < 0.1, "the gains would have gone stale at 0.2 s"
+        assert len(steps) / (times[-1] - times[0]) == pytest.approx(100.0, rel=0.05)
+        after = [message.updates for _, message in probe.heard[TRAINING]]
+        assert min(after) >= before - 100, "at most the last half second is learnt again"
+        assert run.end() == 130
+    assert load_checkpoint(RunDirectory(tmp_path / "run").latest).produced > 0
+
+
+def test_unplugged_it_pauses_and_disarms_replugged_it_arms_anew_and_ctrl_c_leaves_a_run_to_resume(
+    probe: Probe, tmp_path: Path
+) -> None:
+    run = RunDirectory(tmp_path / "run")
+    with start(run.path) as process:
+        probe.wait(lambda: is_learning(probe), 60.0)
+        (run.path / "emulator_control").write_text("unplug 1.5\n")
+        probe.wait(lambda: phase(probe) == TrainingStatus.PAUSED, 5.0)
+        assert "paused in episode" in process.text and "no samples" in process.text
+        probe.forget()
+        probe.wait(lambda: len(probe.heard[STATE]) > 0, 15.0)
+        assert not probe.last(STATE).flags & Flag.ARMED, "after the replug the box waits to be armed"
+        probe.wait(lambda: phase(probe) == TrainingStatus.TRAINING and bool(probe.flags() & Flag.ARMED), 20.0)
+        probe.spin(1.0)
+        assert process.end() == 130
+        assert f"--resume {run.path}" in process.text
+    first = load_checkpoint(run.latest)
+    assert first.trainer["progress"]["interruptions"] == 1
+    states = read_bag(run.bag).state
+    assert not states["flags"][-1] & Flag.ARMED, "disarmed before it ended"
+    probe.forget()
+    with trainer("--plant", "emulator", "--resume", str(run.path), "--no-record") as process:
+        probe.wait(lambda: is_learning(probe), 60.0)
+        probe.wait(lambda: probe.last(TRAINING).episode > first.trainer["episode"] + 1, 30.0)
+        assert process.end(signal.SIGTERM) == 130
+    second = load_checkpoint(run.latest)
+    assert second.produced > first.produced
+    assert second.trainer["progress"]["history"][: first.trainer["episode"]] == first.trainer["progress"]["history"]
+
+
+def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(
+    probe: Probe, tmp_path: Path
+) -> None:
+    run = RunDirectory(tmp_path / "run")
+    with start(run.path) as process:
+        probe.wait(lambda: is_learning(probe), 60.0)
+        os.kill(process.child("/recorder "), signal.SIGKILL)
+        probe.wait(lambda: "recorder ended by itself (exit status -9)" in process.text, 5.0)
+        sequence = probe.last(STATE).sequence
+        probe.forget()
+        probe.spin(2.0)
+        assert phase(probe) == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150
+        assert process.end() == 130
+    states = read_bag(run.bag).state
+    assert len(states) > 1000
+    assert sequence - int(states["sequence"][-1]) < 2500, "more than the last two flushes is missing"

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Simulation and emulator behind the bridge are one plant to the graph: same topics, types, rates, manners."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.ros import CORRECTION, GAINS, GRAPH, REFERENCE, STATE, reference_to_message, seconds
+from hydro_bridge.signals import Flag, ReferenceSignal, Waveform
+from hydro_msgs.msg import Gains
+from hydro_policy.nodes.companions import PlantOptions, start_companions
+from hydro_policy.task import GainRange
+from tests.graph_probe import Probe, own_domain
+
+pytestmark = pytest.mark.graph
+
+
+@pytest.fixture(scope="module", params=["sim", "emulator"])
+def probe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Probe]:
+    with ExitStack() as stack:
+        stack.enter_context(own_domain())
+        folder = Path(tmp_path_factory.mktemp("graph"))
+        start_companions(stack, PlantOptions(plant=request.param), GainRange(), folder, None)
+        watcher = Probe()
+        stack.callback(watcher.close)
+        watcher.wait(lambda: len(watcher.heard[STATE]) > 100)
+        watcher.spin(2.0)  # the filter compiles
+        yield watcher
+
+
+def test_topics_have_the_types_and_the_quality_of_service_of_the_contract(probe: Probe) -> None:
+    for topic in (STATE, CORRECTION):
+        kind, qos = GRAPH[topic]
+        offered = probe.node.get_publishers_info_by_topic(topic)
+        assert len(offered) == 1, topic
+        assert offered[0].topic_type == f"hydro_msgs/msg/{kind.__name__}"
+        assert offered[0].qos_profile.reliability == qos.reliability
+        assert offered[0].qos_profile.durability == qos.durability
+    for topic in (GAINS, CORRECTION, REFERENCE):
+        kind, _ = GRAPH[topic]
+        wanted = probe.node.get_subscriptions_info_by_topic(topic)
+        assert f"hydro_msgs/msg/{kind.__name__}" in {info.topic_type for info in wanted}, topic
+
+
+def test_samples_come_at_1_khz_in_order_with_the_time_of_now(probe: Probe) -> None:
+    probe.forget()
+    probe.spin(3.0)
+    heard = list(probe.heard[STATE])
+    sequences = np.array([message.sequence for _, message in heard], np.int64)
+    stamps = np.array([seconds(message.header.stamp) for _, message in heard])
+    assert (np.diff(sequences) > 0).all()
+    rate = (sequences[-1] - sequences[0]) / (stamps[-1] - stamps[0])
+    assert rate == pytest.approx(1000.0, rel=0.02)
+    assert (np.diff(stamps) > 0).all()
+    assert abs(time.time() - stamps[-1]) < 1.0
+    assert {message.header.frame_id for _, message in heard} == {"bench"}
+
+
+def test_disarmed_the_valve_is_still_and_armed_it_follows_the_reference_with_the_gains_asked_for(probe: Probe) -> None:
+    assert not probe.flags() & Flag.ARMED
+    assert probe.last(STATE).valve_current == 0.0
+    probe.arm(False)
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+    probe.senders[REFERENCE].publish(reference_to_message(signal))
+    probe.arm(True)
+    _drive(probe, 75.0, 10.0, 2.5)
+    probe.forget()
+    _drive(probe, 75.0, 10.0, 1.0)
+    states = [message for _, message in probe.heard[STATE]]
+    held = Flag.WATCHDOG | Flag.FILTER_STALE
+    applied = {(m.proportional_gain, m.integral_gain) for m in states if not m.flags & held}
+    assert applied == {(90.0, 15.0)}
+    reference = np.array([m.reference_force for m in states])
+    error = reference - np.array([m.load_force for m in states])
+    assert np.abs(reference).max() == pytest.approx(200.0, rel=0.02)
+    assert np.sqrt(np.mean(error**2)) < 40.0, "a fifth of the amplitude"
+    probe.arm(False)
+    probe.spin(0.2)
+    assert probe.last(STATE).valve_current == 0.0
+
+
+def _drive(probe: Probe, delta_kp: float, delta_ki: float, duration: float) -> None:
+    """Publish gains at 100 Hz for so many seconds."""
+    end = time.monotonic() + duration
+    while time.monotonic() < end:
+        probe.senders[GAINS].publish(Gains(delta_kp=delta_kp, delta_ki=delta_ki))
+        probe.spin(0.01)
+
+
+def test_every_sample_is_answered_by_the_filter_once_and_in_order(probe: Probe) -> None:
+    kind, qos = GRAPH[CORRECTION]
+    answered: list[int] = []
+    subscription = probe.node.create_subscription(kind, CORRECTION, lambda m: answered.append(m.sequence), qos)
+    probe.wait(lambda: len(answered) > 2000)
+    probe.node.destroy_subscription(subscription)
+    assert all(later > earlier for earlier, later in pairwise(answered))
+    assert len(answered) / (answered[-1] - answered[0] + 1) > 0.95, "this reader is best effort, too"
