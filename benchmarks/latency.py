@@ -14,7 +14,7 @@ import os
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
@@ -59,6 +59,21 @@ class Driver:
         self._rng = np.random.default_rng(0)
         self._step = 0
         self._arm = self.node.create_client(SetBool, ARM_SERVICE)
+
+    def await_node(self, name: str, timeout: float = 30.0) -> None:
+        """Wait until a node tells its diagnostics."""
+        self._await(lambda: name in self.told, f"{name} does not tell its diagnostics", timeout)
+
+    def await_path(self, path: Path, timeout: float = 30.0) -> None:
+        """Wait until a file is there."""
+        self._await(path.exists, f"{path} does not appear", timeout)
+
+    def _await(self, condition: Callable[[], bool], otherwise: str, timeout: float) -> None:
+        deadline = time.monotonic() + timeout
+        while not condition():
+            if time.monotonic() > deadline:
+                raise UserError(otherwise)
+            self.executor.spin_once(timeout_sec=0.1)
 
     def arm(self, timeout: float = 30.0) -> None:
         """Arm once the box answers."""
@@ -127,26 +142,35 @@ def load(processes: int) -> Iterator[None]:
 
 
 def companions(folder: Path, *, realtime: bool) -> dict[str, tuple[str, list[str]]]:
-    """Package and arguments by executable."""
+    """Package and arguments by executable; the box and its bridge come last, when all others listen."""
     port, prompt = str(folder / "box"), ["--realtime"] if realtime else []
     return {
-        "emulator": ("hydro_sim", ["--link", port]),
-        "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
-        "bridge": ("hydro_bridge", ["--port", port, *prompt]),
         "filter": ("hydro_filter", prompt),
+        "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
+        "emulator": ("hydro_sim", ["--link", port]),
+        "bridge": ("hydro_bridge", ["--port", port, *prompt]),
     }
+
+
+def start(stack: ExitStack, driver: Driver, folder: Path, *, realtime: bool) -> dict[str, Companion]:
+    """Start the graph one after the other; the percentiles in the diagnostics begin with a graph that is whole."""
+    running: dict[str, Companion] = {}
+    for name, (package, arguments) in companions(folder, realtime=realtime).items():
+        running[name] = stack.enter_context(Companion(package, name, arguments))
+        if name == "filter":
+            driver.await_node(name)
+        if name == "emulator":
+            driver.await_path(folder / "box")
+    driver.arm()
+    return running
 
 
 def measure(asked: argparse.Namespace, folder: Path) -> Table:
     """Run the graph and make the table."""
     with ExitStack() as stack:
-        running = {
-            name: stack.enter_context(Companion(package, name, arguments))
-            for name, (package, arguments) in companions(folder, realtime=asked.realtime).items()
-        }
         driver = Driver()
         stack.callback(driver.close)
-        driver.arm()
+        running = start(stack, driver, folder, realtime=asked.realtime)
         stack.enter_context(load(asked.load))
         driver.run(2.0)
         before = {name: cpu_seconds(companion.process.pid) for name, companion in running.items()}

@@ -65,12 +65,11 @@ class FilterNode(Node):
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self.filter.correct(Sample(np.zeros(len(PLANT_FIELDS)), 0.0, 0.0, 0.0))  # compiles now, not at the first sample
-        self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
-        self.get_logger().info(
-            f"contraction rate {self.settings.contraction_rate:g} 1/s, {be_prompt(realtime=realtime)}"
-        )
+        scheduling = be_prompt(realtime=realtime)
+        self.get_logger().info(f"contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
+        self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)  # last: states wait from now on
 
     def _on_state(self, message: BenchState) -> None:
         begin = time.perf_counter()
