@@ -21,7 +21,8 @@ def be_prompt(*, realtime: bool) -> str:
     if not realtime:
         return "ordinary scheduling"
     try:
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
+        for thread in os.listdir("/proc/self/task"):  # those of the middleware too; later ones inherit it
+            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(PRIORITY))
     except OSError as error:
         return f"ordinary scheduling, SCHED_FIFO was refused: {error.strerror}"
     return f"SCHED_FIFO, priority {PRIORITY}"
