@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -169,8 +168,3 @@ def raise_priority() -> str:
     with contextlib.suppress(OSError):
         return f"nice {os.nice(-10)}"
     return "normal priority (no permission for more)"
-
-
-def save(log: Log, path: str | Path) -> None:
-    """Write the noise-free log of a run, as `Recording.save_noise_free` does."""
-    log.recording().save_noise_free(path)
