@@ -89,7 +89,7 @@ def differenced(bench: Bench) -> ContractionFilter:
     exact = ContractionFilter.for_bench(bench)
     parts = {name: getattr(exact.certificate, name) for name in type(exact.certificate).__dataclass_fields__}
     parts |= {"dynamics": DifferencedDynamics(bench), "controller": DifferencedLaw(bench)}
-    return ContractionFilter(type(exact.certificate)(**parts), exact.current_max, exact.settings)
+    return ContractionFilter(type(exact.certificate)(**parts), exact.settings)
 
 
 def tracked(bench: Bench, count: int) -> list[Sample]:
@@ -134,7 +134,7 @@ def main(arguments: list[str] | None = None) -> int:
     durations, apart = measure(filters, samples)
     worked = filters["exact"].qp.counts.solved / (len(samples) + 200)
     table = Table(
-        {"jacobians": "of the certificate", "p50": "us per call", "p99": "", "p99_9": "", "max": "", "ratio": "of p50"},
+        {"jacobians": "of the certificate", "p50": "us per call", "p99": "", "p99.9": "", "max": "", "ratio": "of p50"},
         title=f"Filter call, {len(samples)} samples, the QP at work in {worked:.0%}; M_c agrees to {apart:.0e}",
     )
     shown = {name: percentiles(values) for name, values in durations.items()}

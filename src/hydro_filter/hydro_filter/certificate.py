@@ -20,7 +20,6 @@ zero up to `noise_floor` and untouched from twice that.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
 from typing import NamedTuple
 
 import numpy as np
@@ -56,10 +55,10 @@ class Certificate:
     controller: Controller
     scale: FloatArray
     """What each state is divided by, shape (8,); `state_scale`."""
+    current_max: float
+    """u_max [A], above 0: the model is linearized at the current that the valve passes, sat(u_nom)."""
     contraction_rate: float = 0.1
     """lambda [1/s], [0, 50]; the paper's 0.1."""
-    current_max: float = inf
-    """u_max [A], above 0: the model is linearized at the current that the valve passes, sat(u_nom)."""
     noise_floor: float = 1.8
     """N, errors up to it are none, [0, 100]; three standard deviations of the load cell."""
 

@@ -57,16 +57,13 @@ class ContractionFilter:
     Parameters
     ----------
     certificate
-        Metric, model and law; `for_bench` makes the analytic ones.
-    current_max
-        u_max [A] of the valve.
+        Metric, model and law, with rate, noise floor and valve limit; `for_bench` makes the analytic one.
     settings
-        Rates here win over nothing: `certificate` carries lambda and the noise floor.
+        Of these only the age and the bypass are used here; the rest went into the certificate.
     """
 
-    def __init__(self, certificate: Certificate, current_max: float, settings: FilterSettings | None = None) -> None:
+    def __init__(self, certificate: Certificate, settings: FilterSettings | None = None) -> None:
         self.certificate = certificate
-        self.current_max = current_max
         self.settings = settings or FilterSettings()
         self.qp = QpFilter()
 
@@ -85,7 +82,7 @@ class ContractionFilter:
             noise_floor=settings.noise_floor,
             current_max=bench.valve_current_max,
         )
-        return cls(certificate, bench.valve_current_max, settings)
+        return cls(certificate, settings)
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide about a sample that is `age` [s] old."""
@@ -95,8 +92,9 @@ class ContractionFilter:
         if not age <= self.settings.state_age_max:
             return Result(0.0, nan, nan, CorrectionStatus.STALE)
         line = self.certificate.evaluate(sample)
-        applied = min(max(sample.nominal_current, -self.current_max), self.current_max)
-        change, status = self.qp.solve(line.a, line.b, -self.current_max - applied, self.current_max - applied)
+        limit = self.certificate.current_max
+        applied = min(max(sample.nominal_current, -limit), limit)
+        change, status = self.qp.solve(line.a, line.b, -limit - applied, limit - applied)
         if not all(map(isfinite, (*sample.state, sample.nominal_current))):
             return Result(0.0, nan, nan, CorrectionStatus.NAN)
         if status is CorrectionStatus.NAN:

@@ -119,9 +119,9 @@ def test_the_printed_sign_of_v_drives_the_force_away(bench: Bench) -> None:
     """Erratum of docs/safety.md: constant destabilizing gains, three ways."""
     gains = np.full((200, 2), (-5.0, 0.0))
     certificate = Reversed(**{name: getattr(FILTER.certificate, name) for name in Certificate.__dataclass_fields__})
-    kept = closed_loop(bench, ContractionFilter(FILTER.certificate, U_MAX), gains)
-    bare = closed_loop(bench, ContractionFilter(FILTER.certificate, U_MAX, FilterSettings(bypass=True)), gains)
-    printed = closed_loop(bench, ContractionFilter(certificate, U_MAX), gains)
+    kept = closed_loop(bench, FILTER, gains)
+    bare = closed_loop(bench, ContractionFilter(FILTER.certificate, FilterSettings(bypass=True)), gains)
+    printed = closed_loop(bench, ContractionFilter(certificate), gains)
     assert kept.bounded
     assert not bare.bounded
     assert not printed.bounded
