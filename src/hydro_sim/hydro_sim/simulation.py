@@ -155,10 +155,14 @@ class Simulation:
 
     def _warm_up(self) -> FloatArray:
         """Let everything compile before there are deadlines; returns the first measurement."""
+        begin = time.monotonic()
         self._box.receive(Command(), 0.0)
         self._box.tick(self._plant.reset(self.settings.seed), 0.0)
         self._plant.step(0.0)
         self._box.reset()
+        taken = time.monotonic() - begin
+        if taken > 1.0:
+            self._log(f"compiled in {taken:.1f} s; the next start takes it from numba's cache")
         return self._plant.reset(self.settings.seed)
 
     def _wait(self, sequence: int, resend: Callable[[], None]) -> None:
