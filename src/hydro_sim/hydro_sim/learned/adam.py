@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Adam (Kingma and Ba, 2015) on one vector, with early stopping and checkpoints: the loop that trains every structure.
+
+An epoch depends on the parameters, the optimizer's state, and the epoch's number alone (shuffles are drawn from seed and
+epoch): a run that was resumed gives the same numbers, to the bit, as one that was not interrupted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+from safetensors.numpy import load_file, save_file
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.learned.recordings import DataError
+
+
+class Objective(Protocol):
+    """What is trained."""
+
+    def refresh(self, parameters: FloatArray) -> None:
+        """Do anew what depends on the model but is not trained through: the windows' start states."""
+
+    def gradients(self, parameters: FloatArray, epoch: int) -> Iterator[tuple[float, FloatArray]]:
+        """Loss and gradient of each batch of an epoch; `parameters` changes in place between them."""
+
+    def validate(self, parameters: FloatArray) -> float:
+        """Error on the validation runs; the smaller the better."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Settings:
+    """How long and how fast."""
+
+    epochs: int = 1000
+    """[1, 100000] (Table training)."""
+    learning_rate: float = 1e-3
+    """(0, 1] (Table training)."""
+    final_share: float = 0.02
+    """Of the learning rate at the last epoch, (0, 1]; it falls along a half cosine."""
+    patience: int = 150
+    """Epochs without a better validation before training stops, [1, 100000]."""
+    validate_every: int = 5
+    """Epochs, [1, 1000]."""
+    refresh_every: int = 50
+    """Epochs between estimates of the start states, [1, 100000]."""
+    clip: float = 1.0
+    """Largest norm of a gradient; a longer one is shortened, above 0."""
+
+
+@dataclass(kw_only=True)
+class Progress:
+    """Where training stands: all that a checkpoint holds."""
+
+    parameters: FloatArray
+    first_moment: FloatArray
+    second_moment: FloatArray
+    best: FloatArray
+    anchor: FloatArray
+    """Parameters at the last refresh."""
+    best_error: float = math.inf
+    best_epoch: int = 0
+    epoch: int = 0
+    """Epochs done."""
+    steps: int = 0
+    history: FloatArray
+    """Rows of epoch, training loss, validation error (NaN where it was not taken), shape (n, 3)."""
+
+    @classmethod
+    def begin(cls, parameters: FloatArray) -> Progress:
+        """Nothing done yet."""
+        zeros = np.zeros_like(parameters)
+        copies = {name: parameters.copy() for name in ("parameters", "best", "anchor")}
+        return cls(first_moment=zeros.copy(), second_moment=zeros.copy(), history=np.empty((0, 3)), **copies)
+
+    def save(self, path: Path) -> None:
+        """Write a checkpoint; the old one stays until the new one is whole."""
+        arrays = {entry.name: np.atleast_1d(np.asarray(getattr(self, entry.name))) for entry in fields(self)}
+        scratch = path.with_name(path.name + ".new")
+        save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, str(scratch))
+        scratch.replace(path)
+
+    @classmethod
+    def load(cls, path: Path, count: int) -> Progress:
+        """Read a checkpoint of `count` parameters; DataError if it is none."""
+        try:
+            arrays = load_file(str(path))
+            scalars = {name: arrays.pop(name)[0].item() for name in ("best_error", "best_epoch", "epoch", "steps")}
+            progress = cls(**arrays, **scalars)
+        except Exception as error:
+            raise DataError(f"{path} is no checkpoint of a training: {' '.join(str(error).split())}") from error
+        if progress.parameters.shape != (count,):
+            raise DataError(f"{path} is a checkpoint of another model: {len(progress.parameters)} parameters, not {count}")
+        return progress
+
+
+def train(objective: Objective, settings: Settings, progress: Progress) -> Iterator[Progress]:
+    """Train on from `progress`, in place; yields it after every epoch. Ends at the last epoch or out of patience."""
+    objective.refresh(progress.anchor)
+    while progress.epoch < settings.epochs and progress.epoch - progress.best_epoch < settings.patience:
+        if progress.epoch % settings.refresh_every == 0 and progress.epoch > 0:
+            progress.anchor = progress.parameters.copy()
+            objective.refresh(progress.anchor)
+        if progress.epoch == 0:
+            _note(progress, math.nan, objective.validate(progress.parameters))
+        losses = []
+        turn = math.cos(0.5 * math.pi * progress.epoch / settings.epochs) ** 2
+        rate = settings.learning_rate * (settings.final_share + (1.0 - settings.final_share) * turn)
+        for loss, gradient in objective.gradients(progress.parameters, progress.epoch):
+            _step(progress, gradient, rate, settings.clip)
+            losses.append(loss)
+        progress.epoch += 1
+        due = progress.epoch % settings.validate_every == 0 or progress.epoch == settings.epochs
+        _note(progress, float(np.mean(losses)), objective.validate(progress.parameters) if due else math.nan)
+        yield progress
+
+
+def _note(progress: Progress, loss: float, error: float) -> None:
+    progress.history = np.vstack((progress.history, (progress.epoch, loss, error)))
+    if error < progress.best_error:
+        progress.best_error, progress.best_epoch = error, progress.epoch
+        progress.best = progress.parameters.copy()
+
+
+def _step(progress: Progress, gradient: FloatArray, rate: float, clip: float) -> None:
+    norm = float(np.linalg.norm(gradient))
+    if not math.isfinite(norm):
+        return
+    gradient = gradient * min(1.0, clip / max(norm, 1e-30))
+    progress.steps += 1
+    progress.first_moment += 0.1 * (gradient - progress.first_moment)
+    progress.second_moment += 0.001 * (gradient * gradient - progress.second_moment)
+    mean = progress.first_moment / (1.0 - 0.9**progress.steps)
+    spread = progress.second_moment / (1.0 - 0.999**progress.steps)
+    progress.parameters -= rate * mean / (np.sqrt(spread) + 1e-8)

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ros2 run hydro_sim learn BAG... --out WEIGHTS: train the bench's model from recordings (paper, Table training)."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from dataclasses import asdict, replace
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+import numba
+
+from hydro_bridge.console import command, progress
+from hydro_sim.bench import Bench
+from hydro_sim.learned import adam, recordings, training
+from hydro_sim.learned.curves import draw_curves
+from hydro_sim.learned.model import STRUCTURES, Model
+from hydro_sim.learned.recordings import DataError
+from hydro_sim.learned.structured_model import StructuredModel
+
+
+@command(DataError, ValueError)
+def main() -> None:
+    """Entry point."""
+    options = _arguments()
+    settings = _settings(options)
+    numba.set_num_threads(min(options.threads or numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS))
+    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    data = recordings.split(recordings.load(options.bags))
+    out, began = Path(options.out), time.monotonic()
+    checkpoint = out.with_suffix(".checkpoint")
+    resume = options.resume and checkpoint.exists()
+    model = training.start(data, settings, bench)
+    if isinstance(model, StructuredModel) and not resume:
+        model = training.trusted(training.identified(model, data, settings, _say), data)
+    last, model = _train(model, data, settings, checkpoint, resume)
+    if isinstance(model, StructuredModel):
+        model = training.trusted(model, data)
+    facts = {
+        "recordings": data.digests, "command": " ".join(["learn", *sys.argv[1:]]), "seed": settings.seed,
+        "settings": asdict(settings), "code": _code_version(), "validation_error": last.best_error,
+        "epochs": last.epoch, "best_epoch": last.best_epoch, "seconds": round(time.monotonic() - began, 1),
+    }  # fmt: skip
+    training.finished(model, data, facts).save(out)
+    draw_curves(last.history, out.with_suffix(".png"), settings.structure)
+    checkpoint.unlink(missing_ok=True)
+    print(f"{out}: {settings.structure}, validation error {last.best_error:.5f} at epoch {last.best_epoch}")
+
+
+def _train(
+    model: Model, data: recordings.Data, settings: training.Settings, checkpoint: Path, resume: bool
+) -> tuple[adam.Progress, Model]:
+    bar = progress(total=settings.adam.epochs, label="training", unit="epoch")
+    for state, model in training.steps(model, data, settings, checkpoint, resume=resume):
+        bar.update(state.epoch - bar.n)
+        bar.set_postfix_str(f"loss {state.history[-1, 1]:.4g}, validation {state.best_error:.5f}")
+    bar.close()
+    return state, model
+
+
+def _say(sentence: str) -> None:
+    print(sentence, file=sys.stderr)
+
+
+def _settings(options: argparse.Namespace) -> training.Settings:
+    base = training.STRUCTURED_ADAM if options.structure == "structured" else adam.Settings()
+    given = {"epochs": options.epochs, "learning_rate": options.learning_rate, "patience": options.patience}
+    loop = replace(base, **{name: value for name, value in given.items() if value is not None})
+    return training.Settings(
+        structure=options.structure, hidden=tuple(options.hidden), horizon=options.horizon, batch=options.batch,
+        seed=options.seed, printed_loss=options.printed_loss, adam=loop,
+    )  # fmt: skip
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="learn", description="Train the bench's model from recordings.")
+    parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings; of three or more the last one validates")
+    parser.add_argument("--out", required=True, metavar="WEIGHTS", help="file to write, .safetensors")
+    parser.add_argument("--structure", choices=sorted(STRUCTURES), default="structured", help="network: the paper's")
+    parser.add_argument("--bench", metavar="FILE", help="bench.yaml to start from; the shipped one by default")
+    parser.add_argument("--hidden", nargs=2, type=int, default=[32, 32], metavar="WIDTH", help="hidden layers' widths")
+    parser.add_argument("--horizon", type=int, default=70, help="samples rolled out; 1: one-step training")
+    parser.add_argument("--batch", type=int, default=8192, help="windows per gradient")
+    parser.add_argument("--epochs", type=int, help="at most; 1000 for network, 60 for structured")
+    parser.add_argument("--learning-rate", type=float, help="1e-3 for network, 3e-4 for structured")
+    parser.add_argument("--patience", type=int, help="epochs without a better validation before training stops")
+    parser.add_argument("--seed", type=int, default=0, help="of first weights and shuffles")
+    parser.add_argument("--printed-loss", action="store_true", help="network: eq. loss as printed (errors may cancel)")
+    parser.add_argument("--resume", action="store_true", help="go on from WEIGHTS' checkpoint, if there is one")
+    parser.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
+    return parser.parse_args()
+
+
+def _code_version() -> str:
+    try:
+        return version("hydro_sim")
+    except PackageNotFoundError:
+        return "unknown"

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A network of two hidden ReLU layers for one input at a time, and its gradient; the inner loop of every structure here.
+
+::
+
+    flat weights  | W1 (n, h1) | b1 (h1) | W2 (h1, h2) | b2 (h2) | W3 (h2, m) | b3 (m) |      paper: h1 = h2 = 32
+
+    a1 = relu(x W1 + b1)    a2 = relu(a1 W2 + b2)    y = a2 W3 + b3
+
+A trajectory is sequential and a network this small lives in the first-level cache, so one trajectory at a time, its loops
+running over neighboring weights, is what vectorizes; a batch is spread over cores. `Layers` is a tuple of views of the flat
+vector, so that compiled code has names, and the optimizer one vector.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+LOOSE = {"reassoc", "contract"}
+"""Sums may be reordered and fused, which vectorizes them; NaN and infinity keep their meaning."""
+
+
+class Layers(NamedTuple):
+    """Views of a flat vector of weights."""
+
+    w1: npt.NDArray[np.floating]
+    b1: npt.NDArray[np.floating]
+    w2: npt.NDArray[np.floating]
+    b2: npt.NDArray[np.floating]
+    w3: npt.NDArray[np.floating]
+    b3: npt.NDArray[np.floating]
+
+
+def count(inputs: int, hidden: tuple[int, int], outputs: int) -> int:
+    """Number of weights."""
+    return inputs * hidden[0] + hidden[0] + hidden[0] * hidden[1] + hidden[1] + hidden[1] * outputs + outputs
+
+
+def layers(flat: npt.NDArray[np.floating], inputs: int, hidden: tuple[int, int], outputs: int) -> Layers:
+    """Views of `flat`, shape (count(...),), C-contiguous; writing to one writes to the other."""
+    shapes = [(inputs, hidden[0]), (hidden[0],), hidden, (hidden[1],), (hidden[1], outputs), (outputs,)]
+    ends = np.cumsum([int(np.prod(shape)) for shape in shapes])
+    if flat.shape != (ends[-1],):
+        raise ValueError(f"{flat.shape[0]} weights for a network that has {ends[-1]}")
+    parts = np.split(flat, ends[:-1])
+    return Layers(*(part.reshape(shape) for part, shape in zip(parts, shapes, strict=True)))
+
+
+def initial(
+    generator: np.random.Generator, inputs: int, hidden: tuple[int, int], outputs: int, *, last: float = 1.0
+) -> npt.NDArray[np.float64]:
+    """Random weights, uniform within 1/sqrt(fan-in) as torch.nn.Linear has them, the last layer's times `last`."""
+    flat = np.empty(count(inputs, hidden, outputs))
+    views = layers(flat, inputs, hidden, outputs)
+    for index, fan_in in enumerate((inputs, inputs, hidden[0], hidden[0], hidden[1], hidden[1])):
+        bound = (last if index >= 4 else 1.0) / np.sqrt(fan_in)
+        views[index][...] = generator.uniform(-bound, bound, views[index].shape)
+    return flat
+
+
+@njit(cache=True, fastmath=LOOSE)
+def forward(layers, x, a1, a2, y):
+    """y, shape (m,), of x, shape (n,); leaves the activations in a1, a2."""
+    _affine(layers.w1, layers.b1, x, a1)
+    for j in range(a1.shape[0]):
+        a1[j] = max(a1[j], a1.dtype.type(0.0))
+    _affine(layers.w2, layers.b2, a1, a2)
+    for j in range(a2.shape[0]):
+        a2[j] = max(a2[j], a2.dtype.type(0.0))
+    _affine(layers.w3, layers.b3, a2, y)
+
+
+@njit(cache=True, fastmath=LOOSE)
+def _affine(w, b, x, y):
+    for j in range(y.shape[0]):
+        y[j] = b[j]
+    for i in range(x.shape[0]):
+        scale = x[i]
+        for j in range(y.shape[0]):
+            y[j] += w[i, j] * scale
+
+
+@njit(cache=True, fastmath=LOOSE)
+def backward(layers, x, a1, a2, gy, gradient, g1, g2, gx):
+    """Add d/dweights to `gradient` (Layers) and set gx = d/dx, for gy = d/dy; activations as `forward` left them."""
+    _affine_back(layers.w3, a2, gy, gradient.w3, gradient.b3, g2)
+    for j in range(g2.shape[0]):
+        if a2[j] <= 0.0:
+            g2[j] = 0.0
+    _affine_back(layers.w2, a1, g2, gradient.w2, gradient.b2, g1)
+    for j in range(g1.shape[0]):
+        if a1[j] <= 0.0:
+            g1[j] = 0.0
+    _affine_back(layers.w1, x, g1, gradient.w1, gradient.b1, gx)
+
+
+@njit(cache=True, fastmath=LOOSE)
+def _affine_back(w, x, gy, gw, gb, gx):
+    for j in range(gy.shape[0]):
+        gb[j] += gy[j]
+    for i in range(x.shape[0]):
+        scale = x[i]
+        total = gx.dtype.type(0.0)
+        for j in range(gy.shape[0]):
+            gw[i, j] += scale * gy[j]
+            total += w[i, j] * gy[j]
+        gx[i] = total

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A learned bench of either structure, with the region it was trained in and what is known of its training."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_sim.learned import weights
+from hydro_sim.learned.network_model import NetworkModel
+from hydro_sim.learned.region import Region
+from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.learned.weights import WeightsError
+
+Model = StructuredModel | NetworkModel
+STRUCTURES: dict[str, type[StructuredModel] | type[NetworkModel]] = {
+    kind.name: kind for kind in (StructuredModel, NetworkModel)
+}
+UNITS = {"state": ["N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s"], "current": "A", "sample": "1e-3 s"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learned:
+    """What a weights file holds."""
+
+    model: Model
+    region: Region
+    training: dict[str, Any] = field(default_factory=dict)
+    """Recordings' digests, command, seed, settings, code version, errors reached."""
+
+    def save(self, path: str | Path) -> None:
+        """Write a weights file."""
+        tensors = {**self.model.tensors(), "region_center": self.region.center, "region_whiten": self.region.whiten}
+        weights.save(path, tensors, {**self.model.header(), "units": UNITS, "training": self.training})
+
+    @classmethod
+    def load(cls, path: str | Path | None = None) -> Learned:
+        """Read a weights file; None: the one that comes with this package. Raises WeightsError."""
+        path = path or weights.shipped()
+        tensors, header = weights.load(path)
+        if header["structure"] not in STRUCTURES:
+            known = " and ".join(STRUCTURES)
+            raise WeightsError(f"{path} has structure {header['structure']!r}; this version knows {known}")
+        try:
+            model = STRUCTURES[header["structure"]].from_file(tensors, header)
+            region = Region(
+                center=np.asarray(tensors["region_center"], np.float64),
+                whiten=np.asarray(tensors["region_whiten"], np.float64),
+            )
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
+        return cls(model=model, region=region, training=header.get("training", {}))

@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the training loop minimizes, for either structure: windows of H samples, rolled out, against what was recorded."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.learned import constants, mlp, network, observer, structured
+from hydro_sim.learned.network_model import NetworkModel
+from hydro_sim.learned.recordings import READING_COLUMNS, Run
+from hydro_sim.learned.structured_model import StructuredModel
+
+SETTLED = 600
+"""Samples at the beginning of a run that no window starts in: the observer is still settling."""
+
+Indices = npt.NDArray[np.int64]
+
+
+class Windows:
+    """All windows of some runs: where they may start, and their samples.
+
+    Parameters
+    ----------
+    runs
+        Where from.
+    horizon
+        H, samples predicted.
+    stride
+        Samples between the starts of an epoch's windows; the first start moves from epoch to epoch.
+    """
+
+    def __init__(self, runs: list[Run], horizon: int, stride: int) -> None:
+        self.runs, self.horizon, self.stride = runs, horizon, stride
+        self.x = np.concatenate([run.x for run in runs])
+        self.u = np.concatenate([run.u for run in runs])
+        self._lengths = [len(run) for run in runs]
+
+    def starts(self, offset: int = 0) -> Indices:
+        """Indices into `x` and `u`."""
+        found, begin = [], 0
+        for length in self._lengths:
+            found.append(np.arange(begin + min(SETTLED, length // 4) + offset, begin + length - self.horizon, self.stride))
+            begin += length
+        return np.concatenate(found)
+
+    def currents(self, starts: Indices) -> FloatArray:
+        """Shape (n, H)."""
+        return self.u[starts[:, None] + np.arange(self.horizon)]
+
+    def targets(self, starts: Indices) -> FloatArray:
+        """x after each of the currents, shape (n, H, 8)."""
+        return self.x[starts[:, None] + np.arange(1, self.horizon + 1)]
+
+    def shuffled(self, epoch: int, seed: int) -> Indices:
+        """An epoch's starts in random order."""
+        generator = np.random.default_rng([seed, epoch])
+        return generator.permutation(self.starts(int(generator.integers(self.stride))))
+
+
+def batches_of(starts: Indices, size: int) -> list[Indices]:
+    """Batches as equal as can be, none larger than `size`."""
+    return np.array_split(starts, -(-len(starts) // size))
+
+
+class NetworkObjective:
+    """Trains the weights of a network on normalized states."""
+
+    def __init__(
+        self, model: NetworkModel, training: Windows, validation: Windows, *, batch: int, seed: int, printed: bool = False
+    ) -> None:
+        self.model, self.batch, self.seed, self.printed = model, batch, seed, printed
+        self.training, self.validation = training, validation
+        self.z, self.v = model.normalized(training.x, training.u)
+
+    def refresh(self, parameters: FloatArray) -> None:
+        """Nothing: windows start from the measurement."""
+
+    def gradients(self, parameters: FloatArray, epoch: int) -> Iterator[tuple[float, FloatArray]]:
+        """See `adam.Objective`."""
+        steps = np.arange(self.training.horizon)
+        for part in batches_of(self.training.shuffled(epoch, self.seed), self.batch):
+            rows = part[:, None] + steps
+            layers, step = self.model.with_weights(parameters).compiled
+            loss, gradient = network.loss_and_gradient(
+                layers, step, self.z[part], self.v[rows], self.z[rows + 1], self.printed, numba.get_num_threads()
+            )
+            yield float(loss), gradient.astype(np.float64)
+
+    def validate(self, parameters: FloatArray) -> float:
+        """Root of the mean squared normalized error over states and horizon."""
+        model, starts = self.model.with_weights(parameters), self.validation.starts()
+        predicted = model.predict(self.validation.x[starts], self.validation.currents(starts))
+        return float(np.sqrt(np.mean(((predicted - self.validation.targets(starts)) / model.scale) ** 2)))
+
+
+class StructuredObjective:
+    """Trains constants and network of a structured model on the readings, each weighed by its noise."""
+
+    def __init__(self, model: StructuredModel, training: Windows, validation: Windows, *, batch: int, seed: int) -> None:
+        self.model, self.batch, self.seed = model, batch, seed
+        self.training, self.validation = training, validation
+        self.weights = 1.0 / observer.READING_NOISE
+        self.states = self.validation_states = np.empty((0, structured.FULL))
+
+    def parameters(self) -> FloatArray:
+        """theta, then the network's weights."""
+        return np.concatenate((self.model.theta, self.model.flat))
+
+    def at(self, parameters: FloatArray) -> StructuredModel:
+        """The model with these parameters."""
+        count = len(self.model.theta)
+        return self.model.with_parameters(parameters[:count], parameters[count:])
+
+    def refresh(self, parameters: FloatArray) -> None:
+        """Start states by the observer, with these parameters."""
+        model = self.at(parameters)
+        self.states = np.concatenate([model.estimate(run) for run in self.training.runs])
+        self.validation_states = np.concatenate([model.estimate(run) for run in self.validation.runs])
+
+    def gradients(self, parameters: FloatArray, epoch: int) -> Iterator[tuple[float, FloatArray]]:
+        """See `adam.Objective`."""
+        for part in batches_of(self.training.shuffled(epoch, self.seed), self.batch):
+            model = self.at(parameters)
+            c, slope = constants.values(model.table, model.theta)
+            _, layers, center, scale, _ = model.compiled
+            targets = np.ascontiguousarray(self.training.targets(part)[:, :, READING_COLUMNS])
+            loss, by_c, by_flat = structured.loss_and_gradients(
+                c, layers, center, scale, self.states[part, :9], self.training.currents(part), targets, self.weights,
+                numba.get_num_threads(),
+            )  # fmt: skip
+            yield float(loss), np.concatenate((by_c * slope, by_flat))
+
+    def validate(self, parameters: FloatArray) -> float:
+        """Root of the mean squared error over noise of the readings over the horizon."""
+        model, starts = self.at(parameters), self.validation.starts()
+        predicted = model.predict(self.validation_states[starts], self.validation.currents(starts))
+        errors = (predicted - self.validation.targets(starts))[:, :, READING_COLUMNS] * self.weights
+        return float(np.sqrt(np.mean(errors**2)))

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A learned model as a `hydro_sim.plant.Plant`: what the sim node and the offline loop step.
+
+The model gives x without noise. The sensors' noise and quantisation go through the box's differentiation by themselves and
+are added: conditioning is linear, so x comes out as if the readings had been noisy.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numba import njit
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim import sensors
+from hydro_sim.learned import integration, network, region, structured
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.network_model import NetworkModel
+from hydro_sim.learned.structured import INPUTS, OUTPUTS
+from hydro_sim.sensors import CONDITIONING_DTYPE, Noise, Sensors
+
+FARTHEST = 20.0
+"""Standard deviations beyond which a state of the network is not let go."""
+
+
+class LearnedPlant:
+    """See the module.
+
+    Parameters
+    ----------
+    learned
+        The model; None: the one that comes with this package.
+    noise
+        Scale of the sensors' noise and quantisation, 0 or more.
+    settings
+        The sensors at scale 1.
+    """
+
+    def __init__(
+        self, learned: Learned | str | Path | None = None, *, noise: float = 1.0, settings: Sensors | None = None
+    ) -> None:
+        if not 0.0 <= noise < np.inf:
+            raise ValueError(f"noise scale {noise!r} is not a number of 0 or more")
+        self.learned = learned if isinstance(learned, Learned) else Learned.load(learned)
+        model = self.learned.model
+        self.advance = _network_step(model) if isinstance(model, NetworkModel) else _structured_step(model)
+        self.sensors = (settings or Sensors()).constants(noise)
+        self.noise = Noise(0)
+        self.state = np.array(model.rest)
+        self.clean, self.error = np.zeros(8), np.zeros(8)
+        self._last = np.zeros(1, CONDITIONING_DTYPE)
+        self.extrapolating = False
+        """Whether the last state or current lay outside of what the model was trained on."""
+        self.reset(0)
+
+    def reset(self, seed: int) -> FloatArray:
+        """See `hydro_sim.plant.Plant.reset`."""
+        self.noise, self.extrapolating = Noise(seed), False
+        self.state[:] = self.learned.model.rest
+        self.clean[:] = _measured(self.state)
+        _begin_error(self.sensors, self.noise.row(), self.clean, self._last, self.error)
+        return self.clean + self.error
+
+    def step(self, valve_current: float) -> FloatArray:
+        """See `hydro_sim.plant.Plant.step`."""
+        self.advance(self.state, valve_current, self.clean)
+        bounds = self.learned.region
+        self.extrapolating = bool(region.outside(bounds.center, bounds.whiten, self.clean, valve_current))
+        _next_error(self.sensors, self.noise.row(), self.clean, self._last, self.error)
+        return self.clean + self.error
+
+
+def _measured(state: FloatArray) -> FloatArray:
+    """x of a rest state: of a structured model's full state, or the state itself."""
+    if len(state) == network.STATES:
+        return state
+    force = 0.0 if len(state) < structured.FULL else state[6]
+    return np.array([force, 0.0, force, 0.0, state[0], state[1], state[2], 0.0])
+
+
+def _structured_step(model):  # type: ignore[no-untyped-def]
+    """(state (12,), current, x out (8,)) of a structured model."""
+    compiled = model.compiled
+    work = integration.scratch()
+    x, r = np.empty(INPUTS), np.empty(OUTPUTS)
+    a1, a2 = np.empty(model.hidden[0]), np.empty(model.hidden[1])
+
+    def step(state: FloatArray, current: float, measured: FloatArray) -> None:
+        structured.advance_full(*compiled, state, current, work, x, a1, a2, r, measured)
+
+    return step
+
+
+def _network_step(model: NetworkModel):  # type: ignore[no-untyped-def]
+    """(state (8,), current, x out (8,)) of a network."""
+    layers, step = model.compiled
+    x, y = np.empty(network.INPUTS, np.float32), np.empty(network.STATES, np.float32)
+    a1, a2 = np.empty(model.hidden[0], np.float32), np.empty(model.hidden[1], np.float32)
+
+    def advance(state: FloatArray, current: float, measured: FloatArray) -> None:
+        _advance_network(
+            layers, step, model.center, model.scale, state, current / model.current_scale, x, a1, a2, y, measured
+        )
+
+    return advance
+
+
+@njit(cache=True)
+def _advance_network(layers, step, center, scale, state, current, x, a1, a2, y, measured):
+    z = ((state - center) / scale).astype(np.float32)
+    network.advance(layers, step, z, np.float32(current), x, a1, a2, y)
+    for i in range(network.STATES):
+        state[i] = center[i] + scale[i] * min(max(z[i], -FARTHEST), FARTHEST)
+        measured[i] = state[i]
+
+
+@njit(cache=True)
+def _errors(sensor, noise, clean, raw):
+    """What the sensors add to the five readings."""
+    raw[0], raw[1], raw[2], raw[3], raw[4] = clean[0], clean[2], clean[4], clean[5], clean[6]
+    sensors.sense(sensor, noise, raw)
+    raw[0] -= clean[0]
+    raw[1] -= clean[2]
+    raw[2] -= clean[4]
+    raw[3] -= clean[5]
+    raw[4] -= clean[6]
+
+
+@njit(cache=True)
+def _begin_error(sensor, noise, clean, last, error):
+    raw = np.empty(5)
+    _errors(sensor[0], noise, clean, raw)
+    sensors.restart(last[0], raw, error)
+
+
+@njit(cache=True)
+def _next_error(sensor, noise, clean, last, error):
+    raw = np.empty(5)
+    _errors(sensor[0], noise, clean, raw)
+    sensors.condition(sensor[0], last[0], raw, error)

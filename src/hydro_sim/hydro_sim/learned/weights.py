@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weights on disk: a safetensors file of a few kB whose header says in JSON what they are. Never pickle.
+
+The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state, normalization,
+region of training, and `training`: recordings with digests, command, seed, settings, code version, errors reached.
+"""
+
+from __future__ import annotations
+
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from hydro_bridge.signals import FloatArray
+
+FORMAT = 1
+Tensors = dict[str, FloatArray]
+
+
+class WeightsError(ValueError):
+    """A file holds no weights of a learned bench; the message is one sentence."""
+
+
+def save(path: str | Path, tensors: Tensors, header: dict[str, Any]) -> None:
+    """Write tensors and header; missing folders are made."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
+    save_file(arrays, str(path), metadata={"hydro": json.dumps({"format": FORMAT, **header})})
+
+
+def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
+    """Tensors and header of a weights file.
+
+    Raises
+    ------
+    WeightsError
+        If the file is missing, is no safetensors file, or is not of this format.
+    """
+    try:
+        with safe_open(str(path), framework="numpy") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (OSError, SafetensorError) as error:
+        reason = "there is no such file" if not Path(path).exists() else " ".join(str(error).split())
+        raise WeightsError(f"{path} cannot be read as weights: {reason}") from error
+    try:
+        header = json.loads(metadata["hydro"])
+        kind = (header["format"], header["structure"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(f"{path} holds no weights of a learned bench: its header has no readable entry 'hydro'") from error
+    if kind[0] != FORMAT:
+        raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: train the model anew")
+    return tensors, header
+
+
+def shipped() -> Path:
+    """The weights that come with this package."""
+    return Path(str(resources.files("hydro_sim") / "data" / "default_weights.safetensors"))
