@@ -107,9 +107,12 @@ def tracked(bench: Bench, count: int) -> list[Sample]:
 
 
 def measure(filters: dict[str, ContractionFilter], samples: list[Sample]) -> tuple[dict[str, list[float]], float]:
-    """Durations [s] of every call by filter, and the largest relative difference of M_c between the filters."""
+    """Durations [s] of every call by filter, and the relative difference of M_c that 99 % of the samples keep.
+
+    Differences that straddle the valve's kink at zero current are off by more.
+    """
     durations: dict[str, list[float]] = {name: [] for name in filters}
-    apart = 0.0
+    apart: list[float] = []
     for sample in samples:
         values = []
         for name, contraction_filter in filters.items():
@@ -117,8 +120,8 @@ def measure(filters: dict[str, ContractionFilter], samples: list[Sample]) -> tup
             result = contraction_filter.correct(sample)
             durations[name].append(time.perf_counter() - begin)
             values.append(result.before)
-        apart = max(apart, float(np.ptp(values)) / max(1.0, abs(values[0])))
-    return durations, apart
+        apart.append(float(np.ptp(values)) / max(1e-3, abs(values[0])))
+    return durations, float(np.percentile(apart, 99))
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -135,7 +138,7 @@ def main(arguments: list[str] | None = None) -> int:
     worked = filters["exact"].qp.counts.solved / (len(samples) + 200)
     table = Table(
         {"jacobians": "of the certificate", "p50": "us per call", "p99": "", "p99.9": "", "max": "", "ratio": "of p50"},
-        title=f"Filter call, {len(samples)} samples, the QP at work in {worked:.0%}; M_c agrees to {apart:.0e}",
+        title=f"Filter call, {len(samples)} samples, the QP at work in {worked:.0%}; M_c agrees to {apart:.0e} in 99 %",
     )
     shown = {name: percentiles(values) for name, values in durations.items()}
     for name, values in shown.items():

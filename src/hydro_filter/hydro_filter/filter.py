@@ -91,12 +91,12 @@ class ContractionFilter:
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
         if not age <= self.settings.state_age_max:
             return Result(0.0, nan, nan, CorrectionStatus.STALE)
+        if not all(map(isfinite, (*sample.state, sample.nominal_current))):  # also of what v does not look at
+            return Result(0.0, nan, nan, CorrectionStatus.NAN)
         line = self.certificate.evaluate(sample)
         limit = self.certificate.current_max
         applied = min(max(sample.nominal_current, -limit), limit)
         change, status = self.qp.solve(line.a, line.b, -limit - applied, limit - applied)
-        if not all(map(isfinite, (*sample.state, sample.nominal_current))):
-            return Result(0.0, nan, nan, CorrectionStatus.NAN)
         if status is CorrectionStatus.NAN:
             return Result(0.0, -line.b, -line.b, status)
         # sat(u_nom + delta_u) = sat(u_nom) + change
