@@ -109,6 +109,12 @@ class Trainer:
         self._reader.join(5.0)
         return status
 
+    def close(self) -> None:
+        """After its end: take what it still had to say."""
+        self._reader.join(5.0)
+        assert self.process.stdout is not None
+        self.process.stdout.close()
+
     def _read(self) -> None:
         assert self.process.stdout is not None
         for line in self.process.stdout:
@@ -131,6 +137,7 @@ def trainer(*words: str) -> Iterator[Trainer]:
                 run.process.wait(30.0)
             except subprocess.TimeoutExpired:
                 run.process.kill()
+        run.close()
 
 
 def _children(pid: int) -> list[int]:

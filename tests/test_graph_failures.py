@@ -5,11 +5,12 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager
-from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 pytest.importorskip("rclpy")
@@ -56,18 +57,20 @@ def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weigh
         probe.spin(1.5)
         before = probe.last(TRAINING).updates
         probe.forget()
+        killed = time.time()
         os.kill(run.child("spawn_main"), signal.SIGKILL)
         probe.wait(lambda: "learner lost (killed by signal 9)" in run.text, 5.0)
+        probe.spin(3.0)
         probe.wait(lambda: is_learning(probe) and probe.last(TRAINING).updates > before, 30.0)
-        steps = [message.step for _, message in probe.heard[GAINS]]
-        times = [time for time, _ in probe.heard[GAINS]]
-        assert all(later - earlier == 1 for earlier, later in pairwise(steps)), "a policy step is missing"
-        assert max(b - a for a, b in pairwise(times)) < 0.1, "the gains would have gone stale at 0.2 s"
-        assert len(steps) / (times[-1] - times[0]) == pytest.approx(100.0, rel=0.05)
         after = [message.updates for _, message in probe.heard[TRAINING]]
         assert min(after) >= before - 100, "at most the last half second is learnt again"
         assert run.end() == 130
     assert load_checkpoint(RunDirectory(tmp_path / "run").latest).produced > 0
+    gains = read_bag(tmp_path / "run" / "bag")[GAINS]
+    during = gains[(gains["time"] > killed) & (gains["time"] < killed + 3.0)]
+    assert (np.diff(during["step"].astype(int)) == 1).all(), "a policy step is missing"
+    assert np.diff(during["time"]).max() < 0.1, "the gains would have gone stale at 0.2 s"
+    assert len(during) == pytest.approx(300, rel=0.03)
 
 
 def test_unplugged_it_pauses_and_disarms_replugged_it_arms_anew_and_ctrl_c_leaves_a_run_to_resume(
@@ -90,6 +93,7 @@ def test_unplugged_it_pauses_and_disarms_replugged_it_arms_anew_and_ctrl_c_leave
     assert first.trainer["progress"]["interruptions"] == 1
     states = read_bag(run.bag).state
     assert not states["flags"][-1] & Flag.ARMED, "disarmed before it ended"
+    probe.spin(1.0)
     probe.forget()
     with trainer("--plant", "emulator", "--resume", str(run.path), "--no-record") as process:
         probe.wait(lambda: is_learning(probe), 60.0)

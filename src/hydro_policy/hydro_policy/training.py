@@ -94,6 +94,7 @@ class TrainingSession:
         if state is not None:
             self.progress = Progress(**state["progress"])
             self._rng.bit_generator.state = state["random_state"]
+        self._steps = self.progress.total_steps
 
     @property
     def finished(self) -> bool:
@@ -148,7 +149,8 @@ class TrainingSession:
         observation = observe(step.sample, taken)
         if np.isfinite(observation).all():
             self._action = self.policy.act(observation, self._rng)
-            self._outputs.gains(*self.settings.task.gains.gains(self._action), self.progress.total_steps)
+            self._outputs.gains(*self.settings.task.gains.gains(self._action), self._steps)
+            self._steps += 1
             self._observation = observation
         else:
             self._observation = None  # the box trips on this; its flags come next
