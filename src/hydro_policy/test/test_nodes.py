@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The executables as users start them, on a running simulation."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.recording import read_bag
+from hydro_bridge.ros import executable_path
+from hydro_bridge.signals import Flag
+from hydro_policy.checkpoint import load_checkpoint
+from hydro_policy.nodes.companions import PlantOptions, commands
+from hydro_policy.policy import Policy, load_policy
+from hydro_policy.run import RunDirectory
+from hydro_policy.task import GainRange
+
+pytestmark = pytest.mark.graph
+
+ENVIRONMENT = {"ROS_DOMAIN_ID": str(20 + os.getpid() % 80), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+def run(executable: str, *words: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
+    command = [str(executable_path("hydro_policy", executable)), *words]
+    environment = os.environ | ENVIRONMENT
+    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=timeout, check=False)
+
+
+def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> None:
+    short = ("--ros-args", "-p", "task.steps_per_episode:=250", "-p", "warmup_steps:=100")
+    done = run("trainer", "--plant", "sim", "--episodes", "2", "--runs", str(tmp_path), "--name", "a", *short)
+    assert done.returncode == 0, done.stderr
+    folder = RunDirectory(tmp_path / "a")
+    for path in (folder.policy, folder.bag, folder.latest, folder.log):
+        assert path.exists() and str(path) in done.stdout
+    assert "--resume" in done.stdout and "episode 2/2" in done.stderr
+    checkpoint = load_checkpoint(folder.latest)
+    assert checkpoint.trainer["episode"] == 2 and checkpoint.trainer["total_steps"] == 500
+    assert load_policy(folder.policy)[2]["episode"] == 2
+    recording = read_bag(folder.bag)
+    assert not recording.state["flags"][-1] & Flag.ARMED
+    assert len(recording["/hydro/gains"]) >= 500
+    assert recording["/hydro/training"]["updates"].max() > 100
+    assert "config.yaml" in recording.attachments
+
+    again = run("trainer", "--runs", str(tmp_path), "--name", "a")
+    assert again.returncode == 2
+    assert again.stderr.splitlines()[-1].startswith("error: ") and "--resume" in again.stderr
+
+
+def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
+    policy = tmp_path / "policy.safetensors"
+    Policy(32).save(policy, GainRange())  # all zero: the middle of the range, K_p = 52.5, K_i = 10
+    words = ["--plant", "sim", "--policy", str(policy), "--fixed", "52.5", "10", "--fixed", "100", "15"]
+    figures, plot = tmp_path / "evaluation.json", tmp_path / "tracking.png"
+    done = run("evaluate", *words, "--frequencies", "2", "--json", str(figures), "--plot", str(plot))
+    assert done.returncode == 0, done.stderr
+    scores = {score["controller"]: score for score in json.loads(figures.read_text())["runs"]}
+    assert list(scores) == ["policy policy", "fixed (52.5, 10)", "fixed (100, 15)"]
+    assert scores["policy policy"]["rmse"] == pytest.approx(scores["fixed (52.5, 10)"]["rmse"], rel=0.15)
+    assert scores["fixed (100, 15)"]["proportional_gain"] > 95, "the guard was opened for it"
+    assert "2 Hz" in done.stdout and plot.stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--resume", "/nowhere"), "holds no run to resume"),
+        (("--ros-args", "-p", "sac.discount:=1.5"), "sac.discount"),
+    ],
+)
+def test_what_the_user_can_put_right_is_one_sentence_and_status_2(
+    words: tuple[str, ...], sentence: str, tmp_path: Path
+) -> None:
+    done = run("trainer", "--runs", str(tmp_path), *words)
+    assert done.returncode == 2
+    assert sentence in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
+
+
+def test_companions_of_each_plant() -> None:
+    started = {
+        plant: [executable for _, executable, _ in commands(PlantOptions(plant=plant), GainRange(), Path("run"))]
+        for plant in ("sim", "emulator", "bench", "external")
+    }
+    assert started == {
+        "sim": ["filter", "sim"],
+        "emulator": ["filter", "emulator", "bridge"],
+        "bench": ["filter", "bridge"],
+        "external": [],
+    }
+    wide = commands(PlantOptions(plant="sim"), GainRange(delta_kp_max=285.0), Path("run"))
+    assert wide[-1][2][-2:] == ["-p", "guard.delta_kp_max:=285.0"]
