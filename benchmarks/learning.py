@@ -18,6 +18,7 @@ from torch import Tensor, nn
 
 from benchmarks._report import line, percentiles
 from hydro_bridge.console import Table, add_json_argument
+from hydro_bridge.signals import FloatArray
 from hydro_policy.policy import Policy
 from hydro_policy.replay import Batch, ReplayBuffer
 from hydro_policy.sac import Sac, SacSettings
@@ -73,7 +74,7 @@ class OrdinarySac:
         squashed = normal.rsample()
         action = squashed.tanh()
         correction = 2.0 * (np.log(2.0) - squashed - nn.functional.softplus(-2.0 * squashed))
-        return action, (normal.log_prob(squashed) - correction).sum(1)
+        return action, (normal.log_prob(squashed) - correction).sum(1)  # type: ignore[no-untyped-call]
 
 
 def _network(inputs: int, outputs: int) -> nn.Module:
@@ -110,12 +111,13 @@ def updates(table: Table) -> None:
         table.add(batch=batch_size, ours=round(fast), ordinary=round(slow), ratio=float(fast / slow))
 
 
-def inference() -> np.ndarray:
+def inference() -> FloatArray:
     """Duration [s] of observe, act (with exploration) and map to gains, once for each of many steps."""
     sac, policy, gains = Sac(OBSERVATIONS, 2, SacSettings()), Policy(32), GainRange()
     policy.load_flat(sac.actor_network.parameters.numpy().astype(np.float64))
     rng = np.random.default_rng(0)
-    samples, action = rng.normal(size=(256, 14)), np.zeros(2)
+    samples = rng.normal(size=(256, 14))
+    action: FloatArray = np.zeros(2)
     durations = np.empty(STEPS)
     for k in range(STEPS):
         begin = time.perf_counter()

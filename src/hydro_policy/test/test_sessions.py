@@ -97,7 +97,7 @@ def test_reward_is_the_paper_s_with_the_page_s_units() -> None:
     scaled = TaskSettings(force_rate_scale=3770.0)
     assert scaled.reward(error, rate) == pytest.approx(-(100 * 0.1**2 + 4000 * 0.1**2))
     assert TaskSettings().force_rate_scale == pytest.approx(300 * 2 * math.pi * 2)
-    assert scaled.reward(np.array([30.0, -30.0]), np.zeros(2)) == pytest.approx(-1.0), "opposite errors do not cancel"
+    assert scaled.reward(np.array([20.0, 40.0]), np.array([0.0, 754.0])) == pytest.approx(-41.0), "of the means"
 
 
 def test_actions_cover_the_gain_range_of_the_table() -> None:
