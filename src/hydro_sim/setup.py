@@ -9,7 +9,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "data/*.yaml"]},
+    package_data={name: ["py.typed", "data/*.yaml", "data/*.safetensors"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -26,6 +26,9 @@ setup(
         "console_scripts": [
             "sim = hydro_sim.nodes.sim:main",
             "emulator = hydro_sim.emulator.command:main",
+            "collect = hydro_sim.nodes.collect:main",
+            "learn = hydro_sim.learned.learn:main",
+            "validate = hydro_sim.learned.validate:main",
         ],
     },
 )

@@ -37,6 +37,8 @@ from hydro_sim.timing import SAMPLE
 class SimSettings:
     """Settings of the sim node."""
 
+    model: str = ""
+    """Weights of a learned bench, `shipped` or `analytic`; empty: `analytic` where `bench` is given, `shipped` where not."""
     bench: str = ""
     """Path of a bench.yaml or a diagnosis' corrected.yaml; empty: the one that comes with hydro_sim."""
     speed: float = 1.0
@@ -116,6 +118,8 @@ class Simulation:
                 command = self.guard.command(self.clock())
             self._box.receive(command, now)
             sample = self._box.tick(measurement, now)
+            if getattr(self._plant, "extrapolating", False):  # a learned plant outside of what it was trained on
+                sample["flags"] |= Flag.EXTRAPOLATING
             stamp = self.pacer.scheduled_ns if self.real_time else self.samples * round(1e9 * SAMPLE)
             fields: tuple[Any, ...] = sample.item()  # type: ignore[assignment]
             self._on_state(stamp, fields)

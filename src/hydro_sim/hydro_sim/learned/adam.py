@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adam (Kingma and Ba, 2015) on one vector, with early stopping and checkpoints: the loop that trains every structure.
 
-An epoch depends on the parameters, the optimizer's state, and the epoch's number alone (shuffles are drawn from seed and
+An epoch depends on the parameters, the optimizer's state, and the epoch's number alone (shuffles are drawn from seed
+and
 epoch): a run that was resumed gives the same numbers, to the bit, as one that was not interrupted.
 """
 
@@ -11,7 +12,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from safetensors.numpy import load_file, save_file
@@ -75,8 +76,10 @@ class Progress:
     def begin(cls, parameters: FloatArray) -> Progress:
         """Nothing done yet."""
         zeros = np.zeros_like(parameters)
-        copies = {name: parameters.copy() for name in ("parameters", "best", "anchor")}
-        return cls(first_moment=zeros.copy(), second_moment=zeros.copy(), history=np.empty((0, 3)), **copies)
+        return cls(
+            parameters=parameters.copy(), best=parameters.copy(), anchor=parameters.copy(), first_moment=zeros,
+            second_moment=zeros.copy(), history=np.empty((0, 3)),
+        )  # fmt: skip
 
     def save(self, path: Path) -> None:
         """Write a checkpoint; the old one stays until the new one is whole."""
@@ -89,13 +92,15 @@ class Progress:
     def load(cls, path: Path, count: int) -> Progress:
         """Read a checkpoint of `count` parameters; DataError if it is none."""
         try:
-            arrays = load_file(str(path))
+            arrays: dict[str, Any] = load_file(str(path))
             scalars = {name: arrays.pop(name)[0].item() for name in ("best_error", "best_epoch", "epoch", "steps")}
             progress = cls(**arrays, **scalars)
         except Exception as error:
             raise DataError(f"{path} is no checkpoint of a training: {' '.join(str(error).split())}") from error
         if progress.parameters.shape != (count,):
-            raise DataError(f"{path} is a checkpoint of another model: {len(progress.parameters)} parameters, not {count}")
+            raise DataError(
+                f"{path} is a checkpoint of another model: {len(progress.parameters)} parameters, not {count}"
+            )
         return progress
 
 

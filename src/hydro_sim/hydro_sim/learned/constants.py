@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The learned constants of `physics`: start value, unit, and how far one unit of the optimizer moves each.
 
-A constant that must stay positive is start * exp(theta); any other is start + step * theta. Start values come from the bench
+A constant that must stay positive is start * exp(theta); any other is start + step * theta. Start values come from
+the bench
 file where it has them; the rest are a textbook's orders of magnitude, not this bench's values.
 """
 
@@ -63,7 +64,7 @@ def constants(bench: Bench) -> tuple[Constant, ...]:
         Constant(name="force_h_gain", unit="-", start=1.0, learned=False),
         Constant(name="force_h_bias", unit="N", start=0.0, step=1.0),
         Constant(name="force_l_gain", unit="-", start=1.0, learned=False),
-        Constant(name="force_l_bias", unit="N", start=0.0, step=1.0),
+        Constant(name="force_l_bias", unit="N", start=0.0, step=1.0, learned=False),  # as good as a shift of the rest
         Constant(name="stroke", unit="m", start=bench.stroke, learned=False),
     )
 

@@ -4,12 +4,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.hydraulics import SAMPLE
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, UNITS, figure, legend
+
+SI_UNITS = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
+"""Of the entries of x."""
 
 
 def draw_curves(history: FloatArray, path: str | Path, title: str) -> None:
@@ -42,12 +46,14 @@ def draw_horizons(
         axes[-1].set_xlabel("predicted [s]")
 
 
-def draw_free_run(
-    time: FloatArray, measured: FloatArray, learned: FloatArray, analytic: FloatArray, path: str | Path
-) -> None:
+def draw_free_run(time: Any, measured: FloatArray, learned: FloatArray, analytic: FloatArray, path: str | Path) -> None:
     """Draw load force and its error in one long prediction; shapes (n,) for time [s], (n, 8) for the others."""
     with figure(path, 2, size=(8.0, 5.0), sharex=True) as (_, (force, error)):
-        for values, color, name in ((measured, GRAY, "recorded"), (analytic, RED, "analytic"), (learned, BLUE, "learned")):
+        for values, color, name in (
+            (measured, GRAY, "recorded"),
+            (analytic, RED, "analytic"),
+            (learned, BLUE, "learned"),
+        ):
             force.plot(time, values[:, 2], color=color, label=name)
         error.plot(time, learned[:, 2] - measured[:, 2], color=BLUE, label="learned - recorded")
         force.set(ylabel="load force [N]")
@@ -57,7 +63,10 @@ def draw_free_run(
 
 
 def draw_regions(edges: FloatArray, errors: FloatArray, labels: list[str], path: str | Path) -> None:
-    """Draw errors of f_l by bins of several coordinates: edges and errors of shape (coordinates, bins + 1) and (., bins)."""
+    """Draw errors of f_l by bins of several coordinates.
+
+    Shapes: edges (coordinates, bins + 1), errors (coordinates, bins).
+    """
     with figure(path, len(labels), size=(7.0, 2.2 * len(labels))) as (_, axes):
         for axis, edge, error, label in zip(np.atleast_1d(axes), edges, errors, labels, strict=True):
             axis.bar(edge[:-1], error, width=np.diff(edge), align="edge", color=BLUE, edgecolor="white")

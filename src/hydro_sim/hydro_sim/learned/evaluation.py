@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """How well a model predicts: the paper's Table rmse_model, errors over the horizon, by region, and a free run.
 
-Every prediction starts from the model's own estimate of the state, which looks only back, and runs under the recorded current.
-Errors are normalized per state either by the standard deviation of the recording or by its range (largest minus smallest,
+Every prediction starts from the model's own estimate of the state, which looks only back, and runs under the recorded
+current.
+Errors are normalized per state either by the standard deviation of the recording or by its range (largest minus
+smallest,
 of the noise-free log where there is one): the paper does not say which it used, so both are given.
 """
 
@@ -14,11 +16,8 @@ from typing import Protocol
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.bench import Bench
-from hydro_sim.learned import constants as learned_constants
 from hydro_sim.learned.objectives import SETTLED, Indices
 from hydro_sim.learned.recordings import Run
-from hydro_sim.learned.structured_model import StructuredModel
 
 
 class Predictor(Protocol):
@@ -29,26 +28,6 @@ class Predictor(Protocol):
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
         """x, shape (n, H, 8)."""
-
-
-def analytic(bench: Bench) -> StructuredModel:
-    """The analytic model (paper eq. q13-q15) as `hydro_sim.hydraulics` has it, in the shape that this module judges.
-
-    No dry friction, no leakage; a spool that follows within a tenth of a millisecond; the load cell's amplifier as in the bench
-    file, or one far above all else.
-    """
-    table = learned_constants.constants(bench)
-    wanted = {
-        "spool_frequency": 2.0 * np.pi * 1600.0, "spool_damping": 1.0, "friction_coulomb": 1e-9, "friction_stribeck": 1e-9,
-        "bristle_stiffness": 1e-3, "bristle_damping": 1e-9, "viscous_friction": bench.viscous_friction,
-        "load_cell_frequency": 2.0 * np.pi * (bench.load_cell_bandwidth or 500.0),
-    }  # fmt: skip
-    theta = np.array([np.log(max(wanted[entry.name], 1e-9) / entry.start) if entry.name in wanted else 0.0 for entry in table])
-    flat = np.zeros(5 * 1 + 1 + 1 + 1 + 3 + 3)
-    rest = np.zeros(12)
-    return StructuredModel(
-        bench=bench, theta=theta, flat=flat, hidden=(1, 1), center=np.zeros(5), scale=np.ones(5), rest=rest
-    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +47,7 @@ def window_starts(run: Run, horizon: int, stride: int) -> Indices:
     return np.arange(SETTLED, len(run) - horizon - 1, stride)
 
 
-def errors(
-    predictor: Predictor, states: FloatArray, run: Run, truth: FloatArray, horizon: int, stride: int
-) -> Errors:
+def errors(predictor: Predictor, states: FloatArray, run: Run, truth: FloatArray, horizon: int, stride: int) -> Errors:
     """Errors of predictions from `states` at the starts of windows against `truth`, shape (n, 8)."""
     starts = window_starts(run, horizon, stride)
     squares_time, squares_window = np.zeros((horizon, 8)), []
@@ -97,3 +74,45 @@ class Scales:
         """Standard deviation and range of the columns of x, shape (n, 8)."""
         return cls(std=x.std(axis=0), span=np.ptp(x, axis=0))
 
+
+@dataclass(frozen=True, kw_only=True)
+class Scored:
+    """One recording's run with what it is judged by."""
+
+    run: Run
+    truth: FloatArray | None
+    """The noise-free log at the run's samples, shape (n, 8), or None."""
+
+    @property
+    def reference(self) -> FloatArray:
+        """The noise-free log, or the recording itself."""
+        return self.run.x if self.truth is None else self.truth
+
+
+def pooled(parts: list[Errors]) -> Errors:
+    """Errors of several runs together, each window counting once."""
+    counts = np.array([len(part.by_window) for part in parts], float)
+    weights = counts / counts.sum()
+    by_time = np.sqrt(sum(w * part.by_time**2 for w, part in zip(weights, parts, strict=True)))
+    return Errors(
+        rmse=np.sqrt(np.mean(by_time**2, axis=0)), by_time=by_time,
+        by_window=np.concatenate([part.by_window for part in parts]),
+    )  # fmt: skip
+
+
+def judge(
+    predictor: Predictor, states: list[FloatArray], scored: list[Scored], *, recorded: bool, horizon: int, stride: int
+) -> Errors:
+    """Pooled errors on several runs, against the recordings themselves or against the noise-free logs."""
+    truths = [item.run.x if recorded else item.reference for item in scored]
+    parts = [
+        errors(predictor, start, item.run, truth, horizon, stride)
+        for start, item, truth in zip(states, scored, truths, strict=True)
+    ]
+    return pooled(parts)
+
+
+def noise_floor(scored: list[Scored]) -> FloatArray | None:
+    """RMS of recording minus noise-free log, shape (8,): what a perfect model would leave; None without a log."""
+    differences = [item.run.x - item.truth for item in scored if item.truth is not None]
+    return np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if len(differences) == len(scored) else None

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """First half of training the structured model: its constants, by Levenberg-Marquardt on many short windows.
 
-A window's start is not known well enough, so it is estimated along with the constants: every window has its own start state s,
+A window's start is not known well enough, so it is estimated along with the constants: every window has its own start
+state s,
 drawn towards its measured samples, and is eliminated from the normal equations (a Schur complement)::
 
-    min over theta, s_1 .. s_n of   sum_i |(readings(theta, s_i) - measured_i) / noise|^2  +  |(s_i - guess_i) / spread|^2
+    min over theta, s_1 .. s_n of   sum_i |(readings(theta, s_i) - measured_i) / noise|^2  +  |(s_i - guess_i) /
+    spread|^2
 
     [ A_i  B_i ] [ ds_i   ]     [ a_i ]            (sum_i C_i - B_i' A_i^-1 B_i) dtheta = -(sum_i c_i - B_i' A_i^-1 a_i)
     [ B_i' C_i ] [ dtheta ] = - [ c_i ]
@@ -18,6 +20,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.learned.integration import STATES
@@ -26,6 +29,7 @@ CHUNK = 256  # windows whose derivatives are in memory at a time
 NUDGE = 1e-4  # of theta
 STEP_MAX = 0.5  # of theta in one iteration
 
+Indices = npt.NDArray[np.intp]
 Readings = Callable[[FloatArray, FloatArray, slice], FloatArray]
 """(theta, starts of the windows in the slice, slice) -> readings over noise, shape (windows, H * 5)."""
 
@@ -65,7 +69,7 @@ class _Normal:
 
 
 def improve(
-    fit: Fit, readings: Readings, targets: FloatArray, guesses: FloatArray, spread: FloatArray, learned: FloatArray
+    fit: Fit, readings: Readings, targets: FloatArray, guesses: FloatArray, spread: FloatArray, learned: Indices
 ) -> bool:
     """One iteration, in place; whether it got better by more than a part in a thousand.
 
@@ -99,7 +103,12 @@ def _slices(count: int) -> list[slice]:
 
 
 def _cost(
-    theta: FloatArray, starts: FloatArray, readings: Readings, targets: FloatArray, guesses: FloatArray, spread: FloatArray
+    theta: FloatArray,
+    starts: FloatArray,
+    readings: Readings,
+    targets: FloatArray,
+    guesses: FloatArray,
+    spread: FloatArray,
 ) -> float:
     total = float((((starts - guesses) / spread) ** 2).sum())
     for part in _slices(len(starts)):
@@ -108,7 +117,7 @@ def _cost(
 
 
 def _normal(
-    fit: Fit, readings: Readings, targets: FloatArray, guesses: FloatArray, spread: FloatArray, learned: FloatArray
+    fit: Fit, readings: Readings, targets: FloatArray, guesses: FloatArray, spread: FloatArray, learned: Indices
 ) -> _Normal:
     n, p = len(fit.starts), len(learned)
     a, b, ga = np.empty((n, STATES, STATES)), np.empty((n, STATES, p)), np.empty((n, STATES))

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """One sample of the structured model, and its gradient: four steps of Runge-Kutta 4 with the bristle split off.
 
-A step of 250 us (Strang splitting, second order): half a step of the bristle, exact at constant velocity so that no velocity
+A step of 250 us (Strang splitting, second order): half a step of the bristle, exact at constant velocity so that no
+velocity
 makes it stiff; a Runge-Kutta step of y; the other half of the bristle. `state` is [y (8), z], shape (9,).
 """
 
@@ -38,7 +39,12 @@ class Scratch(NamedTuple):
 def scratch():
     """New work space."""
     return Scratch(
-        np.empty((4, 8)), np.empty((4, 8)), np.empty((SUBSTEPS, STATES)), np.empty(SUBSTEPS), np.empty(8), np.empty((4, 8))
+        np.empty((4, 8)),
+        np.empty((4, 8)),
+        np.empty((SUBSTEPS, STATES)),
+        np.empty(SUBSTEPS),
+        np.empty(8),
+        np.empty((4, 8)),
     )
 
 
@@ -85,7 +91,9 @@ def advance(c, state, current, r, work):
         work.middle[step] = state[8]
         _runge_kutta(c, y, state[8], current, r, work)
         for i in range(8):
-            y[i] += STEP / 6.0 * (work.slopes[0, i] + 2.0 * work.slopes[1, i] + 2.0 * work.slopes[2, i] + work.slopes[3, i])
+            y[i] += (
+                STEP / 6.0 * (work.slopes[0, i] + 2.0 * work.slopes[1, i] + 2.0 * work.slopes[2, i] + work.slopes[3, i])
+            )
         state[8] = half_bristle(c, state[8], state[3])
 
 

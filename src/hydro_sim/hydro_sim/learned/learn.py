@@ -9,8 +9,10 @@ import time
 from dataclasses import asdict, replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import numba
+from tqdm import tqdm
 
 from hydro_bridge.console import command, progress
 from hydro_sim.bench import Bench
@@ -52,12 +54,13 @@ def main() -> None:
 def _train(
     model: Model, data: recordings.Data, settings: training.Settings, checkpoint: Path, resume: bool
 ) -> tuple[adam.Progress, Model]:
-    bar = progress(total=settings.adam.epochs, label="training", unit="epoch")
-    for state, model in training.steps(model, data, settings, checkpoint, resume=resume):
+    bar: tqdm[Any] = progress(total=settings.adam.epochs, label="training", unit="epoch")
+    for last in training.steps(model, data, settings, checkpoint, resume=resume):
+        state = last[0]
         bar.update(state.epoch - bar.n)
         bar.set_postfix_str(f"loss {state.history[-1, 1]:.4g}, validation {state.best_error:.5f}")
     bar.close()
-    return state, model
+    return last
 
 
 def _say(sentence: str) -> None:

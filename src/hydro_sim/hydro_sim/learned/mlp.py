@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network of two hidden ReLU layers for one input at a time, and its gradient; the inner loop of every structure here.
+"""A network of two hidden ReLU layers for one input at a time, and its gradient.
 
 ::
 
@@ -7,8 +7,10 @@
 
     a1 = relu(x W1 + b1)    a2 = relu(a1 W2 + b2)    y = a2 W3 + b3
 
-A trajectory is sequential and a network this small lives in the first-level cache, so one trajectory at a time, its loops
-running over neighboring weights, is what vectorizes; a batch is spread over cores. `Layers` is a tuple of views of the flat
+A trajectory is sequential and a network this small lives in the first-level cache, so one trajectory at a time, its
+loops
+running over neighboring weights, is what vectorizes; a batch is spread over cores. `Layers` is a tuple of views of
+the flat
 vector, so that compiled code has names, and the optimizer one vector.
 """
 

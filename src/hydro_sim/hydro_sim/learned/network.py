@@ -154,7 +154,7 @@ def loss_and_gradient(layers, step, starts, currents, targets, printed, threads)
 
     Shapes: starts (n, 8), scaled currents (n, H), targets (n, H, 8). The batch is cut into blocks that fit the cache.
     """
-    n, horizon = currents.shape
+    n = len(currents)
     h1, h2, kind = layers.b1.shape[0], layers.b2.shape[0], layers.b1.dtype
     transposed = (layers.w1.T.copy(), layers.w2.T.copy(), layers.w3.T.copy())
     losses, blocks = np.zeros(threads), -(-n // BLOCK)

@@ -43,7 +43,8 @@ class NetworkModel:
         moved = np.concatenate([run.x[10:] - run.x[:-10] for run in training]).std(axis=0)
         generator = np.random.default_rng(seed)
         return cls(
-            flat=mlp.initial(generator, INPUTS, hidden, STATES), hidden=hidden, center=x.mean(axis=0), scale=x.std(axis=0),
+            flat=mlp.initial(generator, INPUTS, hidden, STATES), hidden=hidden,
+            center=x.mean(axis=0), scale=x.std(axis=0),
             current_scale=float(u.std()), rate_scale=moved / (10 * SAMPLE), rest=training[0].x[0].copy(),
         )  # fmt: skip
 

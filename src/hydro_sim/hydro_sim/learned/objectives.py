@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the training loop minimizes, for either structure: windows of H samples, rolled out, against what was recorded."""
+"""What the training loop minimizes: windows of H samples, rolled out, against what was recorded."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.learned import constants, mlp, network, observer, structured
+from hydro_sim.learned import network, observer, structured
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.recordings import READING_COLUMNS, Run
 from hydro_sim.learned.structured_model import StructuredModel
@@ -44,7 +44,9 @@ class Windows:
         """Indices into `x` and `u`."""
         found, begin = [], 0
         for length in self._lengths:
-            found.append(np.arange(begin + min(SETTLED, length // 4) + offset, begin + length - self.horizon, self.stride))
+            found.append(
+                np.arange(begin + min(SETTLED, length // 4) + offset, begin + length - self.horizon, self.stride)
+            )
             begin += length
         return np.concatenate(found)
 
@@ -71,7 +73,14 @@ class NetworkObjective:
     """Trains the weights of a network on normalized states."""
 
     def __init__(
-        self, model: NetworkModel, training: Windows, validation: Windows, *, batch: int, seed: int, printed: bool = False
+        self,
+        model: NetworkModel,
+        training: Windows,
+        validation: Windows,
+        *,
+        batch: int,
+        seed: int,
+        printed: bool = False,
     ) -> None:
         self.model, self.batch, self.seed, self.printed = model, batch, seed, printed
         self.training, self.validation = training, validation
@@ -99,22 +108,24 @@ class NetworkObjective:
 
 
 class StructuredObjective:
-    """Trains constants and network of a structured model on the readings, each weighed by its noise."""
+    """Trains the network of a structured model on the readings, each weighed by its noise.
 
-    def __init__(self, model: StructuredModel, training: Windows, validation: Windows, *, batch: int, seed: int) -> None:
+    The constants stay as they were identified: against a reading as fine as the encoder's, a gradient step that suits
+    the network is far too long for them.
+    """
+
+    def __init__(
+        self, model: StructuredModel, training: Windows, validation: Windows, *, batch: int, seed: int
+    ) -> None:
         self.model, self.batch, self.seed = model, batch, seed
         self.training, self.validation = training, validation
         self.weights = 1.0 / observer.READING_NOISE
-        self.states = self.validation_states = np.empty((0, structured.FULL))
-
-    def parameters(self) -> FloatArray:
-        """theta, then the network's weights."""
-        return np.concatenate((self.model.theta, self.model.flat))
+        self.states: FloatArray = np.empty((0, structured.FULL))
+        self.validation_states: FloatArray = self.states
 
     def at(self, parameters: FloatArray) -> StructuredModel:
-        """The model with these parameters."""
-        count = len(self.model.theta)
-        return self.model.with_parameters(parameters[:count], parameters[count:])
+        """The model with these weights."""
+        return self.model.with_parameters(self.model.theta, parameters)
 
     def refresh(self, parameters: FloatArray) -> None:
         """Start states by the observer, with these parameters."""
@@ -126,14 +137,13 @@ class StructuredObjective:
         """See `adam.Objective`."""
         for part in batches_of(self.training.shuffled(epoch, self.seed), self.batch):
             model = self.at(parameters)
-            c, slope = constants.values(model.table, model.theta)
-            _, layers, center, scale, _ = model.compiled
+            c, layers, center, scale, _ = model.compiled
             targets = np.ascontiguousarray(self.training.targets(part)[:, :, READING_COLUMNS])
-            loss, by_c, by_flat = structured.loss_and_gradients(
+            loss, _, by_flat = structured.loss_and_gradients(
                 c, layers, center, scale, self.states[part, :9], self.training.currents(part), targets, self.weights,
                 numba.get_num_threads(),
             )  # fmt: skip
-            yield float(loss), np.concatenate((by_c * slope, by_flat))
+            yield float(loss), by_flat
 
     def validate(self, parameters: FloatArray) -> float:
         """Root of the mean squared error over noise of the readings over the horizon."""

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the bench is: the structured model's state from the readings up to now (an extended Kalman filter).
 
-A window cannot start from the measurement itself: its 0.6 N and 6 kPa of noise would be most of the error 70 samples later,
-and the spool, the bristle and the amplifier are not measured at all. The filter uses the five readings (the rates are made from
+A window cannot start from the measurement itself: its 0.6 N and 6 kPa of noise would be most of the error 70 samples
+later,
+and the spool, the bristle and the amplifier are not measured at all. The filter uses the five readings (the rates are
+made from
 them and hold nothing new), their noise, and the model; it looks only back. Its Jacobian is taken by finite differences.
 """
 
@@ -27,7 +29,9 @@ SPREAD: FloatArray = np.array([2e4, 2e4, 2e-6, 2e-3, 2e-3, 1.0, 2.0, 200.0, 1e-5
 
 
 READING_NOISE: FloatArray = np.array([0.6, 0.6, 6e3, 6e3, 3e-7])
-"""Standard deviation of f_h, f_l [N], p_a, p_b [Pa], x_p [m] in one sample (docs/physics.md; 1 um / sqrt(12) for x_p)."""
+"""Standard deviation of f_h, f_l [N], p_a, p_b [Pa], x_p [m] in one sample (docs/physics.md; 1 um / sqrt(12) for
+x_p).
+"""
 
 MISSED: FloatArray = np.array([100.0, 100.0, 0.0, 2e-5, 1e-7, 0.0, 0.0, 0.0, 1e-9])
 """Standard deviation per sample of the model's own error at scale 1, units of the state."""
@@ -65,7 +69,8 @@ def _correct(s, p, row, bias, reading, noise):
 def follow(model, readings, currents, start, settings, states):
     """Filter one run: `states`, shape (n, 12), become the full states at the samples of `readings`, shape (n, 5).
 
-    `start`, shape (12,), is the first guess. The rates are made of the model's own steps, not of the differences between
+    `start`, shape (12,), is the first guess. The rates are made of the model's own steps, not of the differences
+    between
     one corrected estimate and the next: these are noise.
     """
     c, layers, center, scale, memories = model
@@ -83,9 +88,7 @@ def follow(model, readings, currents, start, settings, states):
                 moved[i] += nudges[i]
                 structured.advance(c, layers, center, scale, moved, current, work, x, a1, a2, r)
                 jacobian[:, i] = moved
-            structured.advance_full(
-                c, layers, center, scale, memories, full, current, work, x, a1, a2, r, measured
-            )
+            structured.advance_full(c, layers, center, scale, memories, full, current, work, x, a1, a2, r, measured)
             for i in range(STATES):
                 jacobian[:, i] = (jacobian[:, i] - s) / nudges[i]
             p = jacobian @ p @ jacobian.T

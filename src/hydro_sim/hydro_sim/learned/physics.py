@@ -16,7 +16,8 @@
     level    = F_c + F_s exp(-(x_p'/v_s)^2)
 
 Source: paper eq. q13-q15 (with docs/physics.md's erratum); Merritt, Hydraulic Control Systems, 1967 (spool, leakage);
-Canudas de Wit et al., IEEE TAC 40(3), 1995 (LuGre friction). All numbers in `c` are learned; `constants` says what they are.
+Canudas de Wit et al., IEEE TAC 40(3), 1995 (LuGre friction). All numbers in `c` are learned; `constants` says what
+they are.
 """
 
 from __future__ import annotations
@@ -88,7 +89,7 @@ def rates(c, y, z, current, r, slope):
 
 @njit(cache=True)
 def _stop(c, position, velocity):
-    """Force [N] of the end stops, with the compliance they have in hydro_sim.hydraulics; no gradient: never in training."""
+    """Force [N] of the end stops. Training never reaches them, so it has no gradient."""
     if position < 0.0:
         return min(STOP_STIFFNESS * position + STOP_DAMPING * velocity, 0.0)
     if position > c[STROKE]:

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned model as a `hydro_sim.plant.Plant`: what the sim node and the offline loop step.
 
-The model gives x without noise. The sensors' noise and quantisation go through the box's differentiation by themselves and
+The model gives x without noise. The sensors' noise and quantisation go through the box's differentiation by
+themselves and
 are added: conditioning is linear, so x comes out as if the readings had been noisy.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +20,11 @@ from hydro_sim.learned import integration, network, region, structured
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.structured import INPUTS, OUTPUTS
+from hydro_sim.learned.structured_model import StructuredModel
 from hydro_sim.sensors import CONDITIONING_DTYPE, Noise, Sensors
+
+Step = Callable[[FloatArray, float, FloatArray], None]
+"""Advances a state [in place] under a current [A] and writes x, shape (8,)."""
 
 FARTHEST = 20.0
 """Standard deviations beyond which a state of the network is not let go."""
@@ -53,6 +59,8 @@ class LearnedPlant:
         self.extrapolating = False
         """Whether the last state or current lay outside of what the model was trained on."""
         self.reset(0)
+        self.step(0.0)  # compiles
+        self.reset(0)
 
     def reset(self, seed: int) -> FloatArray:
         """See `hydro_sim.plant.Plant.reset`."""
@@ -79,7 +87,7 @@ def _measured(state: FloatArray) -> FloatArray:
     return np.array([force, 0.0, force, 0.0, state[0], state[1], state[2], 0.0])
 
 
-def _structured_step(model):  # type: ignore[no-untyped-def]
+def _structured_step(model: StructuredModel) -> Step:
     """(state (12,), current, x out (8,)) of a structured model."""
     compiled = model.compiled
     work = integration.scratch()
@@ -92,7 +100,7 @@ def _structured_step(model):  # type: ignore[no-untyped-def]
     return step
 
 
-def _network_step(model: NetworkModel):  # type: ignore[no-untyped-def]
+def _network_step(model: NetworkModel) -> Step:
     """(state (8,), current, x out (8,)) of a network."""
     layers, step = model.compiled
     x, y = np.empty(network.INPUTS, np.float32), np.empty(network.STATES, np.float32)

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +64,7 @@ def runs(name: str, states: StateArray) -> list[Run]:
     good = np.isfinite(x).all(axis=1) & np.isfinite(u) & ((states["flags"] & Flag.SENSOR_FAULT) == 0)
     joined = good[1:] & good[:-1] & (np.diff(states["sequence"]).view(np.int32) == 1)
     edges = np.flatnonzero(~np.concatenate(([False], joined, [False])))
-    found = [Run(name=name, x=x[a:b], u=u[a:b], first=int(a)) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    found = [Run(name=name, x=x[a:b], u=u[a:b], first=int(a)) for a, b in pairwise(edges)]
     return [run for run in found if len(run) >= SHORTEST and good[run.first]]
 
 
@@ -85,7 +86,8 @@ def load(paths: Sequence[str | Path]) -> dict[str, StateArray]:
 def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:
     """Training and validation runs.
 
-    With three recordings or more the last one validates. With fewer, the last `share` of each run's time does, `gap` samples
+    With three recordings or more the last one validates. With fewer, the last `share` of each run's time does, `gap`
+    samples
     after where training ends. What a model is judged by in the end is another recording: `validate`.
 
     Raises

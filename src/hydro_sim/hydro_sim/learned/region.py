@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a model was trained, and whether a state lies outside of it.
 
-The region is an ellipsoid about the training samples in five coordinates that determine the rest: f_l, f_l', p_a, p_b, u. Its
+The region is an ellipsoid about the training samples in five coordinates that determine the rest: f_l, f_l', p_a,
+p_b, u. Its
 axes are the samples' principal axes, its size the farthest sample's with a margin.
 """
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Random references and gains that visit the working range: what a training recording is made of.
 
-A schedule is a list of `Stretch`, drawn from a seed; written as YAML it is what `ros2 run hydro_sim collect` plays into the
+A schedule is a list of `Stretch`, drawn from a seed; written as YAML it is what `ros2 run hydro_sim collect` plays
+into the
 graph, and what the emulator's offline recorder takes. A fade of 0.3 s joins the stretches (hydro_sim.reference).
 """
 
@@ -62,10 +63,12 @@ class Range:
     """N/s, peak of the reference's rate, [1, 2e4]."""
     frequency: tuple[float, float] = (0.15, 4.0)
     """Hz, drawn evenly on a logarithmic scale."""
-    kp: tuple[float, float] = (8.0, 75.0)
-    """1/s; the emulator's bench is stable up to about 120 in small motions, less in large and fast ones."""
-    ki: tuple[float, float] = (0.0, 20.0)
-    """1/s^2."""
+    kp: tuple[float, float] = (15.0, 75.0)
+    """1/s, what the guard lets through; the emulated bench is stable to about 120 in small motions, less in large
+    ones.
+    """
+    ki: tuple[float, float] = (5.0, 15.0)
+    """1/s^2, what the guard lets through."""
 
 
 SHARES = {Waveform.HOLD: 0.1, Waveform.SINE: 0.35, Waveform.MULTISINE: 0.4, Waveform.SMOOTH_STEP: 0.15}

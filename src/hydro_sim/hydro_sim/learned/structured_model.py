@@ -11,7 +11,8 @@ import numpy as np
 from hydro_bridge.signals import FloatArray
 from hydro_sim import hydraulics
 from hydro_sim.bench import Bench
-from hydro_sim.learned import constants as learned_constants, mlp, observer, structured
+from hydro_sim.learned import constants as learned_constants
+from hydro_sim.learned import mlp, observer, structured
 from hydro_sim.learned.integration import STATES
 from hydro_sim.learned.recordings import Run
 from hydro_sim.learned.structured import FULL, INPUTS, OUTPUTS
@@ -71,7 +72,9 @@ class StructuredModel:
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
         """x, shape (n, H, 8), from full states, shape (n, 12), under currents [A], shape (n, H)."""
-        return np.asarray(structured.rollout(*self.compiled, np.ascontiguousarray(starts), np.ascontiguousarray(currents)))
+        return np.asarray(
+            structured.rollout(*self.compiled, np.ascontiguousarray(starts), np.ascontiguousarray(currents))
+        )
 
     def estimate(self, run: Run) -> FloatArray:
         """Full states at the samples of a run, shape (n, 12), each from the readings up to it."""
@@ -108,7 +111,7 @@ class StructuredModel:
         ]
         return {
             "structure": self.name, "hidden": list(self.hidden), "activation": "relu", "bench": self.bench.to_mapping(),
-            "constants": entries, "normalization": "network inputs p_a, p_b, x_p, x_p', spool: (value - center) / scale, SI",
+            "constants": entries, "normalization": "network inputs p_a, p_b, x_p, x_p', spool, centered and scaled",
         }  # fmt: skip
 
     @classmethod
@@ -127,7 +130,7 @@ class StructuredModel:
 
 
 def first_guess(run: Run, samples: FloatArray | list[int] | Any) -> FloatArray:
-    """Full states at samples of a run from the measurement there and the current before it, shape (len(samples), 12)."""
+    """Full states at samples of a run, shape (k, 12), from the measurement there and the current before it."""
     full = np.zeros((len(samples), FULL))
     x = run.x[samples]
     full[:, :4], full[:, 6:8], full[:, STATES:] = x[:, 4:8], x[:, 2:4], x[:, (1, 3, 7)]

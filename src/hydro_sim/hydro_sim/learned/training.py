@@ -5,14 +5,14 @@
 network     Adam through time on all windows (the paper's way)
 structured  constants identified on many short windows (`identify`), the readings' noise first
             taken for 100 times what it is, so that a poor start does not send the search astray;
-            then Adam on constants and network together, start states by the observer
+            then Adam on the network alone, start states by the observer
 =========== =====================================================================================
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -49,7 +49,7 @@ class Settings:
     """Whether `network` minimizes eq. loss as printed, where errors of opposite sign cancel."""
     identify_windows: int = 500
     """Windows that the constants are identified on, [10, 100000]."""
-    adam: adam.Settings = adam.Settings()
+    adam: adam.Settings = field(default_factory=adam.Settings)
     """Of the loop."""
 
 
@@ -141,8 +141,8 @@ def trusted(model: StructuredModel, data: Data) -> StructuredModel:
     for trust in (0.03, 0.1, 0.3, 1.0, 3.0):
         tried = replace(model, trust=trust)
         check = StructuredObjective(tried, validation, validation, batch=1, seed=0)
-        check.refresh(check.parameters())
-        error = check.validate(check.parameters())
+        check.refresh(model.flat)
+        error = check.validate(model.flat)
         if error < least:
             best, least = tried, error
     return best
@@ -153,7 +153,7 @@ def steps(
 ) -> Iterator[tuple[adam.Progress, Model]]:
     """The loop: progress and the best model so far after every epoch; a checkpoint at every validation."""
     target = objective(model, data, settings)
-    first = target.parameters() if isinstance(target, StructuredObjective) else target.model.flat
+    first = target.model.flat
     if resume and checkpoint is not None and checkpoint.exists():
         progress = adam.Progress.load(checkpoint, len(first))
     else:
@@ -161,7 +161,9 @@ def steps(
     for state in adam.train(target, settings.adam, progress):
         if checkpoint is not None and state.epoch % settings.adam.validate_every == 0:
             state.save(checkpoint)
-        best = target.at(state.best) if isinstance(target, StructuredObjective) else target.model.with_weights(state.best)
+        best = (
+            target.at(state.best) if isinstance(target, StructuredObjective) else target.model.with_weights(state.best)
+        )
         yield state, best
 
 

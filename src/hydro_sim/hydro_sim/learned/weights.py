@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Weights on disk: a safetensors file of a few kB whose header says in JSON what they are. Never pickle.
 
-The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state, normalization,
+The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state,
+normalization,
 region of training, and `training`: recordings with digests, command, seed, settings, code version, errors reached.
 """
 
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save as serialize
 
 from hydro_bridge.signals import FloatArray
 
@@ -30,7 +31,8 @@ def save(path: str | Path, tensors: Tensors, header: dict[str, Any]) -> None:
     """Write tensors and header; missing folders are made."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
-    save_file(arrays, str(path), metadata={"hydro": json.dumps({"format": FORMAT, **header})})
+    content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})
+    Path(path).write_bytes(content)
 
 
 def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
@@ -52,7 +54,9 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
         header = json.loads(metadata["hydro"])
         kind = (header["format"], header["structure"])
     except (KeyError, TypeError, ValueError) as error:
-        raise WeightsError(f"{path} holds no weights of a learned bench: its header has no readable entry 'hydro'") from error
+        raise WeightsError(
+            f"{path} holds no weights of a learned bench: its header has no readable entry 'hydro'"
+        ) from error
     if kind[0] != FORMAT:
         raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: train the model anew")
     return tensors, header

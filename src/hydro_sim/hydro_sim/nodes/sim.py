@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated bench in the place of emulator and bridge: same topics, types, rates and rules.
 
-ros2 run hydro_sim sim [--bench FILE] [--speed S] [--noise SCALE] [--seed N] [--realtime] [--ros-args ...]
+ros2 run hydro_sim sim [--model WEIGHTS | shipped | analytic] [--bench FILE] [--speed S] [--noise SCALE] [--seed N]
+                       [--realtime] [--ros-args ...]
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ from hydro_bridge.signals import Flag
 from hydro_msgs.msg import Gains
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box, BoxConfig
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.plant import AnalyticPlant, Plant
 from hydro_sim.simulation import SimSettings, Simulation
 
 CLOCK = "/clock"
@@ -50,14 +52,15 @@ class SimSide(Simulation):
         return Status(level=self._level(), message=self._sentence(), values=values)
 
     def _level(self) -> Level:
-        troubled = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
+        troubled = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG | Flag.EXTRAPOLATING
         return Level.WARN if self.flags & troubled or not self.guard.settings.require_filter else Level.OK
 
     def _sentence(self) -> str:
         name = "tripped" if self.flags & Flag.TRIPPED else "armed" if self.flags & Flag.ARMED else "disarmed"
         pace = "in lock-step" if self.steps.engaged else f"{self.speed_reached():.2f} times real time"
         filtered = "" if self.guard.settings.require_filter else ", FILTER NOT REQUIRED"
-        return f"{name}, {pace}{filtered}"
+        strange = ", outside of what the model was trained on" if self.flags & Flag.EXTRAPOLATING else ""
+        return f"{name}, {pace}{filtered}{strange}"
 
 
 class SimNode(PlantNode):
@@ -71,7 +74,7 @@ class SimNode(PlantNode):
             self.get_logger().warning("guard.require_filter is false: gains reach the valve UNFILTERED")
         bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
         box = Box(bench, declare_parameters(self, BoxConfig(), "box."))
-        plant = AnalyticPlant(bench, noise=settings.noise)
+        plant = _plant(settings, bench)
         self._time = Clock()
         self._clock_publisher = None if settings.speed == 1.0 else self.create_publisher(Clock, CLOCK, CLOCK_DEPTH)
         self.simulation = SimSide(box, plant, guard, settings, self._publish, self.get_logger().info)
@@ -97,6 +100,14 @@ class SimNode(PlantNode):
         self.simulation.gained()
 
 
+def _plant(settings: SimSettings, bench: Bench) -> Plant:
+    """The plant that the settings name."""
+    name = settings.model or ("analytic" if settings.bench else "shipped")
+    if name == "analytic":
+        return AnalyticPlant(bench, noise=settings.noise)
+    return LearnedPlant(None if name == "shipped" else name, noise=settings.noise)
+
+
 def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
     """Settings and whether to ask for real-time scheduling; the help texts are the settings' own."""
     parser = argparse.ArgumentParser(
@@ -105,7 +116,7 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
         epilog="Limits and time-outs of guard and box are ROS parameters: --ros-args -p box.load_force_limit:=600.0.",
     )
     texts, defaults = describe(SimSettings), SimSettings()
-    for name in ("bench", "speed", "noise", "seed"):
+    for name in ("model", "bench", "speed", "noise", "seed"):
         default = getattr(defaults, name)
         parser.add_argument(f"--{name}", type=type(default), default=default, help=texts[name].text)
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The written-out gradients are those of torch, in double precision."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("torch")
+
+from hydro_sim.bench import Bench
+from hydro_sim.learned import constants, mlp, network, structured
+
+_spec = importlib.util.spec_from_file_location("torch_models", Path(__file__).with_name("torch_models.py"))
+assert _spec is not None
+assert _spec.loader is not None
+torch_models = importlib.util.module_from_spec(_spec)
+_spec.loader.exec_module(torch_models)
+
+
+def close(one, other, tolerance=1e-8):
+    return np.abs(one - other).max() <= tolerance * np.abs(other).max()
+
+
+@pytest.mark.parametrize("printed", [False, True])
+@pytest.mark.parametrize("windows", [3, network.BLOCK + 5])
+def test_network_gradient_is_that_of_torch(printed, windows):
+    rng = np.random.default_rng(0)
+    layers = mlp.layers(mlp.initial(rng, 9, (32, 32), 8), 9, (32, 32), 8)
+    parts = np.full(8, 0.05), rng.standard_normal((windows, 8)), rng.standard_normal((windows, 12))
+    targets = rng.standard_normal((windows, 12, 8))
+    loss, gradient = network.loss_and_gradient(layers, *parts, targets, printed, 2)
+    expected, expected_gradient = torch_models.network_loss(layers, *parts, targets, printed)
+    assert loss == pytest.approx(expected, rel=1e-10)
+    assert close(gradient, expected_gradient)
+
+
+def random_start(rng, count):
+    """States spread over the working range."""
+    spread = np.array([1e6, 1e6, 5e-3, 0.1, 3e-3, 0.5, 100.0, 1000.0, 1e-5])
+    center = np.array([6e6, 9.9e6, 0.04, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    return center + spread * rng.standard_normal((count, 9))
+
+
+def test_structured_gradient_is_that_of_torch():
+    rng = np.random.default_rng(1)
+    table = constants.constants(Bench.nominal())
+    c, _ = constants.values(table, 0.1 * rng.standard_normal(len(table)))
+    layers = mlp.layers(mlp.initial(rng, 5, (8, 6), 3), 5, (8, 6), 3)
+    center, scale = np.array([6e6, 9.9e6, 0.04, 0.0, 0.0]), np.array([2e6, 2e6, 6e-3, 0.05, 4e-3])
+    starts, currents = random_start(rng, 7), 5e-3 * rng.standard_normal((7, 10))
+    targets = random_start(rng, 70)[:, [6, 7, 0, 1, 2]].reshape(7, 10, 5)
+    weights = 1.0 / np.array([100.0, 100.0, 1e6, 1e6, 1e-2])
+    parts = c, layers, center, scale, starts, currents, targets, weights
+    loss, by_c, by_network = structured.loss_and_gradients(*parts, 2)
+    expected, expected_c, expected_network = torch_models.structured_loss(*parts)
+    assert loss == pytest.approx(expected, rel=1e-10)
+    learned = np.array([entry.learned for entry in table])
+    assert close((by_c * c)[learned], (expected_c * c)[learned])
+    assert close(by_network, expected_network)
+
+
+def test_gradient_of_constants_chains_through_their_scales():
+    table = constants.constants(Bench.nominal())
+    theta, nudge = 0.05 * np.random.default_rng(2).standard_normal(len(table)), 1e-6
+    _, slope = constants.values(table, theta)
+    ahead, behind = (constants.values(table, theta + sign * nudge)[0] for sign in (1.0, -1.0))
+    learned = np.array([entry.learned for entry in table])
+    assert np.allclose(slope[learned], ((ahead - behind) / (2.0 * nudge))[learned], rtol=1e-6)
+    assert not slope[~learned].any()
