@@ -80,8 +80,13 @@ def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray) ->
     return columns
 
 
-def fit(problem: Problem, claims: Sequence[Claim], *, iterations: int = 8, tolerance: float = 0.1) -> Fit:
-    """Levenberg-Marquardt from the claims' values, within their bounds; stops when the deviance gains less than `tolerance`."""
+def fit(
+    problem: Problem, claims: Sequence[Claim], *, iterations: int = 8, tolerance: float = 0.1, fixed: int | None = None
+) -> Fit:
+    """Levenberg-Marquardt from the claims' values, within their bounds, until the deviance gains less than `tolerance`.
+
+    `fixed`: index of a parameter that stays where it is.
+    """
     effects = [claim.effect for claim in claims]
     parameters, values = pack(claims)
     low = np.array([parameter.low for parameter in parameters])
@@ -95,6 +100,9 @@ def fit(problem: Problem, claims: Sequence[Claim], *, iterations: int = 8, toler
         weight = 1.0 / spreads(problem, residual)[problem.layout.channel]
         normal = slopes.T @ (slopes * weight[:, None])
         force = slopes.T @ (residual * weight)
+        if fixed is not None:
+            normal[fixed, :] = normal[:, fixed] = force[fixed] = 0.0
+            normal[fixed, fixed] = 1.0
         improved = False
         for _ in range(4):
             damped = normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300)

@@ -19,12 +19,15 @@ class RecordMemory:
 
     def __init__(self, step: float) -> None:
         self.step = step
+        self.traces: dict[str, FloatArray] = {}
+        """The states that were passed, for simulations that start along the record."""
 
     def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
         """See `Memory.lag`; the signal is held between samples."""
         decay = float(np.exp(-self.step / time_constant))
         lagged, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * signal[0]])
-        return np.asarray(lagged, dtype=np.float64)
+        self.traces[key] = np.asarray(lagged, dtype=np.float64)
+        return self.traces[key]
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """See `Memory.low_pass`; the signal is a straight line between samples."""
@@ -38,9 +41,16 @@ class RecordMemory:
         slope = gaussian_filter1d(signal, 4.0, order=1, mode="nearest") / self.step
         return signal + seconds * np.asarray(slope)
 
+    def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
+        """See `Memory.play`; it starts in the middle of the gap."""
+        self.traces[key] = _play(position, width / 2.0)
+        return self.traces[key]
+
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """See `Memory.bristle`."""
-        return _bristle(position, stiffness, np.ascontiguousarray(limit))
+        self.traces[key] = _bristle(position, stiffness, np.ascontiguousarray(limit))
+        self.traces[key + ".x"] = position
+        return self.traces[key]
 
 
 class StepMemory:
@@ -50,6 +60,10 @@ class StepMemory:
         self.step = step
         self._states: dict[str, FloatArray] = {}
         self._next: dict[str, FloatArray] = {}
+
+    def begin(self, states: dict[str, FloatArray]) -> None:
+        """Put every element where a record left it."""
+        self._states = dict(states)
 
     def tick(self) -> None:
         """Make what the last evaluation proposed the present state."""
@@ -69,6 +83,12 @@ class StepMemory:
         """Not needed while stepping, as above."""
         raise NotImplementedError
 
+    def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
+        """See `Memory.play`."""
+        dragged = self._states.setdefault(key, position)
+        self._next[key] = np.clip(dragged, position - width / 2.0, position + width / 2.0)
+        return self._next[key]
+
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """See `Memory.bristle`."""
         where = self._states.setdefault(key + ".x", position)
@@ -78,6 +98,14 @@ class StepMemory:
         present = goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit, 1e-6))
         self._next[key], self._next[key + ".x"] = present, position
         return present
+
+
+@njit(cache=True)
+def _play(position, half):
+    dragged = position.copy()
+    for k in range(1, len(position)):
+        dragged[k] = min(max(dragged[k - 1], position[k] - half), position[k] + half)
+    return dragged
 
 
 @njit(cache=True)

@@ -145,7 +145,7 @@ class SegmentModel:
         """True force [N] of the load."""
         force = bench.spring_stiffness * (motion.position - bench.spring_rest_position)
         for claim in claims:
-            force = claim.effect.load(force, motion, bench, claim.values)
+            force = claim.effect.load(force, motion, bench, self.memory, claim.values)
         return force
 
     def force_on_rod(self, claims: Sequence[Claim]) -> FloatArray:

@@ -74,6 +74,10 @@ class Problem:
         self._doubt = [model._kept(model.friction_doubt((*self.baseline, *claims))) for model in self.models]
         self._cache = {key: value for key, value in self._cache.items() if key[0] != "white-motion"}
 
+    def deviation(self, channel: str, segment: int) -> FloatArray | float:
+        """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
+        return np.hypot(self.noise[channel], self._doubt[segment]) if channel == "motion" else self.noise[channel]
+
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its noise, one vector in the order of `layout`."""
         everything = (*self.baseline, *claims)
@@ -88,7 +92,7 @@ class Problem:
             motions = self._block(MOTION, everything, lambda model, claims: model.motion_residual(claims))
             for k, part in enumerate(motions):
                 bent = part if arcs is None else part + arcs[k]
-                parts.append(bent / np.hypot(self.noise["motion"], self._doubt[k]))
+                parts.append(bent / self.deviation("motion", k))
         if LOAD in self.blocks:
             loads = self._block(LOAD, everything, lambda model, claims: model.load_residual(claims))
             parts += [part / self.noise["load"] for part in loads]

@@ -21,6 +21,12 @@ SHORTEST = 1.5
 """s, the shortest segment that is used."""
 FROZEN = 40
 """Samples: a noisy sensor that repeats the same number so often has stopped."""
+STOP_MARGIN = 5e-4
+"""m from an end stop."""
+CAVITATION = 5e4
+"""Pa, below which oil does not stay oil."""
+EVENT_MARGIN = 100
+"""Samples before and after such an event that are left out."""
 STILL = 1e-5
 """m: a recording whose position moves less shows nothing."""
 Mask = npt.NDArray[np.bool_]
@@ -40,7 +46,7 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     if not any(name in columns for name in MEASURED):
         raise InputError(f"{table.name}: no sensor in it is alive")
     _refuse_useless(table.name, columns, bench)
-    bad = _bad_samples(table.name, columns, notes)
+    bad = _bad_samples(table.name, columns, notes) | _outside_equations(columns, bench, notes)
     segments = _segments(table.name, step, index, columns, bad, notes)
     if not segments:
         raise InputError(f"{table.name}: no stretch of {SHORTEST:g} s without a gap: too short to be diagnosed")
@@ -114,6 +120,22 @@ def _bad_samples(name: str, columns: dict[str, FloatArray], notes: list[str]) ->
             notes.append(f"{channel} is frozen in {int(frozen.sum())} samples; the recording is cut there")
         bad |= missing | frozen
     return bad
+
+
+def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list[str]) -> Mask:
+    """Samples in or near an end stop or cavitation, which no equation here describes; wide margins on both sides."""
+    outside = np.zeros(len(next(iter(columns.values()))), dtype=bool)
+    if "piston_position" in columns:
+        position = columns["piston_position"]
+        outside |= (position < STOP_MARGIN) | (position > bench.stroke - STOP_MARGIN)
+    for name in ("pressure_a", "pressure_b"):
+        if name in columns:
+            outside |= columns[name] < CAVITATION
+    if not outside.any():
+        return outside
+    notes.append(f"{int(outside.sum())} samples stand in an end stop or cavitate; they and their surroundings are not judged")
+    wide: Mask = np.convolve(outside, np.ones(2 * EVENT_MARGIN + 1), mode="same") > 0.5
+    return wide
 
 
 def _repeats(values: FloatArray) -> Mask:

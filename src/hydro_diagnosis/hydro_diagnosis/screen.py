@@ -74,7 +74,7 @@ def _look(
     if power <= 1e-12:
         return Prospect(Claim(effect, start), 0.0)
     amount = -float(direction @ left) / power
-    amount = min(amount, 3.0) if _bounded(effect) else amount
+    amount = min(amount, 3.0 if len(effect.parameters[0].probes) > 1 else 100.0)
     if amount <= 0.0 and _bounded(effect):
         return Prospect(Claim(effect, start), 0.0)
     reached = deviance(problem, (left + amount * direction) / weight)

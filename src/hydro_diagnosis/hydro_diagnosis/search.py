@@ -28,8 +28,8 @@ class SearchSettings:
     """Claims at most."""
     shortlist: int = 7
     """Prospects that are fitted in full at each step."""
-    form_error: float = 0.03
-    """Share of a claim's signature that may be an error of its form: another claim must explain more than that."""
+    form_error: float = 0.05
+    """Share of a claim's signature that may be an error of its form: another of its family must explain more, [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Search:
             if best is None:
                 return
             gain = score(self.problem, outcome.fit) - score(self.problem, best)
-            if gain < self.settings.threshold or not self._worth(best):
+            if gain < self.settings.threshold or not self._worth(best) or self._form_error(outcome.fit, best):
                 return
             self._accept(outcome, best, "add", best.claims[-1].effect.label)
 
@@ -98,7 +98,6 @@ class Search:
             if prospect.gain <= 0.5 * self.settings.threshold:
                 break
             fits.append(fit(self.problem, (*base.claims, prospect.claim)))
-        fits = [one for one in fits if self._worth(one)]
         return min(fits, key=lambda one: score(self.problem, one), default=None)
 
     def _swap(self, outcome: Outcome) -> bool:
@@ -144,6 +143,20 @@ class Search:
         outcome.fit = fit(self.problem, found.claims)
         outcome.steps.append(Step(action, label, score(self.problem, outcome.fit) - score(self.problem, outcome.nothing)))
         self.progress(f"{action} {label}")
+
+    def _form_error(self, base: Fit, found: Fit) -> bool:
+        """Whether the newest claim explains no more than a small error in the form of its kin would."""
+        newest = found.claims[-1].effect
+        kin = [claim for claim in base.claims if newest.family and claim.effect.family == newest.family]
+        for claim in kin:
+            if claim.effect.id in newest.needs:
+                continue
+            without = self.problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
+            signature = float(np.sum(np.square(without - self.problem.residual(found.claims[:-1]))))
+            added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
+            if added < self.settings.form_error**2 * signature:
+                return True
+        return False
 
     @staticmethod
     def _worth(found: Fit) -> bool:

@@ -59,6 +59,9 @@ class Memory(Protocol):
     def lead(self, signal: FloatArray, seconds: float) -> FloatArray:
         """A slow signal, brought forward in time to first order."""
 
+    def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
+        """Position [m] of what is dragged through a gap of `width` [m] (the play operator)."""
+
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """Elastic force [N] of a bristle that yields at `limit` [N] while `position` [m] moves (Dahl)."""
 
@@ -101,6 +104,8 @@ class Effect:
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     stage: ClassVar[int] = 1
     """Order in the command's path: 0 before the spool, 1 the spool's motion, 2 what the edges make of its position."""
+    family: ClassVar[str] = ""
+    """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects without which this one does nothing."""
 
@@ -153,7 +158,7 @@ class Effect:
         """Force [N] against the motion beyond viscous friction; `level` is the dry friction's level while sliding."""
         return force
 
-    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
+    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         """Force [N] of the load."""
         return force
 

@@ -16,6 +16,7 @@ class BulkModulus(Effect):
 
     id = "bulk_modulus"
     equations = ("pressure_a", "pressure_b")
+    family = "oil"
     touches = frozenset({PRESSURE})
     parameters = (Parameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
 
@@ -34,6 +35,7 @@ class EntrainedAir(Effect):
 
     id = "entrained_air"
     equations = ("pressure_a", "pressure_b")
+    family = "oil"
     touches = frozenset({PRESSURE})
     parameters = (
         Parameter(

@@ -22,14 +22,15 @@ SLIP_VELOCITY = 1e-3
 """m/s, over which dry friction changes sign."""
 
 
-def _force(name: str, *, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> Parameter:
-    return Parameter(name=name, unit="N", low=-500.0, high=500.0, neutral=0.0, probes=probes, smallest=smallest)
+def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> Parameter:
+    return Parameter(name=name, unit="N", low=low, high=500.0, neutral=0.0, probes=probes, smallest=smallest)
 
 
 class FrictionCoulomb(Effect):
     """Level F_c of dry friction; F = F_c sign(x_p')."""
 
     id = "friction_coulomb"
+    family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
     parameters = (_force("force"),)
@@ -45,6 +46,7 @@ class FrictionCoulombDirectional(Effect):
     """Level F_c+ while extending, F_c- while retracting."""
 
     id = "friction_coulomb"
+    family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
     parameters = (_force("force_positive"), _force("force_negative", probes=(6.0,)))
@@ -63,6 +65,7 @@ class FrictionViscous(Effect):
     """b + db instead of b."""
 
     id = "friction_viscous"
+    family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
     parameters = (
@@ -81,6 +84,7 @@ class FrictionStribeck(Effect):
     """Level F_s exp(-(v/v_s)^2) on top of other dry friction (Armstrong-Helouvry et al. 1994, eq. 5)."""
 
     id = "friction_stribeck"
+    family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
     parameters = (
@@ -102,6 +106,7 @@ class FrictionPresliding(Effect):
     """Bristles of stiffness sigma: dF/dx = sigma (1 - F sign(v)/level), Dahl's model."""
 
     id = "friction_presliding"
+    family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
     needs = ("friction_coulomb",)
@@ -122,9 +127,10 @@ class ForceOffset(Effect):
     """m x_p'' = ... + F_0."""
 
     id = "force_offset"
+    family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
-    parameters = (_force("force", smallest=0.5),)
+    parameters = (_force("force", low=-500.0, smallest=0.5),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -135,28 +141,30 @@ class ForceOffset(Effect):
 
 
 class EndCushion(Effect):
-    """F = k max(x_p - x_c, 0) (form "end") or k min(x_p - x_c, 0) (form "start")."""
+    """F = k max(x_p - x_c, 0) (form "end") or k min(x_p - x_c, 0) (form "start"); quadratic forms reach k at 5 mm."""
 
     id = "end_cushion"
+    family = "spring"
     equations = ("motion",)
     touches = frozenset({MOTION})
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
         depth = motion.position - values["position"]
-        depth = np.maximum(depth, 0.0) if self.options["form"] == "end" else np.minimum(depth, 0.0)
-        return force + values["stiffness"] * depth
+        depth = np.maximum(depth, 0.0) if self.options["form"].startswith("end") else np.minimum(depth, 0.0)
+        rise = np.abs(depth) / 5e-3 if self.options["form"].endswith("quadratic") else 1.0
+        return force + values["stiffness"] * depth * rise
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        at = (0.046, 0.05, 0.054) if self.options["form"] == "end" else (0.034, 0.03, 0.026)
+        at = (0.046, 0.05, 0.054) if self.options["form"].startswith("end") else (0.034, 0.03, 0.026)
         return (
             Parameter(name="stiffness", unit="N/m", low=0.0, high=1e7, neutral=0.0, probes=(1e4,), smallest=200.0),
             Parameter(name="position", unit="m", low=0.0, high=0.08, neutral=0.04, probes=at),
         )
 
     def sentence(self, values: Values) -> str:
-        side = "beyond" if self.options["form"] == "end" else "below"
+        side = "beyond" if self.options["form"].startswith("end") else "below"
         return (
             f"The piston runs into a cushion of {values['stiffness']:.3g} N/m {side} {values['position'] * 1e3:.4g} mm."
         )
@@ -166,6 +174,7 @@ class MovingMass(Effect):
     """m + dm instead of m."""
 
     id = "moving_mass"
+    family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
     parameters = (Parameter(name="mass", unit="kg", low=-1e3, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.03),)
@@ -187,5 +196,7 @@ EFFECTS: tuple[Effect, ...] = (
     ForceOffset(),
     EndCushion({"form": "end"}),
     EndCushion({"form": "start"}),
+    EndCushion({"form": "end-quadratic"}),
+    EndCushion({"form": "start-quadratic"}),
     MovingMass(),
 )

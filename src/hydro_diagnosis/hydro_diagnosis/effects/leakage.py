@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Parameter, Values
 
 _COEFFICIENT = Parameter(
-    name="coefficient", unit="m3/s/Pa", low=-1e-10, high=1e-10, neutral=0.0, probes=(1e-13,), smallest=1e-15
+    name="coefficient", unit="m3/s/Pa", low=0.0, high=1e-10, neutral=0.0, probes=(1e-13,), smallest=1e-15
 )
 
 
@@ -14,6 +16,7 @@ class LeakageInternal(Effect):
     """q = c (p_a - p_b) past the piston seal, laminar."""
 
     id = "leakage_internal"
+    family = "leak"
     equations = ("pressure_a", "pressure_b")
     touches = frozenset({PRESSURE})
     parameters = (_COEFFICIENT,)
@@ -27,10 +30,27 @@ class LeakageInternal(Effect):
         return f"Oil leaks past the piston between the chambers, {values['coefficient'] * 1e12:.3g} ml/s per MPa."
 
 
+class LeakageInternalOrifice(LeakageInternal):
+    """q = c sqrt(|dp| p_1) sign(dp) through a sharp edge; c is what it passes per Pa at dp = p_1 = 1 MPa."""
+
+    def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
+              values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        drop = pressures[0] - pressures[1]
+        leak = values["coefficient"] * np.copysign(np.sqrt(np.abs(drop) * 1e6), drop)
+        return flows[0] - leak, flows[1] + leak
+
+    def sentence(self, values: Values) -> str:
+        return (
+            "Oil leaks between the chambers as through a sharp edge, "
+            f"{values['coefficient'] * 1e12:.3g} ml/s at 1 MPa between them."
+        )
+
+
 class LeakageExternal(Effect):
     """q = c (p - p_t) out of one chamber, laminar."""
 
     id = "leakage_external"
+    family = "leak"
     touches = frozenset({PRESSURE})
     parameters = (_COEFFICIENT,)
 
@@ -51,4 +71,9 @@ class LeakageExternal(Effect):
         )
 
 
-EFFECTS: tuple[Effect, ...] = (LeakageInternal(), LeakageExternal({"chamber": "a"}), LeakageExternal({"chamber": "b"}))
+EFFECTS: tuple[Effect, ...] = (
+    LeakageInternal(),
+    LeakageInternalOrifice({"form": "orifice"}),
+    LeakageExternal({"chamber": "a"}),
+    LeakageExternal({"chamber": "b"}),
+)

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 from hydro_sim.bench import Bench
 
-from hydro_diagnosis.effects.base import LOAD, MOTION, Effect, FloatArray, Kinematics, Parameter, Values
+from hydro_diagnosis.effects.base import LOAD, MOTION, Effect, FloatArray, Kinematics, Memory, Parameter, Values
 
 
 class _Load(Effect):
     equations = ("load",)
+    family = "spring"
     touches = frozenset({MOTION, LOAD})
 
 
@@ -37,7 +38,8 @@ class SpringHardening(_Load):
         Parameter(name="coefficient", unit="N/m3", low=-1e10, high=1e10, neutral=0.0, probes=(5e6,), smallest=1e5),
     )
 
-    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
+    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory,
+             values: Values) -> FloatArray:  # fmt: skip
         deflection = motion.position - bench.spring_rest_position
         return force + values["coefficient"] * deflection * deflection * deflection
 
@@ -56,12 +58,25 @@ class Backlash(_Load):
         ),
     )
 
-    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
+    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory,
+             values: Values) -> FloatArray:  # fmt: skip
         half = values["width"] / 2.0
         return force - bench.spring_stiffness * np.clip(motion.position - bench.spring_rest_position, -half, half)
 
     def sentence(self, values: Values) -> str:
         return f"The load has {values['width'] * 1e3:.3g} mm of lost motion around the spring's rest position."
+
+
+class BacklashPlay(Backlash):
+    """Lost motion wherever the direction changes: the spring is dragged through a gap of that width."""
+
+    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory,
+             values: Values) -> FloatArray:  # fmt: skip
+        dragged = memory.play("backlash", motion.position, values["width"])
+        return force - bench.spring_stiffness * (motion.position - dragged)
+
+    def sentence(self, values: Values) -> str:
+        return f"The load has {values['width'] * 1e3:.3g} mm of lost motion whenever the direction changes."
 
 
 class SpringRest(_Load):
@@ -88,4 +103,4 @@ class SpringRest(_Load):
         return f"The spring rests at {values['position'] * 1e3:.5g} mm, not where the bench file says."
 
 
-EFFECTS: tuple[Effect, ...] = (SpringStiffness(), SpringHardening(), Backlash(), SpringRest())
+EFFECTS: tuple[Effect, ...] = (SpringStiffness(), SpringHardening(), Backlash(), BacklashPlay({"form": "play"}), SpringRest())

@@ -10,6 +10,7 @@ from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Openings,
 
 class _Valve(Effect):
     equations = ("actuation",)
+    family = "valve"
     touches = frozenset({PRESSURE})
     stage = 2
 
@@ -36,6 +37,41 @@ class ValveDeadband(_Valve):
 
     def sentence(self, values: Values) -> str:
         return f"The valve does not open below {values['half_width'] * 1e3:.3g} mA: its edges overlap."
+
+
+class ValveDeadbandLopsided(_Valve):
+    """Overlaps of different width: the same as an even overlap and a shifted null, in one cause."""
+
+    id = "valve_deadband"
+    parameters = tuple(
+        Parameter(name=name, unit="A", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4), smallest=5e-6)
+        for name in ("half_width", "half_width_negative")
+    )
+
+    def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
+        return current - np.clip(current, -values["half_width_negative"], values["half_width"])
+
+    def sentence(self, values: Values) -> str:
+        return (
+            f"The valve does not open between {-values['half_width_negative'] * 1e3:.3g} mA and "
+            f"{values['half_width'] * 1e3:.3g} mA: its edges overlap."
+        )
+
+
+class ValveDeadbandSoft(ValveDeadband):
+    """An overlap whose edges open gradually: each side is a softplus of the current beyond the half width."""
+
+    parameters = (
+        Parameter(name="half_width", unit="A", low=0.0, high=0.02, neutral=0.0, probes=(2e-4, 1e-3), smallest=5e-6),
+        Parameter(
+            name="softness", unit="A", low=5e-6, high=5e-3, neutral=1e-4, probes=(5e-5, 2e-4), reported=False
+        ),
+    )
+
+    def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
+        width, soft = values["half_width"], values["softness"]
+        ratio, edge = current / soft, width / soft
+        return soft * (np.logaddexp(0.0, ratio - edge) - np.logaddexp(0.0, -ratio - edge))
 
 
 class ValveOffset(_Valve):
@@ -97,14 +133,14 @@ class ValveGainDrift(_Valve):
 
 
 class ValveNullLeakage(_Valve):
-    """Worn edges: every edge stays open by c exp(-|u|/w) or c exp(-(u/w)^2) around null."""
+    """Worn edges: every edge stays open by c f(|u|/w) around null; the form is the profile f."""
 
     id = "valve_null_leakage"
     parameters = (
         Parameter(
             name="coefficient",
             unit="m3/s/sqrt(Pa)",
-            low=-1e-7,
+            low=0.0,
             high=1e-7,
             neutral=0.0,
             probes=(3e-10,),
@@ -117,7 +153,7 @@ class ValveNullLeakage(_Valve):
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         ratio = np.abs(spool) / values["width"]
-        shape = np.exp(-ratio) if self.options["form"] == "exponential" else np.exp(-np.square(ratio))
+        shape = _PROFILES[self.options["form"]](ratio)
         wear = values["coefficient"] * shape.mean(axis=-1)
         return Openings(edges.supply_a + wear, edges.a_tank + wear, edges.supply_b + wear, edges.b_tank + wear)
 
@@ -128,12 +164,20 @@ class ValveNullLeakage(_Valve):
         )
 
 
+_PROFILES = {
+    "exponential": lambda ratio: np.exp(-ratio),
+    "gaussian": lambda ratio: np.exp(-np.square(ratio)),
+    "hyperbolic": lambda ratio: 1.0 / (1.0 + ratio),
+    "lorentzian": lambda ratio: 1.0 / (1.0 + np.square(ratio)),
+}
+
 EFFECTS: tuple[Effect, ...] = (
     ValveDeadband(),
+    ValveDeadbandLopsided({"form": "lopsided"}),
+    ValveDeadbandSoft({"form": "soft"}),
     ValveOffset(),
     ValveGain(),
     ValveGainAsymmetry(),
     ValveGainDrift(),
-    ValveNullLeakage({"form": "exponential"}),
-    ValveNullLeakage({"form": "gaussian"}),
+    *(ValveNullLeakage({"form": profile}) for profile in _PROFILES),
 )

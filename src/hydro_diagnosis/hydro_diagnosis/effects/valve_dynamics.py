@@ -18,6 +18,7 @@ class TransportDelay(Effect):
     id = "transport_delay"
     stage = 0
     equations = ("actuation",)
+    family = "valve"
     touches = frozenset({PRESSURE})
     parameters = (
         Parameter(name="time", unit="s", low=0.0, high=0.03, neutral=0.0, probes=(5e-4, 2e-3, 5e-3), smallest=2e-5),
@@ -44,6 +45,7 @@ class ValveLag(Effect):
 
     id = "valve_lag"
     equations = ("actuation",)
+    family = "valve"
     touches = frozenset({PRESSURE})
     parameters = (
         Parameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),

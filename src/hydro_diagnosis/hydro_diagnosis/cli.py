@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 run hydro_diagnosis diagnose RECORDING... --out DIR`."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from hydro_diagnosis.corrected import write_corrected
+from hydro_diagnosis.page import write_page
+from hydro_diagnosis.pipeline import Diagnosis, diagnose
+from hydro_diagnosis.table import InputError
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    options = argparse.ArgumentParser(prog="diagnose", description="Find, name and size the physics that a simulation leaves out.")
+    options.add_argument("recordings", nargs="+", metavar="RECORDING", help="rosbag2 folder, .mcap, .csv or .parquet")
+    options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
+    options.add_argument("--bench", metavar="FILE", help="bench.yaml or corrected.yaml (default: the nominal bench)")
+    options.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the report goes")
+    options.add_argument("--quiet", action="store_true", help="no progress on standard error")
+    return options
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; 0 whatever the verdict, 2 for input that cannot be diagnosed, 130 when interrupted."""
+    chosen = parser().parse_args(arguments)
+    progress = (lambda text: None) if chosen.quiet else (lambda text: print(f"  {text}", file=sys.stderr, flush=True))
+    try:
+        found = diagnose(chosen.recordings, holdout=chosen.holdout, bench=chosen.bench, progress=progress)
+        chosen.out.mkdir(parents=True, exist_ok=True)
+        found.report.write(chosen.out)
+        write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")
+        write_page(found, chosen.out / "report.html")
+    except (InputError, OSError) as error:
+        print(f"diagnose: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("diagnose: interrupted", file=sys.stderr)
+        return 130
+    _say(found, chosen.out)
+    return 0
+
+
+def _say(found: Diagnosis, folder: Path) -> None:
+    report = found.report
+    print(f"verdict: {report.verdict}")
+    for effect in report.effects:
+        print(f"  {effect.id}: {effect.sentence}")
+        for name, estimate in effect.parameters.items():
+            bounds = "not identifiable" if estimate.ci95 is None else f"95 % {estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g}"
+            print(f"    {name} = {estimate.value:.4g} {estimate.unit} ({bounds})")
+    if report.remainder:
+        places = ", ".join(place["equation"] for place in report.remainder["location"])
+        print(f"  something remains in {places}; it depends on {', '.join(report.remainder['depends_on']) or 'none of the variables tried'}")
+    print(f"{folder / 'report.html'}, report.json, corrected.yaml ({report.seconds:.1f} s)")
+
+
+if __name__ == "__main__":
+    sys.exit(main())

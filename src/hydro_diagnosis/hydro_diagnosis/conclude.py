@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From fits to what the report says about each claim: values with intervals, evidence, rivals with their distance."""
+
+from __future__ import annotations
+
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.fit import Fit, fit
+from hydro_diagnosis.intervals import Interval, intervals
+from hydro_diagnosis.locate import Place
+from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.report import EffectReport, Location, ParameterEstimate, Rival
+from hydro_diagnosis.screen import cause
+from hydro_diagnosis.search import Outcome, score
+from hydro_diagnosis.verdict import Assessment
+
+CLOSE = 10.0
+"""BIC within which a rival is not told apart from a claim (Kass and Raftery 1995: decisive beyond it)."""
+
+
+def describe(problem: Problem, outcome: Outcome, assessment: Assessment) -> list[EffectReport]:
+    """One entry per claim that stands, the strongest evidence first."""
+    found = assessment.fit
+    bounds = intervals(problem, found)
+    reports, k = [], 0
+    for claim in found.claims:
+        count = len(claim.effect.parameters)
+        reports.append(_report(problem, outcome, found, claim, bounds[k : k + count]))
+        k += count
+    return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
+
+
+def _report(problem: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: list[Interval]) -> EffectReport:
+    without = fit(problem, tuple(one for one in found.claims if one is not claim))
+    parameters = {
+        parameter.name: ParameterEstimate(
+            value=bound.value, ci95=[bound.low, bound.high] if bound.identifiable else None, unit=parameter.unit
+        )
+        for parameter, bound in zip(claim.effect.parameters, bounds)
+        if parameter.reported
+    }
+    return EffectReport(
+        id=claim.effect.id,
+        equation=claim.effect.equations[0],
+        options=dict(claim.effect.options),
+        sentence=claim.effect.sentence(claim.values),
+        parameters=parameters,
+        evidence={"delta_bic": score(problem, without) - score(problem, found)},
+        rivals=_rivals(problem, outcome, found, claim),
+    )
+
+
+def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> list[Rival]:
+    rivals = []
+    seen = {cause(claim.effect)}
+    for other in outcome.rivals.get(claim.effect.label, []):
+        effect = other.claims[-1].effect
+        if cause(effect) in seen or len(other.claims) != len(found.claims):
+            continue
+        seen.add(cause(effect))
+        distance = score(problem, other) - score(problem, found)
+        apart = distance > CLOSE
+        why = (
+            f"{effect.label.replace(':', ' ')} in its place leaves {distance:.0f} more of BIC unexplained"
+            if apart
+            else f"{effect.label.replace(':', ' ')} explains these recordings as well: another recording must tell"
+        )
+        rivals.append(Rival(id=effect.id, delta_bic=distance, distinguishable=apart, why=why))
+    return rivals[:3]
+
+
+def location_of(place: Place, problem: Problem) -> Location:
+    """A place as it stands in the report: windows by recording."""
+    windows: dict[str, list[list[float]]] = {}
+    for model, stretches in zip(problem.models, place.windows):
+        windows.setdefault(model.segment.recording, []).extend([list(stretch) for stretch in stretches])
+    region = {name: list(bounds) for name, bounds in place.region.items()}
+    return Location(
+        equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence
+    )

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""corrected.yaml: the bench with what was found. Wrong bench values are put right; other effects are listed under `effects`.
+
+`Bench.load` accepts the file in place of bench.yaml; `claims_of` gives a simulation or a second diagnosis the effects back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydro_sim.bench import Bench
+
+from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.effects.base import Claim
+
+
+def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
+    """A bench with its values replaced and the remaining claims in `effects`, after those it had."""
+    effects: list[Mapping[str, Any]] = list(bench.effects)
+    for claim in claims:
+        changed = claim.effect.bench(bench, claim.values)
+        if changed == bench or claim.effect.id == "sensor_lag":
+            effects.append(claim.to_mapping())
+        else:
+            bench = replace(changed, effects=())
+    return replace(bench, effects=tuple(effects))
+
+
+def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
+    """Write corrected.yaml."""
+    content = yaml.safe_dump(corrected_bench(bench, claims).to_mapping(), sort_keys=False)
+    path.write_text("# bench.yaml with what a diagnosis found; SI units.\n" + content, encoding="utf-8")
+
+
+def claims_of(bench: Bench) -> tuple[Claim, ...]:
+    """The effects of a corrected bench as claims.
+
+    Raises
+    ------
+    ValueError
+        An effect is unknown or lacks a parameter.
+    """
+    return tuple(_claim(entry, bench) for entry in bench.effects)
+
+
+def _claim(entry: Mapping[str, Any], bench: Bench) -> Claim:
+    options = {key: value for key, value in entry.items() if key not in ("id", "parameters")}
+    for effect in LIBRARY:
+        if effect.id == entry["id"] and dict(effect.options) == options:
+            parameters = entry.get("parameters", {})
+            missing = [one.name for one in effect.parameters if one.name not in parameters]
+            if missing:
+                raise ValueError(f"effect {effect.id} lacks its parameter {missing[0]!r}")
+            values = {one.name: float(parameters[one.name]) for one in effect.parameters}
+            return Claim(effect.adapted(bench), values)
+    raise ValueError(f"effect {entry['id']!r} with {options} is not known to the diagnosis")

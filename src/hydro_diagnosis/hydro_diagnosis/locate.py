@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a mismatch lives: in which equation, at which times, in which region of the state space.
+
+Channels alone do not tell: a load that is not the spring also shows in the motion, and a valve that is not the valve in both
+chambers. So an excess is traced back to the one equation whose hidden input explains the channels together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.freeform import FreeForm, variable_of
+from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.problem import CHANNELS, Problem
+
+NOTICEABLE = 1.35
+"""Mean square over the noise's from which a channel holds more than noise (recordings with nothing missing stay below)."""
+_WINDOW = 0.5
+"""s, over which excess is averaged for `windows`."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """One equation's part of the mismatch."""
+
+    equation: str
+    share: float
+    windows: tuple[tuple[tuple[float, float], ...], ...]
+    """Per segment: stretches [s, s] in which it stands out."""
+    region: dict[str, tuple[float, float]]
+    """Where it stands out, by variable: 10th and 90th percentile, SI units."""
+    sentence: str
+
+
+def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
+    """Each channel's mean square over the noise's."""
+    layout = problem.layout
+    squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
+    count = layout.count()
+    return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
+
+
+def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm]) -> list[Place]:
+    """Equations that hold more than noise, the largest share first; empty if there is none."""
+    squares = mean_squares(problem, residual)
+    excess = {name: square - 1.0 for name, square in squares.items() if square > NOTICEABLE}
+    counts = dict(zip(CHANNELS, problem.layout.count()))
+    weights: dict[str, float] = {}
+    channel_of: dict[str, str] = {}
+    for name in excess:
+        equation = _equation(problem, residual, name, excess, forms)
+        weights[equation] = weights.get(equation, 0.0) + excess[name] * counts[name]
+        if equation not in channel_of or excess[name] > excess[channel_of[equation]]:
+            channel_of[equation] = name
+    total = sum(weights.values())
+    ranked = sorted(weights, key=lambda equation: -weights[equation])
+    return [_place(problem, residual, equation, channel_of[equation], weights[equation] / total) for equation in ranked]
+
+
+def _equation(
+    problem: Problem, residual: FloatArray, channel: str, excess: dict[str, float], forms: Sequence[FreeForm]
+) -> str:
+    if channel in ("pressure_a", "pressure_b"):
+        return _of_chambers(channel, excess, forms)
+    if channel == "hydraulic":
+        return "sensor"
+    if channel == "motion":
+        if "load" in excess and _coherent(problem, residual):
+            return "load"
+        return "sensor" if "hydraulic" in excess and "load" not in excess else "motion"
+    return "load" if "motion" in excess and _coherent(problem, residual) else "sensor"
+
+
+def _of_chambers(channel: str, excess: dict[str, float], forms: Sequence[FreeForm]) -> str:
+    other = "pressure_b" if channel == "pressure_a" else "pressure_a"
+    if "hydraulic" in excess and other not in excess:
+        return "sensor"
+    if other not in excess:
+        return channel
+    best = {form.equation: form.gain for form in reversed(forms) if form.equation in ("pressure_a", "pressure_b", "actuation")}
+    return max([channel, "actuation"], key=lambda equation: best.get(equation, 0.0))
+
+
+def _coherent(problem: Problem, residual: FloatArray) -> bool:
+    """Whether the load's residual is what its sensor makes of the motion's: then one hidden force explains both."""
+    layout = problem.layout
+    matched = power = 0.0
+    for k, model in enumerate(problem.models):
+        motion = residual[(layout.channel == CHANNELS.index("motion")) & (layout.segment == k)]
+        motion = motion * problem.deviation("motion", k)
+        load = residual[(layout.channel == CHANNELS.index("load")) & (layout.segment == k)] * problem.noise["load"]
+        seen = _through_cell(model, problem, motion)
+        matched += float(seen @ load)
+        power += float(np.sqrt((seen @ seen) * (load @ load)))
+    return power > 0.0 and matched / power > 0.6
+
+
+def _through_cell(model: SegmentModel, problem: Problem, motion: FloatArray) -> FloatArray:
+    bandwidth = problem.bench.load_cell_bandwidth
+    if bandwidth is None:
+        return motion
+    kept = model.kept_time()
+    fine = np.interp(model.time, kept, motion)
+    return np.interp(kept, model.time, model.memory.low_pass("", fine, bandwidth, 0.7071))
+
+
+def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, share: float) -> Place:
+    layout = problem.layout
+    windows, inside = [], []
+    for k, model in enumerate(problem.models):
+        at = (layout.channel == CHANNELS.index(channel)) & (layout.segment == k)
+        time = layout.time[at]
+        width = max(int(_WINDOW / max(float(np.median(np.diff(time))), 1e-3)), 1)
+        level = uniform_filter1d(np.square(residual[at]), width, mode="nearest")
+        loud = level > max(2.0, 0.5 * float(np.mean(level)))
+        windows.append(_stretches(time, loud))
+        inside.append(np.interp(model.time, time, loud) > 0.5)
+    region = {}
+    for name in ("position", "velocity", "current"):
+        if name == "current" and "valve_current" not in problem.models[0].channels:
+            continue
+        values = np.concatenate([variable_of(model, name)[mask] for model, mask in zip(problem.models, inside)])
+        if len(values):
+            low, high = np.percentile(values, [10, 90])
+            region[name] = (float(low), float(high))
+    sentence = f"{_WORDS[equation]} do not account for {share * 100:.0f} % of what is unexplained."
+    return Place(equation, share, tuple(windows), region, sentence)
+
+
+def _stretches(time: FloatArray, loud: FloatArray) -> tuple[tuple[float, float], ...]:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(np.int8)))
+    return tuple((float(time[begin]), float(time[end - 1])) for begin, end in zip(edges[::2], edges[1::2]))
+
+
+_WORDS = {
+    "pressure_a": "The equations of chamber A",
+    "pressure_b": "The equations of chamber B",
+    "motion": "The forces on the moving mass",
+    "load": "The forces of the load",
+    "actuation": "Valve and supply as modelled",
+    "sensor": "The sensors as modelled",
+}

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`diagnose`: recordings in, a report out. The stages in their order, each a line; what they do stands in their modules."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from hydro_sim.bench import Bench
+
+from hydro_diagnosis.conclude import describe, location_of
+from hydro_diagnosis.corrected import claims_of
+from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE
+from hydro_diagnosis.heldout import FREE_RUN, HORIZON, WINDOWS, compare
+from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.nextrec import next_recording
+from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.quality import checked
+from hydro_diagnosis.recording import Recording, Segment
+from hydro_diagnosis.report import Report, channel_errors
+from hydro_diagnosis.search import Outcome, Search, SearchSettings
+from hydro_diagnosis.table import InputError, read_table
+from hydro_diagnosis.verdict import Assessment, assess
+
+Progress = Callable[[str], None]
+LONGEST = 90.0
+"""s of recordings that are fitted; of more, the stretches with the most motion are taken, and the report says so."""
+
+
+@dataclass
+class Diagnosis:
+    """A report and what it was made from."""
+
+    report: Report
+    bench: Bench
+    problem: Problem
+    assessment: Assessment
+    outcome: Outcome
+    holdout: list[SegmentModel] = field(default_factory=list)
+
+
+def diagnose(
+    recordings: Sequence[str | Path],
+    *,
+    holdout: Sequence[str | Path] = (),
+    bench: Bench | str | Path | None = None,
+    settings: SearchSettings | None = None,
+    progress: Progress = lambda text: None,
+) -> Diagnosis:
+    """Locate, name, size and model what a bench has and its simulation leaves out.
+
+    Parameters
+    ----------
+    recordings
+        rosbag2 folders, .mcap, .csv or .parquet files (see `table.read_table`).
+    holdout
+        Recordings on which nothing is fitted; without, the last recording, or the last third of the only one.
+    bench
+        The baseline: a Bench, the path of a bench.yaml or corrected.yaml, or None for the nominal one.
+    settings
+        Of the search.
+    progress
+        Is told the stages.
+
+    Raises
+    ------
+    InputError
+        If a recording cannot be diagnosed, in one sentence.
+    """
+    begun = time.monotonic()
+    believed = bench if isinstance(bench, Bench) else _bench(bench)
+    progress("reading")
+    fitted, held, quality = _split([_read(path, believed) for path in recordings], [_read(path, believed) for path in holdout])
+    fitted = _informative(fitted, quality)
+    baseline = claims_of(believed)
+    problem = Problem(fitted, believed, baseline)
+    if not problem.blocks:
+        raise InputError("the recordings hold no channels that any equation connects")
+    progress("searching")
+    library = [effect.adapted(believed) for effect in LIBRARY]
+    outcome = Search(problem, library, settings, progress).run()
+    progress("judging")
+    assessment = assess(problem, outcome.fit, outcome.nothing)
+    models = [SegmentModel(segment, believed) for segment in held]
+    progress("checking on held-out recordings")
+    effects = describe(problem, outcome, assessment)
+    report = Report(
+        verdict=assessment.verdict,
+        location=[location_of(place, problem) for place in assessment.places],
+        effects=effects,
+        remainder=_remainder(assessment, problem),
+        fit=_fit(problem, assessment, models),
+        next_recording=next_recording(effects, assessment),
+        checked=[name for block, name in _EQUATIONS.items() if block in problem.blocks],
+        not_checked=[name for block, name in _EQUATIONS.items() if block not in problem.blocks],
+        data_quality=quality,
+        baseline={"bench": believed.to_mapping(), "model": "analytic"},
+        versions={"hydro_diagnosis": _version()},
+        seconds=time.monotonic() - begun,
+        steps=[{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in outcome.steps],
+    )
+    return Diagnosis(report, believed, problem, assessment, outcome, models)
+
+
+_EQUATIONS = {
+    PRESSURE: "pressure_a, pressure_b, actuation",
+    MOTION: "motion",
+    LOAD: "load",
+    HYDRAULIC: "hydraulic force against pressures (sensors)",
+}
+
+
+def _bench(path: str | Path | None) -> Bench:
+    try:
+        return Bench.nominal() if path is None else Bench.load(path)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+
+
+def _read(path: str | Path, bench: Bench) -> Recording:
+    return checked(read_table(path), bench)
+
+
+def _split(fitted: list[Recording], held: list[Recording]) -> tuple[list[Segment], list[Segment], list[str]]:
+    """Segments to fit, segments held out, and what was noted about all."""
+    if not fitted:
+        raise InputError("no recording was given")
+    quality = [note for recording in (*fitted, *held) for note in recording.quality]
+    if not held and len(fitted) > 1:
+        held = [fitted.pop()]
+        quality.append(f"{held[0].name} was held back to check on")
+    first = [segment for recording in fitted for segment in recording.segments]
+    if held:
+        return first, [segment for recording in held for segment in recording.segments], quality
+    longest = max(first, key=len)
+    cut = len(longest) * 2 // 3
+    quality.append("the last third of the only recording was held back to check on")
+    return [*(s for s in first if s is not longest), longest.cut(0, cut)], [longest.cut(cut, len(longest))], quality
+
+
+def _informative(segments: list[Segment], quality: list[str]) -> list[Segment]:
+    """At most `LONGEST` seconds: pieces of 10 s in the order of how much moves in them."""
+    total = sum(len(segment) * segment.step for segment in segments)
+    if total <= LONGEST:
+        return segments
+    pieces = []
+    for segment in segments:
+        length = round(10.0 / segment.step)
+        pieces += [segment.cut(at, at + length) for at in range(0, max(len(segment) - length + 1, 1), length)]
+    lively = sorted(pieces, key=lambda piece: -float(piece.channels.get("piston_position", next(iter(piece.channels.values()))).std()))
+    kept = lively[: int(LONGEST / 10.0)]
+    quality.append(f"of {total:.0f} s the {10 * len(kept)} s in which most moves were fitted, in pieces of 10 s")
+    return kept
+
+
+def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | None:
+    if not assessment.remainder:
+        return None
+    equation = assessment.remainder[0].equation
+    telling = [form for form in assessment.forms if form.gain > 0.0 and form.equation == equation]
+    return {
+        "location": [vars(location_of(place, problem)) for place in assessment.remainder],
+        "depends_on": list(dict.fromkeys(form.variable for form in telling[:3])),
+        "dropped": [claim.effect.id for claim in assessment.dropped],
+    }
+
+
+def _fit(problem: Problem, assessment: Assessment, models: list[SegmentModel]) -> dict[str, Any]:
+    """Held-out errors of the baseline and of the corrected model."""
+    needed = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
+    if not models or not all(needed <= set(model.channels) for model in models):
+        return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": "a forward simulation needs current, position and both pressures"}
+    before, after = problem.baseline, (*problem.baseline, *assessment.fit.claims)
+    noise = problem.sensor_noise
+    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True)
+    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False)
+    return {"holdout": channel_errors(horizon), "horizon_s": HORIZON, "free_run": {"seconds": FREE_RUN, **channel_errors(free)}}
+
+
+def _version() -> str:
+    try:
+        return metadata.version("hydro_diagnosis")
+    except metadata.PackageNotFoundError:
+        return "0.1.0"

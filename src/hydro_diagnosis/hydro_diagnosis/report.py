@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The outcome of a diagnosis as typed values, and as report.json (docs/diagnosis.md, "report.json": a contract)."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+from hydro_diagnosis.heldout import ChannelError
+
+
+@dataclass(frozen=True, kw_only=True)
+class Location:
+    """Where the mismatch against the baseline lives."""
+
+    equation: str
+    """pressure_a, pressure_b, motion, load, actuation or sensor."""
+    share: float
+    windows: dict[str, list[list[float]]]
+    """By recording: stretches [s, s] in which it stands out."""
+    region: dict[str, list[float]]
+    """By variable: [low, high], SI units."""
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterEstimate:
+    """One number of a claimed effect."""
+
+    value: float
+    ci95: list[float] | None
+    """None if the recordings do not identify it."""
+    unit: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rival:
+    """Another cause in a claim's place."""
+
+    id: str
+    delta_bic: float
+    """How much worse it explains the recordings."""
+    distinguishable: bool
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectReport:
+    """A claimed effect."""
+
+    id: str
+    equation: str
+    options: dict[str, str]
+    """Which chamber, cell or sensor; and the form, if the cause has several."""
+    sentence: str
+    parameters: dict[str, ParameterEstimate]
+    evidence: dict[str, float]
+    """delta_bic: loss without it; holdout_gain: share of the held-out error beyond the noise that it removes."""
+    rivals: list[Rival]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Everything a diagnosis says."""
+
+    verdict: str
+    """no_mismatch, explained, partly_explained or unknown."""
+    location: list[Location]
+    effects: list[EffectReport]
+    remainder: dict[str, Any] | None
+    """Where something is left that nobody named, on which variables it depends, and which names were dropped for it."""
+    fit: dict[str, Any]
+    next_recording: dict[str, Any] | None
+    checked: list[str]
+    not_checked: list[str]
+    data_quality: list[str]
+    baseline: dict[str, Any]
+    versions: dict[str, str]
+    seconds: float
+    steps: list[dict[str, Any]] = field(default_factory=list)
+    """How evidence converged: action, label, delta_bic against nothing."""
+
+    def to_json(self) -> str:
+        """report.json."""
+        return json.dumps(_plain(asdict(self)), indent=2)
+
+    def write(self, folder: Path) -> None:
+        """Write report.json."""
+        (folder / "report.json").write_text(self.to_json() + "\n", encoding="utf-8")
+
+
+def channel_errors(errors: dict[str, ChannelError]) -> dict[str, Any]:
+    """Errors as they stand in report.json."""
+    return {name: asdict(error) for name, error in errors.items()}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(one) for one in value]
+    if isinstance(value, float) or hasattr(value, "item"):
+        number = float(value)
+        return number if isfinite(number) else None
+    return value

@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What may be said: which claims stand, whether something remains that nobody named, and what the verdict is.
+
+A name is never forced. Where something remains, claims that explain little are dropped, as they may only mimic the remainder;
+and if those that are left do not explain nearly all of the gap, they are dropped too and the verdict is `unknown`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.fit import Fit, fit
+from hydro_diagnosis.freeform import FreeForm, free_forms
+from hydro_diagnosis.locate import NOTICEABLE, Place, locate, mean_squares
+from hydro_diagnosis.problem import Problem
+
+MOST_OF_THE_GAP = 0.95
+"""Share of the squared mismatch that names must explain where something remains."""
+MINOR = 0.1
+"""Share below which a claim is dropped where something remains."""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """The judgement over a search's outcome."""
+
+    verdict: str
+    """no_mismatch, explained, partly_explained or unknown."""
+    fit: Fit
+    """With the claims that stand."""
+    places: tuple[Place, ...]
+    """Where the mismatch against the baseline lives."""
+    remainder: tuple[Place, ...]
+    """Where something is left that nobody named."""
+    forms: tuple[FreeForm, ...]
+    """Free-form inputs for what remains, the most telling first; empty if nothing remains."""
+    dropped: tuple[Claim, ...]
+    """Claims that the search made and this judgement does not."""
+
+
+def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
+    """Judge the fit that a search ended with against the fit of nothing."""
+    everywhere = free_forms(problem, nothing) if noticeable(problem, nothing.residual) else []
+    places = tuple(locate(problem, nothing.residual, everywhere))
+    if not noticeable(problem, found.residual):
+        verdict = "explained" if found.claims else "no_mismatch"
+        return Assessment(verdict, found, places, (), (), ())
+    kept = _without_minor(problem, found, nothing)
+    if kept.claims and (explained_share(problem, kept, nothing) < MOST_OF_THE_GAP or _crowded(kept.claims)):
+        kept = nothing
+    forms = free_forms(problem, kept)
+    remainder = tuple(locate(problem, kept.residual, forms))
+    labels = {claim.effect.label for claim in kept.claims}
+    dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
+    return Assessment("partly_explained" if kept.claims else "unknown", kept, places, remainder, tuple(forms[:6]), dropped)
+
+
+def noticeable(problem: Problem, residual: FloatArray) -> bool:
+    """Whether any channel holds more than noise."""
+    return any(square > NOTICEABLE for square in mean_squares(problem, residual).values())
+
+
+def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
+    """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
+    counts = problem.layout.count()
+    before, after = mean_squares(problem, nothing.residual), mean_squares(problem, found.residual)
+    gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if square > NOTICEABLE or after[name] > NOTICEABLE}
+    left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
+    shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and left[name] > NOTICEABLE - 1.0]
+    return float(min(shares, default=1.0)) if counts.sum() else 1.0
+
+
+def _without_minor(problem: Problem, found: Fit, nothing: Fit) -> Fit:
+    """Drop, one after the other, claims without which hardly more remains."""
+    gap = float(np.sum(np.square(nothing.residual)) - np.sum(np.square(found.residual)))
+    current = found
+    while len(current.claims) > 1:
+        smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in current.claims]
+        losses = [float(np.sum(np.square(one.residual)) - np.sum(np.square(current.residual))) for one in smaller]
+        least = int(np.argmin(losses))
+        if losses[least] > MINOR * gap:
+            break
+        current = smaller[least]
+    return current
+
+
+def _crowded(claims: Sequence[Claim]) -> bool:
+    """Whether two names of one family share a mismatch that they do not explain."""
+    families = [claim.effect.family or claim.effect.label for claim in claims]
+    return len(set(families)) < len(families)
