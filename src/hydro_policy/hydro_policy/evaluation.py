@@ -182,6 +182,7 @@ class EvaluationSession:
         if sequence - run.first + 1 >= round(length * SAMPLE_RATE) and run.rows:
             trace = Trace(controller.name, frequency, np.array(run.rows, STATE_DTYPE))
             self._check_gains(controller, trace)
+            self._check_held(trace)
             self.scores.append(_score(trace, repeat))
             self.traces.append(trace)
             self._run = None
@@ -197,6 +198,13 @@ class EvaluationSession:
         )
         self._outputs.say(f"{controller.name} at {frequency:g} Hz: {self.watch.condition}", warning=True)
 
+    def _check_held(self, trace: Trace) -> None:
+        """Base gains instead of the controller's, for more than one sample in a hundred, is no fair comparison."""
+        held = float(np.mean((trace.states["flags"] & HELD) != 0))
+        if held > 0.01:
+            sentence = f"{trace.controller} at {trace.frequency:g} Hz: base gains in {100 * held:.0f} % of the samples"
+            self._warn(f"{sentence}, corrections came late (machine too busy?)")
+
     def _check_gains(self, controller: Controller, trace: Trace) -> None:
         """A guard narrower than the controller would silently compare something else."""
         asked = getattr(controller, "proportional", None)
@@ -205,9 +213,12 @@ class EvaluationSession:
             sentence = (
                 f"{controller.name}: the box applied K_p = {applied:g}, not {asked:g}; widen the plant's gain limits"
             )
-            if sentence not in self.warnings:
-                self.warnings.append(sentence)
-                self._outputs.say(sentence, warning=True)
+            self._warn(sentence)
+
+    def _warn(self, sentence: str) -> None:
+        if sentence not in self.warnings:
+            self.warnings.append(sentence)
+            self._outputs.say(sentence, warning=True)
 
 
 def _score(trace: Trace, repeat: int) -> Score:

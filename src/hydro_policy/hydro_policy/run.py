@@ -37,7 +37,7 @@ class TrainingSettings:
     replay_capacity: int = 288_000
     """Transitions remembered (the paper's whole training). [65, 1e8]."""
     seed: int = 0
-    """Seed of references and exploration in the actor. [0, 9e15]."""
+    """Seed of references and of exploration in the actor. [0, 9e15]."""
     sac: SacSettings = field(default_factory=SacSettings)
     task: TaskSettings = field(default_factory=TaskSettings)
 

@@ -39,7 +39,7 @@ class SacSettings:
     """Entropy in nats that alpha is steered to; minus the number of actions is usual. [-10, 2]."""
     batch_size: int = 256
     """Transitions per update. [1, 65536]."""
-    reward_scale: float = 0.05
+    reward_scale: float = 0.02
     """Factor on the reward before learning, so that the critics' values are of order one to a hundred. [1e-6, 100]."""
     log_std_min: float = -5.0
     """Lower bound of the logarithm of the policy's standard deviation. [-20, 0]."""

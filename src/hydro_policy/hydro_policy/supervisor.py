@@ -30,6 +30,10 @@ RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many sec
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
+class LearnerError(Exception):
+    """The learner keeps dying."""
+
+
 class LearnerSupervisor:
     """Owns the shared memory and one learning process at a time.
 
@@ -100,7 +104,7 @@ class LearnerSupervisor:
 
         Raises
         ------
-        RuntimeError
+        LearnerError
             It keeps dying.
         """
         if self.alive:
@@ -110,7 +114,7 @@ class LearnerSupervisor:
         while now - self._deaths[0] > RESTART_WINDOW:
             self._deaths.popleft()
         if len(self._deaths) > RESTARTS:
-            raise RuntimeError(
+            raise LearnerError(
                 f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s (exit code {code})"
             )
         self.restarts += 1

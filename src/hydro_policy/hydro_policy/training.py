@@ -133,7 +133,7 @@ class TrainingSession:
             self._outputs.say(message, warning=True)
 
     def _begin_episode(self) -> None:
-        signal = self.settings.task.draw_reference(self._rng)
+        signal = self.settings.task.reference(self.progress.episode, self.settings.seed)
         self._outputs.reference(signal)
         self.current = EpisodeRecord(
             episode=self.progress.episode + 1, amplitude=signal.amplitude, frequency=signal.frequency

@@ -16,6 +16,9 @@ LOST_AFTER = 0.1  # s without a sample
 _SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
 _RETRY = 1.0  # s
 
+_HINT_AFTER = 8.0  # s
+
+HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
 HOW_TO_ARM = "press Enter here, or: ros2 service call /hydro/arm std_srvs/srv/SetBool '{data: true}'"
 
 
@@ -37,6 +40,7 @@ class PlantWatch:
         self._arm_after = math.inf  # when to follow a disarm with an arm
         self._asked = -math.inf
         self._told: str | None = None
+        self._hint_at = math.inf  # when to say that nobody publishes
 
     @property
     def lost(self) -> bool:
@@ -73,7 +77,7 @@ class PlantWatch:
             self._seek_arming(now)
         if self.armed:
             self._arm_after, self._asked = math.inf, -math.inf
-        self._tell()
+        self._tell(now)
 
     def arm_now(self, now: float) -> None:
         """The user wants it armed."""
@@ -87,7 +91,12 @@ class PlantWatch:
         elif self._rearm and now - self._asked > _RETRY:
             self.arm_now(now)
 
-    def _tell(self) -> None:
+    def _tell(self, now: float) -> None:
+        if self._hint_at == math.inf and self._told is None:
+            self._hint_at = now + _HINT_AFTER
+        if self.lost and now > self._hint_at:
+            self._hint_at = math.inf
+            self._outputs.say(HOW_TO_GET_A_PLANT, warning=True)
         condition = self.condition
         if condition != self._told:
             hint = f": {HOW_TO_ARM}" if not self._rearm and not self.armed and not self.lost else ""

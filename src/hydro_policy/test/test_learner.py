@@ -18,7 +18,7 @@ from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import Sac, SacSettings
 from hydro_policy.shared import SharedBlob
 from hydro_policy.snapshot import restore
-from hydro_policy.supervisor import LearnerSupervisor
+from hydro_policy.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.task import OBSERVATIONS
 
 SETTINGS = TrainingSettings(warmup_steps=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
@@ -88,7 +88,7 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
 def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
     learner = LearnerSupervisor(SETTINGS, RunDirectory(tmp_path / "run").create())
     try:
-        with pytest.raises(RuntimeError, match="died 6 times"):
+        with pytest.raises(LearnerError, match="died 6 times"):
             for _ in range(6):
                 assert learner.pid is not None
                 os.kill(learner.pid, signal.SIGKILL)

@@ -83,13 +83,21 @@ def test_state_of_a_session_goes_through_json_and_continues() -> None:
     assert again.progress == session.progress
     graph2.run(again, 10.0)
     assert again.finished and again.progress.episode == 3 and again.progress.total_steps == 450
-    assert graph2.references[0] == settings.task.draw_reference(_advanced(state))
+    assert graph2.references[0] == settings.task.reference(2, settings.seed)
 
 
-def _advanced(state: dict) -> np.random.Generator:
-    rng = np.random.default_rng(0)
-    rng.bit_generator.state = state["random_state"]
-    return rng
+def test_references_cover_their_ranges_evenly() -> None:
+    task = TaskSettings()
+    signals = [task.reference(episode, 3) for episode in range(64)]
+    for values, low, high in (
+        ([s.amplitude for s in signals], task.amplitude_min, task.amplitude_max),
+        ([s.frequency for s in signals], task.frequency_min, task.frequency_max),
+    ):
+        share = (np.array(values) - low) / (high - low)
+        assert share.min() >= 0.0 and share.max() <= 1.0
+        for first in range(0, 56, 8):  # every eight episodes in a row leave no third of the range out
+            assert (np.histogram(share[first : first + 8], bins=3, range=(0, 1))[0] >= 1).all()
+    assert task.reference(5, 3) == signals[5] != task.reference(5, 4)
 
 
 def test_reward_is_the_paper_s_with_the_page_s_units() -> None:
@@ -211,3 +219,10 @@ def test_evaluation_scores_a_trip_and_goes_on_once_the_bench_is_vented() -> None
         graph.vent()  # a closed valve holds the oil and so the force: arming trips again until it is let out
     assert session.finished
     assert all(math.isnan(score.rmse) for score in session.scores)
+
+
+def test_without_a_plant_the_user_is_told_what_to_do_once() -> None:
+    graph, _, session = start(short())
+    for k in range(400):
+        session.on_tick(0.05 * k)
+    assert [s for s in graph.sentences if "--plant" in s] == [graph.sentences[0]]

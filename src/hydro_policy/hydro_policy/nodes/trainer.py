@@ -27,7 +27,7 @@ from hydro_policy.nodes.graph import GraphNode, start_ros
 from hydro_policy.nodes.options import add_plant_options, declare_settings, plant_options, rearms
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.run import RunDirectory, TrainingSettings, new_run
-from hydro_policy.supervisor import LearnerSupervisor
+from hydro_policy.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.training import TrainingSession
 
 DEMO = {"plant": "emulator", "episodes": 9, "updates_per_step": 2.0, "evaluate": True}
@@ -76,7 +76,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-@command(ValueError, FileExistsError, CompanionError)
+@command(ValueError, FileExistsError, CompanionError, LearnerError)
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
