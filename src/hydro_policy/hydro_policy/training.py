@@ -132,6 +132,12 @@ class TrainingSession:
         if message is not None:
             self._outputs.say(message, warning=True)
 
+    def refresh_policy(self) -> None:
+        """Take over the learner's weights if there are newer ones."""
+        parameters = self.learner.new_weights()
+        if parameters is not None:
+            self.policy.load_flat(parameters)
+
     def _begin_episode(self) -> None:
         signal = self.settings.task.reference(self.progress.episode, self.settings.seed)
         self._outputs.reference(signal)
@@ -142,9 +148,7 @@ class TrainingSession:
 
     def _step(self, step: Step) -> None:
         """Act first, then remember: gains leave as soon as they are known."""
-        parameters = self.learner.new_weights()
-        if parameters is not None:
-            self.policy.load_flat(parameters)
+        self.refresh_policy()
         before, taken = self._observation, self._action
         observation = observe(step.sample, taken)
         if np.isfinite(observation).all():

@@ -11,11 +11,14 @@ from __future__ import annotations
 
 import math
 import re
+import sys
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
+
+from tqdm import tqdm
 
 from hydro_bridge.guard import GuardSettings
 from hydro_bridge.ros import Companion
@@ -59,14 +62,10 @@ class CompanionOutput:
 
     def write(self, text: str) -> int:
         """Take a line."""
-        from sys import stderr
-
-        from tqdm import tqdm
-
         if self._log is not None:
             self._log.write(text)
         if any(word in text.lower() for word in _LOUD) and self._is_news(text):
-            tqdm.write(text.rstrip("\n"), file=stderr)
+            tqdm.write(text.rstrip("\n"), file=sys.stderr)
         return len(text)
 
     def _is_news(self, text: str) -> bool:

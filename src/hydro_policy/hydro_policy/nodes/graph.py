@@ -18,6 +18,7 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
+from tqdm import tqdm
 
 from hydro_bridge.latency import Latency
 from hydro_bridge.ros import (
@@ -121,8 +122,6 @@ class GraphNode(Node):
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """See `hydro_policy.outputs.Outputs`."""
-        from tqdm import tqdm
-
         tqdm.write(sentence if not warning else f"! {sentence}", file=sys.stderr)
         if self.log is not None:
             self.log.write(f"{time.strftime('%H:%M:%S')} {'! ' if warning else ''}{sentence}\n")

@@ -132,6 +132,9 @@ def drive(
     node.say(f"gains at 100 Hz: response {node.response.sentence()}; jitter {node.jitter.sentence()}")
     if not finished or not options.evaluate:
         return finished, None
+    while not learner.ready and learner.alive:  # a finished run that was resumed: nobody has waited for it yet
+        time.sleep(0.05)
+    session.refresh_policy()
     bar.phase = lambda: Phase.EVALUATING
     controllers: list[Controller] = [
         PolicyController(session.policy, session.settings.task.gains, "policy"),
@@ -139,6 +142,7 @@ def drive(
         FixedGains(15.0, 5.0),
     ]
     results = evaluate_on(node, controllers, rearm=rearms(options))
+    node.disarm()  # now, not after the plots
     bar.phase = lambda: Phase.FINISHED
     bar.publish()
     return results.finished, results
@@ -204,7 +208,7 @@ def tell_files(
             print(f"  {name:22s} {path}")
     plant = f"--plant {options.plant}" + (f" --port {options.port}" if options.port else "")
     print("Next:")
-    if not finished:
+    if not finished and run.latest.exists():
         print(f"  go on            ros2 run hydro_policy trainer {plant} --resume {run.path}")
     print(f"  full training    ros2 run hydro_policy trainer {plant} --resume {run.path} --episodes 160 --evaluate")
     print(f"  compare again    ros2 run hydro_policy evaluate {plant} --policy {run.path} --fixed 90 15 --fixed 15 5")
