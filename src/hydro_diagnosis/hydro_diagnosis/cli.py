@@ -8,6 +8,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from hydro_bridge.console import command
+
 from hydro_diagnosis.corrected import write_corrected
 from hydro_diagnosis.page import write_page
 from hydro_diagnosis.pipeline import Diagnosis, diagnose
@@ -25,24 +27,28 @@ def parser() -> argparse.ArgumentParser:
     return options
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; 0 whatever the verdict, 2 for input that cannot be diagnosed, 130 when interrupted."""
+def run(arguments: Sequence[str]) -> int:
+    """Diagnose and write; 0 whatever the verdict."""
     chosen = parser().parse_args(arguments)
-    progress = (lambda text: None) if chosen.quiet else (lambda text: print(f"  {text}", file=sys.stderr, flush=True))
-    try:
-        found = diagnose(chosen.recordings, holdout=chosen.holdout, bench=chosen.bench, progress=progress)
-        chosen.out.mkdir(parents=True, exist_ok=True)
-        found.report.write(chosen.out)
-        write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")
-        write_page(found, chosen.out / "report.html")
-    except (InputError, OSError) as error:
-        print(f"diagnose: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("diagnose: interrupted", file=sys.stderr)
-        return 130
+    quiet = chosen.quiet
+    found = diagnose(
+        chosen.recordings,
+        holdout=chosen.holdout,
+        bench=chosen.bench,
+        progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
+    )
+    chosen.out.mkdir(parents=True, exist_ok=True)
+    found.report.write(chosen.out)
+    write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")
+    write_page(found, chosen.out / "report.html")
     _say(found, chosen.out)
     return 0
+
+
+@command(InputError, OSError)
+def main() -> int:
+    """Entry point; 2 for input that cannot be diagnosed, 130 when interrupted."""
+    return run(sys.argv[1:])
 
 
 def _say(found: Diagnosis, folder: Path) -> None:
@@ -60,4 +66,4 @@ def _say(found: Diagnosis, folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

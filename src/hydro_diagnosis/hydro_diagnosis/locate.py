@@ -14,12 +14,15 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.fit import Fit
 from hydro_diagnosis.freeform import FreeForm, variable_of
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.problem import CHANNELS, Problem
 
 NOTICEABLE = 1.35
 """Mean square over the noise's from which a channel holds more than noise (recordings with nothing missing stay below)."""
+_PAUSE = 2.0
+"""s, pauses of excess that `windows` bridge."""
 _WINDOW = 0.5
 """s, over which excess is averaged for `windows`."""
 
@@ -62,10 +65,30 @@ def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm]) ->
     return [_place(problem, residual, equation, channel_of[equation], weights[equation] / total) for equation in ranked]
 
 
+def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Place]:
+    """Where the claimed effects act, by the size of their signatures in the residuals."""
+    layout = problem.layout
+    power: dict[tuple[str, str], float] = {}
+    for claim in found.claims:
+        without = problem.residual(tuple(one for one in found.claims if one is not claim))
+        signature = np.bincount(layout.channel, np.square(without - found.residual), len(CHANNELS))
+        shown = {name: float(signature[k]) for k, name in enumerate(CHANNELS)}
+        for equation in claim.effect.equations:
+            channel = equation if equation in shown and len(claim.effect.equations) > 1 else max(shown, key=lambda name: shown[name])
+            size = shown[channel] if len(claim.effect.equations) > 1 else sum(shown.values())
+            key = (equation, channel)
+            power[key] = power.get(key, 0.0) + size
+    total = sum(power.values()) or 1.0
+    ranked = sorted(power, key=lambda key: -power[key])
+    return [_place(problem, nothing, equation, channel, power[equation, channel] / total) for equation, channel in ranked]
+
+
 def _equation(
     problem: Problem, residual: FloatArray, channel: str, excess: dict[str, float], forms: Sequence[FreeForm]
 ) -> str:
     if channel in ("pressure_a", "pressure_b"):
+        if {"pressure_a", "pressure_b"} <= set(excess) and _follows_supply(problem, residual):
+            return "actuation"
         return _of_chambers(channel, excess, forms)
     if channel == "hydraulic":
         return "sensor"
@@ -84,6 +107,21 @@ def _of_chambers(channel: str, excess: dict[str, float], forms: Sequence[FreeFor
         return channel
     best = {form.equation: form.gain for form in reversed(forms) if form.equation in ("pressure_a", "pressure_b", "actuation")}
     return max([channel, "actuation"], key=lambda equation: best.get(equation, 0.0))
+
+
+def _follows_supply(problem: Problem, residual: FloatArray) -> bool:
+    """Whether each chamber is off mainly while the valve connects it to the supply: then the supply is off."""
+    layout = problem.layout
+    loudness = np.zeros((2, 2))
+    for k, model in enumerate(problem.models):
+        feeds_a = np.interp(model.kept_time(), model.time, model.channels["valve_current"]) > 0.0
+        for index in range(2):
+            at = (layout.channel == index) & (layout.segment == k)
+            squares = np.square(residual[at]) - 1.0
+            loudness[index] += [float(squares[feeds_a].sum()), float(squares[~feeds_a].sum())]
+    a_fed, a_drained = loudness[0]
+    b_drained, b_fed = loudness[1]
+    return a_fed > 2.0 * a_drained and b_fed > 2.0 * b_drained
 
 
 def _coherent(problem: Problem, residual: FloatArray) -> bool:
@@ -128,20 +166,26 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
         if len(values):
             low, high = np.percentile(values, [10, 90])
             region[name] = (float(low), float(high))
-    sentence = f"{_WORDS[equation]} do not account for {share * 100:.0f} % of what is unexplained."
+    sentence = f"{share * 100:.0f} % of the mismatch is in {_WORDS[equation]}."
     return Place(equation, share, tuple(windows), region, sentence)
 
 
 def _stretches(time: FloatArray, loud: FloatArray) -> tuple[tuple[float, float], ...]:
+    """Stretches in which something is loud; pauses shorter than `_PAUSE` are bridged."""
+    loud = loud.copy()
+    pauses = np.flatnonzero(np.diff(np.concatenate([[True], loud, [True]]).astype(np.int8)))
+    for begin, end in zip(pauses[::2], pauses[1::2]):
+        if time[min(end, len(time) - 1)] - time[begin] < _PAUSE and begin > 0 and end < len(time):
+            loud[begin:end] = True
     edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(np.int8)))
     return tuple((float(time[begin]), float(time[end - 1])) for begin, end in zip(edges[::2], edges[1::2]))
 
 
 _WORDS = {
-    "pressure_a": "The equations of chamber A",
-    "pressure_b": "The equations of chamber B",
-    "motion": "The forces on the moving mass",
-    "load": "The forces of the load",
-    "actuation": "Valve and supply as modelled",
-    "sensor": "The sensors as modelled",
+    "pressure_a": "the equations of chamber A",
+    "pressure_b": "the equations of chamber B",
+    "motion": "the forces on the moving mass",
+    "load": "the force of the load",
+    "actuation": "valve and supply",
+    "sensor": "the sensors",
 }

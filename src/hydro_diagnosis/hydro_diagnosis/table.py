@@ -64,7 +64,7 @@ def _from_bag(path: Path) -> RawTable:
         raise InputError(f"{path}: the recording is empty")
     steps = np.diff(states["sequence"]).view(np.int32).astype(np.float64)
     columns = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
-    return RawTable(path.stem, states["time"].copy(), np.concatenate([[0.0], np.cumsum(steps)]), columns)
+    return RawTable(path.name, states["time"].copy(), np.concatenate([[0.0], np.cumsum(steps)]), columns)
 
 
 def _from_frame(path: Path) -> RawTable:

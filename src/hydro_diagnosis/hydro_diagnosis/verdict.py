@@ -15,7 +15,7 @@ import numpy as np
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.fit import Fit, fit
 from hydro_diagnosis.freeform import FreeForm, free_forms
-from hydro_diagnosis.locate import NOTICEABLE, Place, locate, mean_squares
+from hydro_diagnosis.locate import NOTICEABLE, Place, locate, locate_claims, mean_squares
 from hydro_diagnosis.problem import Problem
 
 MOST_OF_THE_GAP = 0.95
@@ -44,18 +44,18 @@ class Assessment:
 
 def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     """Judge the fit that a search ended with against the fit of nothing."""
-    everywhere = free_forms(problem, nothing) if noticeable(problem, nothing.residual) else []
-    places = tuple(locate(problem, nothing.residual, everywhere))
-    if not noticeable(problem, found.residual):
+    coincidence = _coincidence(found.claims)
+    if not noticeable(problem, found.residual) and not coincidence:
         verdict = "explained" if found.claims else "no_mismatch"
-        return Assessment(verdict, found, places, (), (), ())
-    kept = _without_minor(problem, found, nothing)
+        return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
+    kept = nothing if coincidence else _without_minor(problem, found, nothing)
     if kept.claims and (explained_share(problem, kept, nothing) < MOST_OF_THE_GAP or _crowded(kept.claims)):
         kept = nothing
     forms = free_forms(problem, kept)
     remainder = tuple(locate(problem, kept.residual, forms))
     labels = {claim.effect.label for claim in kept.claims}
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
+    places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
     return Assessment("partly_explained" if kept.claims else "unknown", kept, places, remainder, tuple(forms[:6]), dropped)
 
 
@@ -86,6 +86,12 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit) -> Fit:
             break
         current = smaller[least]
     return current
+
+
+def _coincidence(claims: Sequence[Claim]) -> bool:
+    """Whether both dead volumes are off by the same amount: two errors do not agree, so it is something else (hoses that give)."""
+    ratios = [claim.values["ratio"] for claim in claims if claim.effect.id == "dead_volume"]
+    return len(ratios) == 2 and abs(ratios[0] - ratios[1]) < 0.05 * abs(ratios[0] - 1.0)
 
 
 def _crowded(claims: Sequence[Claim]) -> bool:
