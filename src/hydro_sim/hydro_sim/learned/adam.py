@@ -21,6 +21,10 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.learned.recordings import DataError
 
 
+GAIN = 1e-3
+"""Share by which a validation must be better than the best to count."""
+
+
 class Objective(Protocol):
     """What is trained."""
 
@@ -127,7 +131,7 @@ def train(objective: Objective, settings: Settings, progress: Progress) -> Itera
 
 def _note(progress: Progress, loss: float, error: float) -> None:
     progress.history = np.vstack((progress.history, (progress.epoch, loss, error)))
-    if error < progress.best_error:
+    if error < (1.0 - GAIN) * progress.best_error:
         progress.best_error, progress.best_epoch = error, progress.epoch
         progress.best = progress.parameters.copy()
 

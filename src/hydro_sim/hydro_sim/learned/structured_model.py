@@ -22,6 +22,9 @@ from hydro_sim.sensors import Sensors
 CHUNK = 3000
 """Samples that one thread filters after the observer has settled."""
 
+STILL = 50
+"""Samples at the beginning of a recording, disarmed, that show the still bench."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class StructuredModel:
@@ -139,10 +142,12 @@ def first_guess(run: Run, samples: FloatArray | list[int] | Any) -> FloatArray:
 
 
 def _rest(bench: Bench, training: list[Run]) -> FloatArray:
-    """The still bench: as the first recording began if it began still, else as the bench file has it."""
-    x = training[0].x[0]
+    """The still bench: as the first recording that began still began, else as the bench file has it."""
     full = np.zeros(FULL)
     full[:4] = hydraulics.rest_state(bench.constants()[0])[:4]
-    if training[0].first == 0 and abs(x[2]) < 20.0 and abs(x[7]) < 1e-3:
-        full[:3], full[6] = x[4:7], x[2]
+    for run in training:
+        x = run.x[:STILL].mean(axis=0)
+        if run.first == 0 and not run.u[:STILL].any() and abs(x[2]) < 50.0:
+            full[:3], full[6] = x[4:7], x[2]
+            break
     return full

@@ -78,8 +78,9 @@ class CollectNode(Node):
             self._elapsed += 1e-3
 
     def _on_timer(self) -> None:
-        if not self._seen or time.monotonic() - self._began < REST:
-            self._began = self._began if self._seen else time.monotonic()
+        if not self._seen or self.count_subscribers(STATE) < 2:  # the recorder is the other one
+            self._began = time.monotonic()
+        if time.monotonic() - self._began < REST:
             return
         self._follow_arming()
         self._follow_schedule()

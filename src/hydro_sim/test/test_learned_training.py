@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training finds what was there, goes on where it stopped, and splits by time; schedules stay within their limits."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_DTYPE, Flag, matrix
+from hydro_sim.bench import Bench
+from hydro_sim.emulator.offline import Segment, record_offline
+from hydro_sim.emulator.schedules import load_schedule
+from hydro_sim.emulator.truth_config import profile
+from hydro_sim.learned import adam, constants, recordings, schedule, training
+from hydro_sim.learned.coverage import coverage
+from hydro_sim.learned.recordings import DataError
+
+
+@pytest.fixture(scope="module")
+def recording():
+    return record_offline(profile("default"), [Segment(**asdict(s)) for s in schedule.draw(24.0, 5)], seed=5)
+
+
+@pytest.fixture(scope="module")
+def data(recording):
+    return recordings.split({"one": recording.states})
+
+
+def settings(**changes):
+    loop = adam.Settings(epochs=8, validate_every=2, learning_rate=3e-3)
+    return replace(training.Settings(structure="network", stride=20, batch=256, adam=loop), **changes)
+
+
+LONG = adam.Settings(epochs=40, validate_every=5, learning_rate=1e-2)
+
+
+def trained(data, chosen, checkpoint=None, resume=False, stop=None):
+    model = training.start(data, chosen, Bench.nominal())
+    for last in training.steps(model, data, chosen, checkpoint, resume=resume):
+        if stop is not None and last[0].epoch >= stop:
+            break
+    return last
+
+
+def test_network_learns(data):
+    progress, _ = trained(data, settings(adam=LONG))
+    errors = progress.history[np.isfinite(progress.history[:, 2]), 2]
+    assert errors[-1] < 0.6 * errors[0]
+
+
+def test_one_step_training_predicts_worse_than_multi_step(data):
+    """The ablation that the paper tells of, in small: judged by the same 70-sample predictions."""
+    many, _ = trained(data, settings(adam=LONG))
+    one, _ = trained(data, settings(horizon=1, stride=1, batch=2048, adam=LONG))
+    assert many.best_error < 0.8 * one.best_error
+
+
+def test_resumed_training_gives_the_same_numbers(data, tmp_path):
+    whole, _ = trained(data, settings())
+    trained(data, settings(), tmp_path / "c", stop=4)
+    resumed, _ = trained(data, settings(), tmp_path / "c", resume=True)
+    assert np.array_equal(whole.parameters, resumed.parameters)
+    assert np.array_equal(whole.history, resumed.history, equal_nan=True)
+
+
+def test_checkpoint_of_another_model_is_refused(data, tmp_path):
+    trained(data, settings(), tmp_path / "c", stop=2)
+    with pytest.raises(DataError, match="another model"):
+        trained(data, settings(hidden=(8, 8)), tmp_path / "c", resume=True)
+    (tmp_path / "c").write_text("nothing")
+    with pytest.raises(DataError, match="no checkpoint"):
+        trained(data, settings(), tmp_path / "c", resume=True)
+
+
+def test_training_stops_when_validation_no_longer_gets_better(data):
+    loop = adam.Settings(epochs=500, validate_every=1, learning_rate=1e-9, patience=3)
+    progress, _ = trained(data, settings(adam=loop))
+    assert progress.epoch < 20
+
+
+@pytest.mark.slow
+def test_identification_finds_the_benchs_constants(data):
+    chosen = training.Settings(identify_windows=90)
+    model = training.identified(training.start(data, chosen, Bench.nominal()), data, chosen, lambda _: None)
+    c, _ = constants.values(model.table, model.theta)
+    found = {entry.name: value for entry, value in zip(model.table, c, strict=True)}
+    assert found["friction_coulomb"] == pytest.approx(12.0, rel=0.05)
+    assert found["leakage_internal"] == pytest.approx(1e-13, rel=0.05)
+    assert found["moving_mass"] == pytest.approx(1.2, rel=0.05)
+    assert found["spool_frequency"] == pytest.approx(2.0 * np.pi * 110.0, rel=0.05)
+
+
+def test_splits_by_time_with_a_gap(recording):
+    data = recordings.split({"one": recording.states})
+    (train,), (validation,) = data.training, data.validation
+    assert train.first + len(train) + 1000 <= validation.first
+    assert np.array_equal(validation.x, matrix(recording.states)[validation.first : validation.first + len(validation)])
+
+
+def test_splits_by_recording_where_there_are_three(recording):
+    states = recording.states
+    data = recordings.split({"a": states[:8000], "b": states[8000:16000], "c": states[16000:]})
+    assert [run.name for run in data.training] == ["a", "b"]
+    assert [run.name for run in data.validation] == ["c"]
+
+
+def test_runs_do_not_cross_gaps_or_faults(recording):
+    states = np.delete(recording.states, [5000, 5001])
+    states["flags"][12000] |= np.uint32(Flag.SENSOR_FAULT)
+    states["load_force"][15000] = np.nan
+    found = recordings.runs("r", states)
+    assert [(run.first, len(run)) for run in found] == [
+        (0, 5000),
+        (5000, 7000),
+        (12001, 2999),
+        (15001, len(states) - 15001),
+    ]
+
+
+def test_recordings_without_a_long_run_are_refused():
+    with pytest.raises(DataError, match="2000 samples"):
+        recordings.split({"empty": np.zeros(10, STATE_DTYPE)})
+
+
+def test_digest_tells_recordings_apart(recording):
+    changed = recording.states.copy()
+    changed["load_force"][7] += 1e-9
+    assert recordings.digest(recording.states) == recordings.digest(recording.states.copy())
+    assert recordings.digest(recording.states) != recordings.digest(changed)
+
+
+def test_schedule_is_that_of_its_seed():
+    assert schedule.draw(100.0, 3) == schedule.draw(100.0, 3)
+    assert schedule.draw(100.0, 3) != schedule.draw(100.0, 4)
+    assert sum(stretch.seconds for stretch in schedule.draw(100.0, 3)) == pytest.approx(100.0)
+
+
+def test_schedule_keeps_within_its_limits():
+    limits = schedule.Range()
+    for stretch in schedule.draw(3000.0, 1):
+        assert abs(stretch.offset) + stretch.amplitude <= limits.force_max + 1e-3
+        assert limits.kp[0] <= stretch.kp <= limits.kp[1]
+        assert limits.ki[0] <= stretch.ki <= limits.ki[1]
+
+
+def test_schedule_file_is_the_emulators_too(tmp_path):
+    drawn = schedule.draw(50.0, 2)
+    schedule.save(drawn, tmp_path / "s.yaml")
+    assert schedule.load(tmp_path / "s.yaml") == drawn
+    assert [segment.signal for segment in load_schedule(tmp_path / "s.yaml")] == [stretch.signal for stretch in drawn]
+    (tmp_path / "s.yaml").write_text("segments: 3")
+    with pytest.raises(ValueError, match="not a schedule"):
+        schedule.load(tmp_path / "s.yaml")
+
+
+def test_coverage_counts_what_was_visited(recording):
+    still = recording.states.copy()
+    still["load_force"] = 0.0
+    rows = {row["quantity"]: row["visited"] for row in coverage(recording.states).rows}
+    assert rows["load force"] > 0.5
+    assert {row["quantity"]: row["visited"] for row in coverage(still).rows}["load force"] == pytest.approx(0.05)
