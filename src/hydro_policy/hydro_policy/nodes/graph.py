@@ -67,7 +67,7 @@ class GraphNode(Node):
         self._session: Session | None = None
         self._each_tick: Callable[[], None] = lambda: None
         self._done = Future()
-        self._published = 0.0
+        self._gains_out = self._published = 0.0
         self._gains = Gains()
         self._gains_publisher = self.create_publisher(Gains, GAINS, GAINS_QOS)
         self._reference_publisher = self.create_publisher(ReferenceMessage, REFERENCE, REFERENCE_QOS)
@@ -110,6 +110,7 @@ class GraphNode(Node):
         message.header.stamp = self.get_clock().now().to_msg()
         message.delta_kp, message.delta_ki, message.step = delta_kp, delta_ki, step
         self._gains_publisher.publish(message)
+        self._gains_out = time.monotonic()
 
     def reference(self, signal: ReferenceSignal) -> None:
         """See `hydro_policy.outputs.Outputs`."""
@@ -155,12 +156,12 @@ class GraphNode(Node):
             self._done.set_result(None)
 
     def _measure(self, begin: float, message: BenchState) -> None:
-        now = time.monotonic()
-        self.response.add(now - begin)
-        self.age.add(1e-9 * self.get_clock().now().nanoseconds - seconds(message.header.stamp))
-        if now - self._published < 5 * _PERIOD:
-            self.jitter.add(abs(now - self._published - _PERIOD))
-        self._published = now
+        out = self._gains_out
+        self.response.add(out - begin)
+        self.age.add(seconds(self._gains.header.stamp) - seconds(message.header.stamp))
+        if out - self._published < 5 * _PERIOD:
+            self.jitter.add(abs(out - self._published - _PERIOD))
+        self._published = out
 
     def _on_arm_answer(self, answer: Future) -> None:
         response = answer.result()

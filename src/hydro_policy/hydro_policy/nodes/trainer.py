@@ -30,7 +30,7 @@ from hydro_policy.run import RunDirectory, TrainingSettings, new_run
 from hydro_policy.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.training import TrainingSession
 
-DEMO = {"plant": "emulator", "episodes": 9, "updates_per_step": 2.0, "evaluate": True}
+DEMO = {"plant": "emulator", "episodes": 12, "updates_per_step": 2.0, "evaluate": True}
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
 
 EPILOG = """\
