@@ -23,11 +23,12 @@ class RecordMemory:
         """The states that were passed, for simulations that start along the record."""
 
     def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
-        """See `Memory.lag`; the signal is held between samples."""
+        """See `Memory.lag`; the signal is held between samples, the outcome is the mean over each sample."""
         decay = float(np.exp(-self.step / time_constant))
-        lagged, _ = lfilter([1.0 - decay], [1.0, -decay], signal, zi=[decay * signal[0]])
-        self.traces[key] = np.asarray(lagged, dtype=np.float64)
-        return self.traces[key]
+        before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[signal[0]])
+        self.traces[key] = np.asarray(before, dtype=np.float64)
+        share = 1.0 - (1.0 - decay) * time_constant / self.step
+        return self.traces[key] + share * (signal - self.traces[key])
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """See `Memory.low_pass`; the signal is a straight line between samples."""

@@ -24,7 +24,7 @@ from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import Recording, Segment
 from hydro_diagnosis.report import Report, channel_errors
 from hydro_diagnosis.search import Outcome, Search, SearchSettings
-from hydro_diagnosis.table import InputError, read_table
+from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
 from hydro_diagnosis.verdict import Assessment, assess
 
 Progress = Callable[[str], None]
@@ -75,7 +75,7 @@ def diagnose(
     begun = time.monotonic()
     believed = bench if isinstance(bench, Bench) else _bench(bench)
     progress("reading")
-    fitted, held, quality = _split([_read(path, believed) for path in recordings], [_read(path, believed) for path in holdout])
+    fitted, held, quality = _split(*_read(recordings, believed), *_read(holdout, believed))
     fitted = _informative(fitted, quality)
     baseline = claims_of(believed)
     problem = Problem(fitted, believed, baseline)
@@ -122,15 +122,27 @@ def _bench(path: str | Path | None) -> Bench:
         raise InputError(str(error)) from None
 
 
-def _read(path: str | Path, bench: Bench) -> Recording:
-    return checked(read_table(path), bench)
+def _read(paths: Sequence[str | Path], bench: Bench) -> tuple[list[Recording], list[str]]:
+    """Recordings that show something, and a note on each that does not; if none does, the first reason is raised."""
+    recordings, refused = [], []
+    for path in paths:
+        try:
+            recordings.append(checked(read_table(path), bench))
+        except UnusableRecordingError as error:
+            refused.append(error)
+    if refused and not recordings:
+        raise refused[0]
+    notes = [f"{error}; it was left out" for error in refused]
+    return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
 
 
-def _split(fitted: list[Recording], held: list[Recording]) -> tuple[list[Segment], list[Segment], list[str]]:
+def _split(
+    fitted: list[Recording], notes: list[str], held: list[Recording], held_notes: list[str]
+) -> tuple[list[Segment], list[Segment], list[str]]:
     """Segments to fit, segments held out, and what was noted about all."""
     if not fitted:
         raise InputError("no recording was given")
-    quality = [note for recording in (*fitted, *held) for note in recording.quality]
+    quality = [*notes, *held_notes]
     if not held and len(fitted) > 1:
         held = [fitted.pop()]
         quality.append(f"{held[0].name} was held back to check on")

@@ -13,7 +13,7 @@ from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
-from hydro_diagnosis.table import InputError, RawTable
+from hydro_diagnosis.table import RawTable, UnusableRecordingError
 
 BRIDGED = 5
 """Samples, the longest gap that is bridged by a straight line."""
@@ -37,19 +37,20 @@ def checked(table: RawTable, bench: Bench) -> Recording:
 
     Raises
     ------
-    InputError
+    UnusableRecordingError
         Too short, clock broken, nothing moves, or saturated throughout.
     """
     notes: list[str] = []
     step, index = _grid(table, notes)
     columns = _alive(table, notes)
     if not any(name in columns for name in MEASURED):
-        raise InputError(f"{table.name}: no sensor in it is alive")
+        raise UnusableRecordingError(f"{table.name}: no sensor in it is alive")
     _refuse_useless(table.name, columns, bench)
     bad = _bad_samples(table.name, columns, notes) | _outside_equations(columns, bench, notes)
     segments = _segments(table.name, step, index, columns, bad, notes)
     if not segments:
-        raise InputError(f"{table.name}: no stretch of {SHORTEST:g} s without a gap: too short to be diagnosed")
+        raise UnusableRecordingError(f"{table.name}: no stretch of {SHORTEST:g} s without a gap: too short to be diagnosed"
+            + (f" ({notes[-1]})" if notes else ""))
     return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in notes))
 
 
@@ -57,11 +58,11 @@ def _grid(table: RawTable, notes: list[str]) -> tuple[float, npt.NDArray[np.int6
     """Sampling time and the number of each sample on an even grid; steps back become gaps."""
     time = table.time
     if len(time) < 3 or np.count_nonzero(np.isfinite(time)) < 3:
-        raise InputError(f"{table.name}: the recording is empty")
+        raise UnusableRecordingError(f"{table.name}: the recording is empty")
     steps = np.diff(time)
     forward = steps[np.isfinite(steps) & (steps > 0.0)]
     if len(forward) < 0.5 * len(steps):
-        raise InputError(f"{table.name}: the time does not run forward")
+        raise UnusableRecordingError(f"{table.name}: the time does not run forward")
     step = float(np.median(forward))
     step = 1e-3 if abs(step - 1e-3) < 5e-5 else step
     counts = np.diff(table.sample) if table.sample is not None else steps / step
@@ -99,12 +100,12 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
     if "piston_position" in columns:
         span = float(np.nanmax(columns["piston_position"]) - np.nanmin(columns["piston_position"]))
         if span < STILL:
-            raise InputError(f"{name}: the piston position does not change (by {span:.2g} m): nothing can be diagnosed")
+            raise UnusableRecordingError(f"{name}: the piston position does not change (by {span:.2g} m): nothing can be diagnosed")
     if "valve_current" in columns:
         limit = bench.valve_current_max * 0.999
         share = float(np.mean(np.abs(columns["valve_current"]) >= limit))
         if share > 0.6:
-            raise InputError(f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples")
+            raise UnusableRecordingError(f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples")
 
 
 def _bad_samples(name: str, columns: dict[str, FloatArray], notes: list[str]) -> Mask:

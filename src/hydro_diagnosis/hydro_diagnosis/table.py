@@ -18,6 +18,10 @@ class InputError(ValueError):
     """What was given cannot be diagnosed; the message is one sentence for the person who gave it."""
 
 
+class UnusableRecordingError(InputError):
+    """A recording that was read but shows nothing; others beside it may."""
+
+
 @dataclass(frozen=True)
 class RawTable:
     """A recording as it was read, nothing checked yet."""

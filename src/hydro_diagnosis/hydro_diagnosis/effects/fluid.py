@@ -28,9 +28,9 @@ class BulkModulus(Effect):
 
 
 class EntrainedAir(Effect):
-    """Compliance of oil and of free air in series: 1/beta_e = ((1-a)/beta + a c/(n p)) / (1 - a + a c), c = (p_0/p)^(1/n).
+    """Compliance of oil and of free air in series: 1/beta_e = (o/beta + g/(n p)) / (o + g).
 
-    Merritt 1967, section 2-6, with the exponent n of the air's compression: 1.4 adiabatic, 1.0 isothermal.
+    o = (1 - a) exp(-p/beta) and g = a (p_0/p)^(1/n) are the volumes of oil and air. Merritt 1967, section 2-6, with the exponent n of the air's compression: 1.4 adiabatic, 1.0 isothermal.
     """
 
     id = "entrained_air"
@@ -48,7 +48,8 @@ class EntrainedAir(Effect):
         share = values["volume_fraction"]
         absolute = np.maximum(pressure, 0.0) + ATMOSPHERE
         air = share * (ATMOSPHERE / absolute) ** (1.0 / exponent)
-        return (1.0 - share + air) / ((1.0 - share) / modulus + air / (exponent * absolute))
+        oil = (1.0 - share) * np.exp(-np.maximum(pressure, 0.0) / modulus)
+        return (oil + air) / (oil / modulus + air / (exponent * absolute))
 
     def sentence(self, values: Values) -> str:
         return (
