@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
+from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from hydro_bridge.console import command, progress
@@ -32,6 +33,7 @@ def main() -> None:
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     data = recordings.split(recordings.load(options.bags))
     out, began = Path(options.out), time.monotonic()
+    threadpool_limits(1, "blas")  # numba's threads call BLAS: its own would only get in their way
     checkpoint = out.with_suffix(".checkpoint")
     resume = options.resume and checkpoint.exists()
     model = training.start(data, settings, bench)
