@@ -37,10 +37,12 @@ class RecordMemory:
         passed, _ = lfilter(numerator, denominator, signal, zi=state)
         return np.asarray(passed, dtype=np.float64)
 
-    def lead(self, signal: FloatArray, seconds: float) -> FloatArray:
-        """See `Memory.lead`; the slope is taken over some 10 samples, so that noise stays below the signal's own."""
-        slope = gaussian_filter1d(signal, 4.0, order=1, mode="nearest") / self.step
-        return signal + seconds * np.asarray(slope)
+    def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
+        """See `Memory.lead`; derivatives are taken over some 10 samples, so that noise stays below the signal's own."""
+        smoothed = gaussian_filter1d(signal, 4.0, mode="nearest")
+        slope = np.gradient(smoothed, self.step)
+        bend = np.gradient(slope, self.step)
+        return np.asarray(signal + first * slope + second * bend)
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """See `Memory.play`; it starts in the middle of the gap."""
@@ -80,7 +82,7 @@ class StepMemory:
         """Not needed while stepping: sensors are applied to the whole outcome."""
         raise NotImplementedError
 
-    def lead(self, signal: FloatArray, seconds: float) -> FloatArray:
+    def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
         """Not needed while stepping, as above."""
         raise NotImplementedError
 

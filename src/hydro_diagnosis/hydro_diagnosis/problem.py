@@ -90,8 +90,9 @@ class Problem:
             arcs = [arc for arc, _, _ in chambers]
         if MOTION in self.blocks:
             motions = self._block(MOTION, everything, lambda model, claims: model.motion_residual(claims))
+            rounded = any(claim.effect.rounds == "hydraulic_force" for claim in everything)
             for k, part in enumerate(motions):
-                bent = part if arcs is None else part + arcs[k]
+                bent = part if arcs is None or rounded else part + arcs[k]
                 parts.append(bent / self.deviation("motion", k))
         if LOAD in self.blocks:
             loads = self._block(LOAD, everything, lambda model, claims: model.load_residual(claims))

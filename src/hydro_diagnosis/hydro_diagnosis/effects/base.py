@@ -56,8 +56,8 @@ class Memory(Protocol):
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """Second-order low-pass, `bandwidth` in Hz."""
 
-    def lead(self, signal: FloatArray, seconds: float) -> FloatArray:
-        """A slow signal, brought forward in time to first order."""
+    def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
+        """A slow signal s plus `first` [s] times s' plus `second` [s^2] times s''."""
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """Position [m] of what is dragged through a gap of `width` [m] (the play operator)."""
@@ -108,6 +108,11 @@ class Effect:
     """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects without which this one does nothing."""
+
+    @property
+    def rounds(self) -> str:
+        """Channel whose readings lose their kinks (where the current steps) by this effect."""
+        return ""
 
     @property
     def label(self) -> str:

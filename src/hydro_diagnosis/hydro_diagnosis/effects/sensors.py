@@ -102,6 +102,10 @@ class SensorLag(_Sensor):
         Parameter(name="damping", unit="-", low=0.3, high=1.5, neutral=0.7071, probes=(0.7071,), reported=False),
     )
 
+    @property
+    def rounds(self) -> str:
+        return self.channel
+
     def bench(self, bench: Bench, values: Values) -> Bench:
         return replace(bench, load_cell_bandwidth=None) if self.channel == "load_force" else bench
 
@@ -113,7 +117,8 @@ class SensorLag(_Sensor):
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.channel:
             return reading
-        return memory.lead(reading, values["damping"] / (np.pi * values["bandwidth"]))
+        omega = 2.0 * np.pi * values["bandwidth"]
+        return memory.lead(reading, 2.0 * values["damping"] / omega, 1.0 / omega**2)
 
     def sentence(self, values: Values) -> str:
         return f"The amplifier of {self.words} is a low-pass near {values['bandwidth']:.3g} Hz."
