@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, ReferenceSignal, StateArray
+from hydro_bridge.signals import STATE_DTYPE, Command, Flag, FloatArray, ReferenceSignal, StateArray
 from hydro_sim import box_kernel
 from hydro_sim import plant as plants
 from hydro_sim.bench import Bench
@@ -89,6 +89,8 @@ def simulate(
         )
         box.receive(command, k * SAMPLE)
         output[k] = box.tick(measurement, k * SAMPLE)
+        if getattr(plant, "extrapolating", False):  # a learned plant outside of what it was trained on
+            output["flags"][k] |= Flag.EXTRAPOLATING
         measurement = plant.step(float(output["valve_current"][k]))
     return output
 

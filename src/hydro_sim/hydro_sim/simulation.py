@@ -38,7 +38,7 @@ class SimSettings:
     """Settings of the sim node."""
 
     model: str = ""
-    """Weights of a learned bench, `shipped` or `analytic`; empty: `analytic` where `bench` is given, `shipped` where not."""
+    """Weights of a learned bench, `shipped` or `analytic`; empty: `analytic` if `bench` is given, `shipped` if not."""
     bench: str = ""
     """Path of a bench.yaml or a diagnosis' corrected.yaml; empty: the one that comes with hydro_sim."""
     speed: float = 1.0

@@ -193,6 +193,7 @@ def test_offline_runs_of_the_plant_trip_and_flag_as_any_other(shipped):
     schedule = Schedule(reference=replace(SINE, amplitude=300.0), gains=(300.0, 15.0), seconds=4.0)
     run = simulate(LearnedPlant(shipped), Bench.nominal(), schedule)
     assert run["flags"][-1] & Flag.TRIPPED
+    assert np.any(run["flags"] & Flag.EXTRAPOLATING)
 
 
 def test_layers_are_views_of_one_vector():

@@ -20,7 +20,6 @@ from safetensors.numpy import load_file, save_file
 from hydro_bridge.signals import FloatArray
 from hydro_sim.learned.recordings import DataError
 
-
 GAIN = 1e-3
 """Share by which a validation must be better than the best to count."""
 
