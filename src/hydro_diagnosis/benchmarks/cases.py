@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Blind cases for the study: benches with concealed effects as YAML for the emulator, and how they are driven.
 
-Everything is drawn from one seed. Sizes are log-uniform from some five times what two 20 s recordings can resolve, upward.
+Everything is drawn from one seed. Sizes are log-uniform from some five times what two 20 s recordings can resolve,
+upward.
 """
 
 from __future__ import annotations
@@ -111,7 +112,9 @@ OUTSIDE: dict[str, Draw] = {
     "spring_hysteresis": _of(force=_log(6.0, 20.0)),
     "valve_temperature": _of(change=_signed(0.03, 0.15)),
     "valve_underlap": _of(half_width=_log(1e-4, 6e-4)),
-    "cell_crosstalk": _of(coefficient=_signed(1e-6, 4e-6), chamber=_pick("a", "b"), cell=_pick("hydraulic_force", "load_force")),
+    "cell_crosstalk": _of(
+        coefficient=_signed(1e-6, 4e-6), chamber=_pick("a", "b"), cell=_pick("hydraulic_force", "load_force")
+    ),
     "load_hum": _of(amplitude=_log(3.0, 15.0)),
     "load_walk": _of(force=_log(3.0, 15.0)),
     "wall_flexibility": _of(compliance=_log(1e-14, 1e-13)),
@@ -149,7 +152,9 @@ def _drawn(kind: str, table: dict[str, Draw], count: int, rng: np.random.Generat
         values = table[name](rng)
         effects = {} if kind == "outside" else {_id(name): values}
         outside = {name: values} if kind == "outside" else {}
-        yield Case(f"{kind}-{k:03d}-{name.replace('/', '-')}", kind, effects, outside, _noise(rng), _seed(rng), schedules(rng))
+        yield Case(
+            f"{kind}-{k:03d}-{name.replace('/', '-')}", kind, effects, outside, _noise(rng), _seed(rng), schedules(rng)
+        )
 
 
 def _combined(kind: str, size: int, count: int, rng: np.random.Generator) -> Iterator[Case]:

@@ -25,13 +25,17 @@ EQUATIONS = {
     "supply_ripple": {"actuation"},
 }
 _OF_IDS = {
-    "motion": ("friction_coulomb", "friction_viscous", "friction_stribeck", "friction_presliding", "moving_mass", "end_cushion", "force_offset"),
+    "motion": ("friction_coulomb", "friction_viscous", "friction_stribeck", "friction_presliding", "moving_mass",
+               "end_cushion", "force_offset"),
     "load": ("spring_stiffness", "spring_hardening", "spring_rest", "backlash"),
     "sensor": ("load_cell_gain", "load_cell_bias", "pressure_sensor_bias", "sensor_lag"),
-    "actuation": ("valve_deadband", "valve_lag", "transport_delay", "valve_offset", "valve_gain", "valve_gain_asymmetry",
+    "actuation": ("valve_deadband", "valve_lag", "transport_delay", "valve_offset", "valve_gain",
+                  "valve_gain_asymmetry",
                   "valve_null_leakage", "valve_gain_drift", "supply_droop", "supply_pressure", "tank_pressure"),
-    "pressure_a": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area", "dead_volume"),
-    "pressure_b": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area", "dead_volume", "area_ratio"),
+    "pressure_a": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
+                   "dead_volume"),
+    "pressure_b": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
+                   "dead_volume", "area_ratio"),
 }  # fmt: skip
 for _equation, _ids in _OF_IDS.items():
     for _id in _ids:
@@ -61,7 +65,9 @@ def claimed_ids(result: Result) -> list[str]:
 def exact(result: Result) -> bool:
     """Exactly what is concealed is named."""
     truth, claims = true_ids(result), claimed_ids(result)
-    companions = {c for values in result["truth"]["effects"].values() for c in COMPANIONS.get(values.get("form", ""), set())}
+    companions = {
+        c for values in result["truth"]["effects"].values() for c in COMPANIONS.get(values.get("form", ""), set())
+    }
     return truth <= set(claims) <= truth | companions and len(claims) == len(set(claims))
 
 
@@ -109,7 +115,7 @@ def table(results: list[Result]) -> dict[str, Any]:
 
 
 def _parameters(results: list[Result]) -> list[tuple[str, str, str]]:
-    """Errors and coverage over parameters that are named alike in truth and report, where the form is the table's own."""
+    """Errors and coverage over parameters that are named alike in truth and report."""
     errors, inside, by_name = [], [], defaultdict(list)
     for result in results:
         if result["kind"] not in ("single", "value", "pair", "triple") or not exact(result):
@@ -129,7 +135,8 @@ def _parameters(results: list[Result]) -> list[tuple[str, str, str]]:
     low, high = wilson(sum(inside), len(inside))
     return [
         ("parameter error", "median <= 0.5 %, p95 <= 3 %", f"median {middle:.2%}, p95 {tail:.2%} of {len(errors)}"),
-        ("95 % intervals hold the truth", "92 to 98 %", f"{sum(inside) / len(inside):.1%} of {len(inside)} (Wilson {low:.0%} to {high:.0%})"),
+        ("95 % intervals hold the truth", "92 to 98 %",
+         f"{sum(inside) / len(inside):.1%} of {len(inside)} (Wilson {low:.0%} to {high:.0%})"),
     ]  # fmt: skip
 
 
@@ -138,7 +145,10 @@ def _heldout(results: list[Result]) -> list[tuple[str, str, str]]:
     for result in results:
         if result["kind"] in ("single", "value", "pair", "triple"):
             channels = result["fit"]["holdout"].values()
-            parts = [channel["rmse_after"] / channel["noise_floor"] if channel["rmse_after"] is not None else 99.0 for channel in channels]
+            parts = [
+                channel["rmse_after"] / channel["noise_floor"] if channel["rmse_after"] is not None else 99.0
+                for channel in channels
+            ]
             ratios.append(float(np.sqrt(np.mean(np.square(parts)))) if parts else 99.0)
     if not ratios:
         return []
@@ -150,7 +160,8 @@ def _times(results: list[Result]) -> list[tuple[str, str, str]]:
     wall, cpu = [r["wall"] for r in results], [r["cpu"] for r in results]
     if not wall:
         return []
-    text = f"median {np.median(wall):.1f} s wall, {np.median(cpu):.1f} s CPU; longest {max(wall):.1f} s wall, {max(cpu):.1f} s CPU"
+    text = f"median {np.median(wall):.1f} s wall, {np.median(cpu):.1f} s CPU; "
+    text += f"longest {max(wall):.1f} s wall, {max(cpu):.1f} s CPU"
     return [("time per case (60 s of data)", "median <= 10 s, max <= 60 s", text)]
 
 
@@ -170,7 +181,10 @@ def _failures(results: list[Result]) -> str:
         kind = result["kind"]
         fine = {"clean": result["verdict"] == "no_mismatch", "outside": not result["effects"] and located(result)}
         if not fine.get(kind, exact(result)):
-            names = [f"{e['id']}({','.join(f'{v:.3g}' for v in (p['value'] for p in e['parameters'].values()))})" for e in result["effects"]]
+            names = [
+                f"{e['id']}({','.join(f'{v:.3g}' for v in (p['value'] for p in e['parameters'].values()))})"
+                for e in result["effects"]
+            ]
             places = [f"{place['equation']} {place['share']:.2f}" for place in result["location"]]
             lines.append(f"  {result['name']}: {result['verdict']} {names} {places} truth {result['truth']}")
     return "\n".join(lines)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnosis against benches whose effects it cannot see: standards reached beside goals, confusion matrix, failures.
+"""The diagnosis against benches whose effects it cannot see: standards reached beside goals, confusion, failures.
 
-    python src/hydro_diagnosis/benchmarks/study.py --single 60 --pair 20 --clean 60 --outside 12 --seed 7 --folder runs/study
+    python src/hydro_diagnosis/benchmarks/study.py --single 60 --pair 20 --clean 60 --outside 12 --seed 7 --folder
+    runs/study
 
 Truth comes from the emulator's command line; the diagnosis gets bags and bench.yaml, nothing else.
 """
@@ -15,12 +16,12 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from joblib import Parallel, delayed
-
 from cases import Case, draw
-from hydro_diagnosis import InputError, diagnose
+from joblib import Parallel, delayed
 from standards import table
 from truth import record
+
+from hydro_diagnosis import InputError, diagnose
 
 KINDS = ("single", "value", "form", "pair", "triple", "clean", "outside")
 
@@ -66,7 +67,9 @@ def main() -> None:
     options.add_argument("--folder", type=Path, default=Path("runs/study"))
     options.add_argument("--only", nargs="*", default=[], help="parts of names")
     options.add_argument("--workers", type=int, default=2)
-    options.add_argument("--budget", type=float, default=1e9, help="s, after which no new case begins; run again to go on")
+    options.add_argument(
+        "--budget", type=float, default=1e9, help="s, after which no new case begins; run again to go on"
+    )
     options.add_argument("--json", type=Path, help="where the table goes as JSON")
     chosen = options.parse_args()
     cases = draw({kind: getattr(chosen, kind) for kind in KINDS}, chosen.seed)
@@ -83,13 +86,13 @@ def _results(cases: list[Case], folder: Path, workers: int, budget: float) -> li
     """Results of all cases, the new ones computed in slices and kept as JSON beside the recordings."""
     begun = time.monotonic()
     missing = [case for case in cases if not _kept(case, folder).exists()]
-    for at in range(0, len(missing), 4 * workers):
+    for at in range(0, len(missing), 2 * workers):
         if time.monotonic() - begun > budget:
             break
-        slice_ = missing[at : at + 4 * workers]
+        slice_ = missing[at : at + 2 * workers]
         bags = record(slice_, folder)
         done = Parallel(workers, return_as="generator")(delayed(run_case)(case, bags[case.name]) for case in slice_)
-        for case, result in zip(slice_, done):
+        for case, result in zip(slice_, done, strict=True):
             _kept(case, folder).write_text(json.dumps(result))
             print(line(result), flush=True)
             for bag in bags[case.name]:
@@ -107,8 +110,12 @@ def _kept(case: Case, folder: Path) -> Path:
 def line(result: dict[str, Any]) -> str:
     """One case in one line."""
     names = [effect["id"] for effect in result["effects"]]
-    truth = yaml.safe_dump({**result["truth"]["effects"], **result["truth"]["outside"]}, default_flow_style=True, width=500)
-    values = [f"{name}={one['value']:.4g}" for effect in result["effects"] for name, one in effect["parameters"].items()]
+    truth = yaml.safe_dump(
+        {**result["truth"]["effects"], **result["truth"]["outside"]}, default_flow_style=True, width=500
+    )
+    values = [
+        f"{name}={one['value']:.4g}" for effect in result["effects"] for name, one in effect["parameters"].items()
+    ]
     return f"{result['name']} [{result['cpu']:.1f} s] {result['verdict']} {names} {values} | {truth.strip()}"
 
 

@@ -8,12 +8,11 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
-
 from cases import Case
 
 
 def record(cases: Sequence[Case], folder: Path) -> dict[str, list[Path]]:
-    """Write every recording of every case that is not there yet; returns the bags by case name, the held-out one last."""
+    """Write the recordings of all cases; returns the bags by case name, the held-out one last."""
     folder.mkdir(parents=True, exist_ok=True)
     jobs, bags = [], {}
     for case in cases:
@@ -38,4 +37,9 @@ def record(cases: Sequence[Case], folder: Path) -> dict[str, list[Path]]:
 
 def _truth(case: Case) -> dict[str, object]:
     effects = {name: dict(values) for name, values in case.effects.items()}
-    return {"profile": "nominal", "sensors": {"noise_scale": case.noise}, "effects": effects, "outside": dict(case.outside)}
+    return {
+        "profile": "nominal",
+        "sensors": {"noise_scale": case.noise},
+        "effects": effects,
+        "outside": dict(case.outside),
+    }

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Valve and oil: how much pressure and hydraulic force a sample of recorded valve current and motion must have built.
 
-The two chamber equations (paper eq. q13, docs/physics.md) are integrated from sample to sample. Displacement is the difference
+The two chamber equations (paper eq. q13, docs/physics.md) are integrated from sample to sample. Displacement is the
+difference
 of recorded positions, exactly; flow is the mean opening of the valve within the sample times the root of the pressure
 drop at its middle.
 """
@@ -12,9 +13,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Memory, Openings
+from hydro_sim.bench import Bench
 
 SUBSTEPS = 4
 """Of a sample, on which the spool's position is computed: the current is held for a sample, the spool is not."""

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hydro_bridge.console import command
-
 from hydro_diagnosis.corrected import write_corrected
 from hydro_diagnosis.page import write_page
 from hydro_diagnosis.pipeline import Diagnosis, diagnose
@@ -18,19 +17,21 @@ from hydro_diagnosis.table import InputError
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
-    options = argparse.ArgumentParser(prog="diagnose", description="Find, name and size the physics that a simulation leaves out.")
+    options = argparse.ArgumentParser(
+        prog="diagnose", description="Find, name and size the physics that a simulation leaves out."
+    )
     options.add_argument("recordings", nargs="+", metavar="RECORDING", help="rosbag2 folder, .mcap, .csv or .parquet")
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
     options.add_argument("--bench", metavar="FILE", help="bench.yaml or corrected.yaml (default: the nominal bench)")
     options.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the report goes")
-    options.add_argument("--quiet", action="store_true", help="no progress on standard error")
+    options.add_argument("--quiet", action="store_true", help="no progress")
     return options
 
 
 def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict."""
     chosen = parser().parse_args(arguments)
-    quiet = chosen.quiet
+    quiet = chosen.quiet or not sys.stderr.isatty()
     found = diagnose(
         chosen.recordings,
         holdout=chosen.holdout,
@@ -57,11 +58,16 @@ def _say(found: Diagnosis, folder: Path) -> None:
     for effect in report.effects:
         print(f"  {effect.id}: {effect.sentence}")
         for name, estimate in effect.parameters.items():
-            bounds = "not identifiable" if estimate.ci95 is None else f"95 % {estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g}"
+            bounds = (
+                "not identifiable"
+                if estimate.ci95 is None
+                else f"95 % {estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g}"
+            )
             print(f"    {name} = {estimate.value:.4g} {estimate.unit} ({bounds})")
     if report.remainder:
         places = ", ".join(place["equation"] for place in report.remainder["location"])
-        print(f"  something remains in {places}; it depends on {', '.join(report.remainder['depends_on']) or 'none of the variables tried'}")
+        depends = ", ".join(report.remainder["depends_on"]) or "none of the variables tried"
+        print(f"  something remains in {places}; it depends on {depends}")
     print(f"{folder / 'report.html'}, report.json, corrected.yaml ({report.seconds:.1f} s)")
 
 

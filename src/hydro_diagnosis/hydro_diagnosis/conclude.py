@@ -35,7 +35,7 @@ def _report(problem: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds
         parameter.name: ParameterEstimate(
             value=bound.value, ci95=[bound.low, bound.high] if bound.identifiable else None, unit=parameter.unit
         )
-        for parameter, bound in zip(claim.effect.parameters, bounds)
+        for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
         if parameter.reported
     }
     return EffectReport(
@@ -71,9 +71,7 @@ def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> lis
 def location_of(place: Place, problem: Problem) -> Location:
     """A place as it stands in the report: windows by recording."""
     windows: dict[str, list[list[float]]] = {}
-    for model, stretches in zip(problem.models, place.windows):
+    for model, stretches in zip(problem.models, place.windows, strict=True):
         windows.setdefault(model.segment.recording, []).extend([list(stretch) for stretch in stretches])
     region = {name: list(bounds) for name, bounds in place.region.items()}
-    return Location(
-        equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence
-    )
+    return Location(equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""corrected.yaml: the bench with what was found. Wrong bench values are put right; other effects are listed under `effects`.
+"""corrected.yaml: the bench with what was found: wrong values put right, other effects listed under `effects`.
 
-`Bench.load` accepts the file in place of bench.yaml; `claims_of` gives a simulation or a second diagnosis the effects back.
+`Bench.load` accepts the file in place of bench.yaml; `claims_of` gives a simulation or a second diagnosis the
+effects back.
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim
+from hydro_sim.bench import Bench
 
 
 def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Least squares over the parameters of some claims, with each channel weighed by what it leaves unexplained.
 
-A channel's deviation is never taken below the measured noise, and above it where the claims leave a remainder: so a channel
-that nobody can explain does not drown the evidence of the others (docs/diagnosis.md, "Evidence").
+A channel's deviation is never taken below the measured noise, and above it where the claims leave a remainder: so a
+channel that nobody can explain does not drown the evidence of the others (docs/diagnosis.md, "Evidence").
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
     claims, k = [], 0
     for effect in effects:
         names = [parameter.name for parameter in effect.parameters]
-        claims.append(Claim(effect, dict(zip(names, map(float, values[k : k + len(names)])))))
+        claims.append(Claim(effect, dict(zip(names, map(float, values[k : k + len(names)]), strict=True))))
         k += len(names)
     return tuple(claims)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Free-form hidden inputs: in which equation would an unnamed quantity have to act, as a function of which variable?
+"""Free-form hidden inputs: in which equation an unnamed quantity would have to act, as a function of which variable.
 
 For each equation and variable a piecewise linear function with many knots is pushed through that equation's way to the
 residuals and fitted by linear least squares. It competes with the named causes at the same price per parameter.
@@ -16,9 +16,10 @@ from scipy.signal import lfilter
 from hydro_diagnosis import chambers
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.fit import Fit, deviance, spreads
-from hydro_diagnosis.model import BLOCK, LOAD_CELL_DAMPING, OBSERVER_MEMORY, SegmentModel
+from hydro_diagnosis.model import BLOCK, OBSERVER_MEMORY, SegmentModel
 from hydro_diagnosis.problem import CHANNELS, Problem
 from hydro_diagnosis.smoothing import finish, smooth
+from hydro_sim.bench import LOAD_CELL_DAMPING
 
 KNOTS = 24
 """Of each function; of time: per recording."""
@@ -111,13 +112,10 @@ def _knots(problem: Problem, variable: str) -> FloatArray:
 
 def _hats(problem: Problem, variable: str, knots: FloatArray) -> Iterator[list[FloatArray]]:
     """Basis functions over all segments; of time they act in one segment each."""
-    for k, model in enumerate(problem.models):
-        if variable == "time":
-            for j in range(len(knots)):
-                yield [_hat(variable_of(one, "time"), knots, j) * (one is model) for one in problem.models]
-        elif k == 0:
-            for j in range(len(knots)):
-                yield [_hat(variable_of(one, variable), knots, j) for one in problem.models]
+    groups = [[model] for model in problem.models] if variable == "time" else [problem.models]
+    for group in groups:
+        for j in range(len(knots)):
+            yield [_hat(variable_of(one, variable), knots, j) * (one in group) for one in problem.models]
 
 
 def _hat(values: FloatArray, knots: FloatArray, index: int) -> FloatArray:
@@ -137,12 +135,18 @@ class _Responses:
         self._stiff: list[tuple[FloatArray, FloatArray]] = []
         self._roots: list[tuple[FloatArray, FloatArray]] = []
         if "pressure" in problem.blocks and equation in ("pressure_a", "pressure_b", "actuation"):
-            for model, bench in zip(problem.models, self._benches):
+            for model, bench in zip(problem.models, self._benches, strict=True):
                 oil = model.oil(everything)
                 self._stiff.append(chambers.compliances(bench, oil, everything))
                 p_a, p_b = oil.pressures
-                root, p_s, p_t, opened = chambers.signed_root, bench.supply_pressure, bench.tank_pressure, oil.spool.mean(axis=-1) >= 0
-                self._roots.append((np.where(opened, root(p_s - p_a), root(p_a - p_t)), np.where(opened, root(p_b - p_t), root(p_s - p_b))))  # fmt: skip
+                root, p_s, p_t, opened = (
+                    chambers.signed_root,
+                    bench.supply_pressure,
+                    bench.tank_pressure,
+                    oil.spool.mean(axis=-1) >= 0,
+                )
+                self._roots.append((np.where(opened, root(p_s - p_a), root(p_a - p_t)), np.where(opened, root(p_b -
+                p_t), root(p_s - p_b))))  # fmt: skip
 
     @property
     def visible(self) -> bool:

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Does the corrected model predict better? Simulated against recordings that no parameter has seen.
 
-Windows of 70 ms are simulated from the recorded valve current. Their four initial states are estimated from the window itself
+Windows of 70 ms are simulated from the recorded valve current. Their four initial states are estimated from the
+window itself
 (multiple shooting): an encoder's step is finer than any estimate of the state before it could be. The free run, half
 a second, starts from the recording's smoothed state and is not touched again.
 """
@@ -36,7 +37,9 @@ class ChannelError:
     noise_floor: float
 
 
-def errors(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> dict[str, FloatArray]:
+def errors(
+    plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
+) -> dict[str, FloatArray]:
     """Reading minus recording, by channel, shape (length, windows)."""
     state = plant.start(begins)
     if shooting:

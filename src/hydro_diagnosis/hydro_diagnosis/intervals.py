@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """How sure a parameter is: 95 % by profile likelihood, with what the likelihood cannot know added.
 
-A parameter is moved, all others are fitted anew, and the deviance must rise by 3.84. Residuals are not quite independent
-and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to the curvature
-(the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part covers the residuals' own
-discretisation: a fraction of the smallest size worth claiming.
+A parameter is moved, all others are fitted anew, and the deviance must rise by 3.84. Residuals are not quite
+independent
+and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to the
+curvature
+(the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part covers the
+residuals' own discretisation: a fraction of the smallest size worth claiming.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from hydro_diagnosis.problem import Problem
 QUANTILE = 1.96
 SYSTEMATIC = 0.1
 """Of a parameter's smallest size worth claiming; of the value itself for shapes: `SYSTEMATIC_SHAPE`."""
-SYSTEMATIC_SHAPE = 0.003
+SYSTEMATIC_SHAPE = 0.01
 _BLOCK = 0.25
 
 

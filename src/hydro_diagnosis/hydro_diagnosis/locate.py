@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where a mismatch lives: in which equation, at which times, in which region of the state space.
 
-Channels alone do not tell: a load that is not the spring also shows in the motion, and a valve that is not the valve in both
-chambers. So an excess is traced back to the one equation whose hidden input explains the channels together.
+Channels alone do not tell: a load that is not the spring also shows in the motion, and a valve that is not the valve
+in both chambers. So an excess is traced back to the one equation whose hidden input explains the channels together.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.problem import CHANNELS, Problem
 
 NOTICEABLE = 1.35
-"""Mean square over the noise's from which a channel holds more than noise (recordings with nothing missing stay below)."""
+"""Mean square over the noise's, from which a channel holds more than noise: with nothing missing it stays below."""
 _PAUSE = 2.0
 """s, pauses of excess that `windows` bridge."""
 _WINDOW = 0.5
@@ -52,7 +52,7 @@ def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm]) ->
     """Equations that hold more than noise, the largest share first; empty if there is none."""
     squares = mean_squares(problem, residual)
     excess = {name: square - 1.0 for name, square in squares.items() if square > NOTICEABLE}
-    counts = dict(zip(CHANNELS, problem.layout.count()))
+    counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
     weights: dict[str, float] = {}
     channel_of: dict[str, str] = {}
     for name in excess:
@@ -74,13 +74,19 @@ def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Pla
         signature = np.bincount(layout.channel, np.square(without - found.residual), len(CHANNELS))
         shown = {name: float(signature[k]) for k, name in enumerate(CHANNELS)}
         for equation in claim.effect.equations:
-            channel = equation if equation in shown and len(claim.effect.equations) > 1 else max(shown, key=lambda name: shown[name])
+            channel = (
+                equation
+                if equation in shown and len(claim.effect.equations) > 1
+                else max(shown, key=lambda name: shown[name])
+            )
             size = shown[channel] if len(claim.effect.equations) > 1 else sum(shown.values())
             key = (equation, channel)
             power[key] = power.get(key, 0.0) + size
     total = sum(power.values()) or 1.0
     ranked = sorted(power, key=lambda key: -power[key])
-    return [_place(problem, nothing, equation, channel, power[equation, channel] / total) for equation, channel in ranked]
+    return [
+        _place(problem, nothing, equation, channel, power[equation, channel] / total) for equation, channel in ranked
+    ]
 
 
 def _equation(
@@ -105,7 +111,11 @@ def _of_chambers(channel: str, excess: dict[str, float], forms: Sequence[FreeFor
         return "sensor"
     if other not in excess:
         return channel
-    best = {form.equation: form.gain for form in reversed(forms) if form.equation in ("pressure_a", "pressure_b", "actuation")}
+    best = {
+        form.equation: form.gain
+        for form in reversed(forms)
+        if form.equation in ("pressure_a", "pressure_b", "actuation")
+    }
     return max([channel, "actuation"], key=lambda equation: best.get(equation, 0.0))
 
 
@@ -162,7 +172,9 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
     for name in ("position", "velocity", "current"):
         if name == "current" and "valve_current" not in problem.models[0].channels:
             continue
-        values = np.concatenate([variable_of(model, name)[mask] for model, mask in zip(problem.models, inside)])
+        values = np.concatenate(
+            [variable_of(model, name)[at] for model, at in zip(problem.models, inside, strict=True)]
+        )
         if len(values):
             low, high = np.percentile(values, [10, 90])
             region[name] = (float(low), float(high))
@@ -174,11 +186,11 @@ def _stretches(time: FloatArray, loud: FloatArray) -> tuple[tuple[float, float],
     """Stretches in which something is loud; pauses shorter than `_PAUSE` are bridged."""
     loud = loud.copy()
     pauses = np.flatnonzero(np.diff(np.concatenate([[True], loud, [True]]).astype(np.int8)))
-    for begin, end in zip(pauses[::2], pauses[1::2]):
+    for begin, end in zip(pauses[::2], pauses[1::2], strict=True):
         if time[min(end, len(time) - 1)] - time[begin] < _PAUSE and begin > 0 and end < len(time):
             loud[begin:end] = True
     edges = np.flatnonzero(np.diff(np.concatenate([[False], loud, [False]]).astype(np.int8)))
-    return tuple((float(time[begin]), float(time[end - 1])) for begin, end in zip(edges[::2], edges[1::2]))
+    return tuple((float(time[begin]), float(time[end - 1])) for begin, end in zip(edges[::2], edges[1::2], strict=True))
 
 
 _WORDS = {

@@ -141,6 +141,7 @@ def amplifier(bandwidth: float, damping: float, step: float) -> tuple[FloatArray
     late = step_map[:2, 3] / step
     early = step_map[:2, 2] - late
     trace, determinant = float(np.trace(transition)), float(np.linalg.det(transition))
+
     # y = C (zI - F)^-1 (early + late z), C = [1, 0]
     def resolvent(vector: FloatArray) -> FloatArray:
         return np.array([vector[0], transition[0, 1] * vector[1] - transition[1, 1] * vector[0]])

@@ -16,7 +16,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 from scipy.signal import lfilter
 
 from hydro_diagnosis import chambers
@@ -26,6 +25,7 @@ from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.memory import RecordMemory
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.smoothing import STRIDE, finish, kinematics, smooth
+from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 
 OBSERVER_MEMORY = 0.12
 """s. A shorter memory forgets the slow drift that a small leak builds up."""
@@ -100,11 +100,14 @@ class SegmentModel:
         oil = self.oil(claims)
         into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
         stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
-        swept = bench.piston_area * np.diff(self.channels["piston_position"], append=self.channels["piston_position"][-1])
+        swept = bench.piston_area * np.diff(
+            self.channels["piston_position"], append=self.channels["piston_position"][-1]
+        )
         built_a = stiff_a * (into_a * self.step - swept)
         built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
         innovations = tuple(
-            self._innovation("pressure_" + chamber, built, claims) for chamber, built in zip("ab", (built_a, built_b))
+            self._innovation(channel, built, claims)
+            for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
         )
         force = bench.piston_area * (built_a - bench.area_ratio * built_b)
         return ChamberRun((innovations[0], innovations[1]), self._arc(bench, oil, stiff_a, stiff_b), force)

@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from math import comb, hypot
 
 import numpy as np
-from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model import BLOCK, SegmentModel
 from hydro_diagnosis.smoothing import ACCELERATION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
+from hydro_sim.bench import Bench
 
 _ORDER = 6
 _GAIN = sum(comb(_ORDER, k) ** 2 for k in range(_ORDER + 1)) ** 0.5
@@ -40,7 +40,7 @@ def _pooled(parts: list[tuple[int, float]]) -> float:
 
 
 def _nearly_white(model: SegmentModel) -> dict[str, FloatArray]:
-    """Channels with what the nominal model knows of their kinks taken out: the current's steps bend pressures and f_h."""
+    """Channels without the kinks that the nominal model knows of: the current's steps bend pressures and f_h."""
     signals = {name: model.channels[name] for name in _SENSED if name in model.channels}
     if model.has_position and model.has_pressures and "valve_current" in model.channels:
         run = model.chamber_run(())
@@ -54,7 +54,7 @@ _SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_
 
 
 FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
-"""Pa, N: below this the residuals' own discretisation is not better than the sensors (docs/diagnosis.md, "Noise floor")."""
+"""Pa, N: the residuals' own discretization is not better than this (docs/diagnosis.md, "Noise floor")."""
 
 
 def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:

@@ -59,15 +59,18 @@ def _locations(report: Report) -> str:
     if not report.location:
         return ""
     rows = "".join(
-        f"<tr><td>{escape(place.sentence)}</td><td>{escape(_region(place.region))}</td></tr>" for place in report.location
+        f"<tr><td>{escape(place.sentence)}</td><td>{escape(_region(place.region))}</td></tr>"
+        for place in report.location
     )
-    return f"<section><h2>Where</h2><table><tr><th></th><th>where it stands out (10th to 90th percentile)</th></tr>{rows}</table></section>"
+    head = "<tr><th></th><th>where it stands out (10th to 90th percentile)</th></tr>"
+    return f"<section><h2>Where</h2><table>{head}{rows}</table></section>"
 
 
 def _region(region: dict[str, list[float]]) -> str:
     units = {"position": ("mm", 1e3), "velocity": ("mm/s", 1e3), "current": ("mA", 1e3)}
     return "; ".join(
-        f"{name} {low * units[name][1]:.3g} to {high * units[name][1]:.3g} {units[name][0]}" for name, (low, high) in region.items()
+        f"{name} {low * units[name][1]:.3g} to {high * units[name][1]:.3g} {units[name][0]}"
+        for name, (low, high) in region.items()
     )
 
 
@@ -109,14 +112,21 @@ def _held_out(report: Report) -> str:
     rows = ""
     for name, error in report.fit["holdout"].items():
         free: dict[str, Any] = report.fit["free_run"].get(name, {})
-        cells = [error["rmse_before"], error["rmse_after"], error["noise_floor"], free.get("rmse_before"), free.get("rmse_after")]
+        cells = [
+            error["rmse_before"],
+            error["rmse_after"],
+            error["noise_floor"],
+            free.get("rmse_before"),
+            free.get("rmse_after"),
+        ]
         numbers = "".join(f"<td class='n'>{cell:.4g}</td>" if cell is not None else "<td></td>" for cell in cells)
         rows += f"<tr><td>{name}</td><td>{error['unit']}</td>{numbers}</tr>"
     if not rows:
         return ""
     return (
-        "<section><h2>Held-out error (RMSE)</h2><table><tr><th>channel</th><th>unit</th><th>70 ms, before</th><th>after</th>"
-        f"<th>noise floor</th><th>free run, before</th><th>after</th></tr>{rows}</table></section>"
+        "<section><h2>Held-out error (RMSE)</h2><table><tr><th>channel</th><th>unit</th><th>70 ms, before</th>"
+        "<th>after</th><th>noise floor</th><th>free run, before</th><th>after</th></tr>"
+        f"{rows}</table></section>"
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`diagnose`: recordings in, a report out. The stages in their order, each a line; what they do stands in their modules."""
+"""`diagnose`: recordings in, a report out. The stages in their order; what they do stands in their modules."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
 from typing import Any
-
-from hydro_sim.bench import Bench
 
 from hydro_diagnosis.conclude import describe, location_of
 from hydro_diagnosis.corrected import claims_of
@@ -26,6 +24,7 @@ from hydro_diagnosis.report import Report, channel_errors
 from hydro_diagnosis.search import Outcome, Search, SearchSettings
 from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
 from hydro_diagnosis.verdict import Assessment, assess
+from hydro_sim.bench import Bench
 
 Progress = Callable[[str], None]
 LONGEST = 90.0
@@ -164,7 +163,10 @@ def _informative(segments: list[Segment], quality: list[str]) -> list[Segment]:
     for segment in segments:
         length = round(10.0 / segment.step)
         pieces += [segment.cut(at, at + length) for at in range(0, max(len(segment) - length + 1, 1), length)]
-    lively = sorted(pieces, key=lambda piece: -float(piece.channels.get("piston_position", next(iter(piece.channels.values()))).std()))
+    lively = sorted(
+        pieces,
+        key=lambda piece: -float(piece.channels.get("piston_position", next(iter(piece.channels.values()))).std()),
+    )
     kept = lively[: int(LONGEST / 10.0)]
     quality.append(f"of {total:.0f} s the {10 * len(kept)} s in which most moves were fitted, in pieces of 10 s")
     return kept
@@ -186,12 +188,21 @@ def _fit(problem: Problem, assessment: Assessment, models: list[SegmentModel]) -
     """Held-out errors of the baseline and of the corrected model."""
     needed = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
     if not models or not all(needed <= set(model.channels) for model in models):
-        return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": "a forward simulation needs current, position and both pressures"}
+        return {
+            "holdout": {},
+            "horizon_s": HORIZON,
+            "free_run": {},
+            "why": "a forward simulation needs current, position and both pressures",
+        }
     before, after = problem.baseline, (*problem.baseline, *assessment.fit.claims)
     noise = problem.sensor_noise
     horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True)
     free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False)
-    return {"holdout": channel_errors(horizon), "horizon_s": HORIZON, "free_run": {"seconds": FREE_RUN, **channel_errors(free)}}
+    return {
+        "holdout": channel_errors(horizon),
+        "horizon_s": HORIZON,
+        "free_run": {"seconds": FREE_RUN, **channel_errors(free)},
+    }
 
 
 def _version() -> str:

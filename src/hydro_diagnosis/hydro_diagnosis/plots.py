@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report's pictures, as SVG text: residuals before and after, each effect's own curve over data, evidence, held-out errors."""
+"""The report's pictures, as SVG text: residuals before and after, each effect's own curve over data, evidence."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend
 
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.freeform import variable_of
 from hydro_diagnosis.pipeline import Diagnosis
 from hydro_diagnosis.problem import CHANNELS
+from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend
 
 _NAMES = {
     "pressure_a": ("chamber A", "kPa", 1e-3),
@@ -52,7 +52,7 @@ def residual_plot(found: Diagnosis) -> str:
     present = [k for k in range(len(CHANNELS)) if np.any(layout.channel == k)]
 
     def draw(axes: Any) -> None:
-        for axis, k in zip(axes, present):
+        for axis, k in zip(axes, present, strict=True):
             at = (layout.channel == k) & (layout.segment == 0)
             name, unit, factor = _NAMES[CHANNELS[k]]
             scale = problem.noise[CHANNELS[k]] * factor
@@ -83,7 +83,9 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
 
     def draw(axes: Any) -> None:
         shown = np.random.default_rng(0).permutation(len(x))[:4000]
-        axes[0].plot(x[shown] * units, without[at][shown] * scale, ".", color=GRAY, markersize=1.5, alpha=0.5, label="recorded")
+        axes[0].plot(
+            x[shown] * units, without[at][shown] * scale, ".", color=GRAY, markersize=1.5, alpha=0.5, label="recorded"
+        )
         centers, means = _binned(x, without[at])
         axes[0].plot(centers * units, means * scale, "o", color=ORANGE, markersize=3, label="mean")
         centers, means = _binned(x, signature[at])

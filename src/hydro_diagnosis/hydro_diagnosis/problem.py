@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
 from hydro_diagnosis.model import ChamberRun, SegmentModel
 from hydro_diagnosis.noise import residual_noise, sensor_noise
 from hydro_diagnosis.recording import Segment
+from hydro_sim.bench import Bench
 
 CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
 _CACHE = 24
@@ -117,7 +117,12 @@ class Problem:
         return model.arc_residual(run), *model.pressure_residuals(run)
 
     def _layout(self) -> Layout:
-        names = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
+        names = {
+            PRESSURE: ("pressure_a", "pressure_b"),
+            MOTION: ("motion",),
+            LOAD: ("load",),
+            HYDRAULIC: ("hydraulic",),
+        }
         channel, segment, time = [], [], []
         for block in self.blocks:
             for name in names[block]:

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """Checks on what was read: repaired and listed where that is honest, refused in one sentence where it is not.
 
-The outcome is contiguous segments on an even grid: a recording is cut where samples, numbers or a sensor are missing for
-longer than `BRIDGED`, and straight lines bridge what is shorter.
+The outcome is contiguous segments on an even grid: a recording is cut where samples, numbers or a sensor are missing
+for longer than `BRIDGED`, and straight lines bridge what is shorter.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
 from hydro_diagnosis.table import RawTable, UnusableRecordingError
+from hydro_sim.bench import Bench
 
 BRIDGED = 5
 """Samples, the longest gap that is bridged by a straight line."""
@@ -49,8 +49,10 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     bad = _bad_samples(table.name, columns, notes) | _outside_equations(columns, bench, notes)
     segments = _segments(table.name, step, index, columns, bad, notes)
     if not segments:
-        raise UnusableRecordingError(f"{table.name}: no stretch of {SHORTEST:g} s without a gap: too short to be diagnosed"
-            + (f" ({notes[-1]})" if notes else ""))
+        raise UnusableRecordingError(
+            f"{table.name}: no stretch of {SHORTEST:g} s without a gap: too short to be diagnosed"
+            + (f" ({notes[-1]})" if notes else "")
+        )
     return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in notes))
 
 
@@ -100,12 +102,16 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
     if "piston_position" in columns:
         span = float(np.nanmax(columns["piston_position"]) - np.nanmin(columns["piston_position"]))
         if span < STILL:
-            raise UnusableRecordingError(f"{name}: the piston position does not change (by {span:.2g} m): nothing can be diagnosed")
+            raise UnusableRecordingError(
+                f"{name}: the piston position does not change (by {span:.2g} m): nothing can be diagnosed"
+            )
     if "valve_current" in columns:
         limit = bench.valve_current_max * 0.999
         share = float(np.mean(np.abs(columns["valve_current"]) >= limit))
         if share > 0.6:
-            raise UnusableRecordingError(f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples")
+            raise UnusableRecordingError(
+                f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples"
+            )
 
 
 def _bad_samples(name: str, columns: dict[str, FloatArray], notes: list[str]) -> Mask:
@@ -134,7 +140,9 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
             outside |= columns[name] < CAVITATION
     if not outside.any():
         return outside
-    notes.append(f"{int(outside.sum())} samples stand in an end stop or cavitate; they and their surroundings are not judged")
+    notes.append(
+        f"{int(outside.sum())} samples stand in an end stop or cavitate; they and their surroundings are not judged"
+    )
     wide: Mask = np.convolve(outside, np.ones(2 * EVENT_MARGIN + 1), mode="same") > 0.5
     return wide
 
@@ -144,7 +152,7 @@ def _repeats(values: FloatArray) -> Mask:
     same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
     edges = np.flatnonzero(np.diff(same.astype(np.int8)))
     repeats = np.zeros(len(values), dtype=bool)
-    for begin, end in zip(edges[::2], edges[1::2]):
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
         if end - begin >= FROZEN:
             repeats[begin : end + 1] = True
     return repeats
@@ -169,7 +177,7 @@ def _segments(
     starts, ends = np.concatenate([[0], cuts + 1]), np.concatenate([cuts + 1, [len(unique)]])
     segments, bridged, short = [], 0, 0
     origin = unique[0]
-    for begin, end in zip(starts, ends):
+    for begin, end in zip(starts, ends, strict=True):
         at = unique[begin:end]
         even = np.arange(at[0], at[-1] + 1)
         if len(even) * step < SHORTEST:

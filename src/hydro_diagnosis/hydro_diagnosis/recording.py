@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording as the diagnosis sees it: contiguous segments of equally spaced samples, channels by BenchState field name."""
+"""A recording as the diagnosis sees it: segments of equally spaced samples, channels by BenchState field name."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Segment:
     @property
     def time(self) -> FloatArray:
         """s since the start of the recording, shape (n,)."""
-        return self.start + self.step * np.arange(len(self))
+        return self.start + self.step * np.arange(len(self), dtype=np.float64)
 
     def cut(self, begin: int, end: int) -> Segment:
         """The samples from `begin` up to `end`."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A quick look at every candidate: how much could it explain of what the present fit leaves over, to first order?"""
+"""A quick look at every candidate: how much it could explain of what the present fit leaves over, to first order."""
 
 from __future__ import annotations
 
@@ -62,11 +62,17 @@ def _without(basis: FloatArray, vector: FloatArray) -> FloatArray:
 def _starts(effect: Effect) -> Iterator[dict[str, float]]:
     names = [parameter.name for parameter in effect.parameters]
     for values in product(*(parameter.probes for parameter in effect.parameters)):
-        yield dict(zip(names, values))
+        yield dict(zip(names, values, strict=True))
 
 
 def _look(
-    problem: Problem, fit: Fit, effect: Effect, start: dict[str, float], weight: FloatArray, basis: FloatArray, left: FloatArray
+    problem: Problem,
+    fit: Fit,
+    effect: Effect,
+    start: dict[str, float],
+    weight: FloatArray,
+    basis: FloatArray,
+    left: FloatArray,
 ) -> Prospect:
     outcome = problem.residual((*fit.claims, Claim(effect, start)))
     direction = _without(basis, (outcome - fit.residual) * weight)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Which causes together account for the recordings: forward, backward and swap steps by evidence.
 
-Evidence is the Bayesian information criterion on the deviance of `fit`: a claim must gain more than ln(n) per parameter plus a
+Evidence is the Bayesian information criterion on the deviance of `fit`: a claim must gain more than ln(n) per
+parameter plus a
 threshold that `calibrate` found on recordings in which nothing is missing, by running this whole search on them.
 """
 
@@ -29,7 +30,7 @@ class SearchSettings:
     shortlist: int = 7
     """Prospects that are fitted in full at each step."""
     form_error: float = 0.05
-    """Share of a claim's signature that may be an error of its form: another of its family must explain more, [0, 1]."""
+    """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +111,9 @@ class Search:
             if any(claim.effect.id in one.effect.needs for one in others):
                 continue
             without = fit(self.problem, others)
-            prospects = [p for p in screen(self.problem, without, self.library) if p.claim.effect.label != claim.effect.label]
+            prospects = [
+                p for p in screen(self.problem, without, self.library) if p.claim.effect.label != claim.effect.label
+            ]
             fits = [fit(self.problem, (*without.claims, p.claim)) for p in prospects[:4] if p.gain > 0.0]
             fits.sort(key=lambda one: score(self.problem, one))
             outcome.rivals[claim.effect.label] = fits
@@ -141,7 +144,9 @@ class Search:
         self.problem.set_doubt(found.claims)
         outcome.nothing = fit(self.problem, ())
         outcome.fit = fit(self.problem, found.claims)
-        outcome.steps.append(Step(action, label, score(self.problem, outcome.fit) - score(self.problem, outcome.nothing)))
+        outcome.steps.append(
+            Step(action, label, score(self.problem, outcome.fit) - score(self.problem, outcome.nothing))
+        )
         self.progress(f"{action} {label}")
 
     def _form_error(self, base: Fit, found: Fit) -> bool:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward simulation of the bench with claims, from the recorded valve current, many windows of a recording side by side.
+"""Forward simulation of the bench with claims, from the recorded valve current, many windows side by side.
 
-The same effects' hooks that make the residuals make the rates here; the states are x_p, x_p', p_a, p_b by RK4. What else has a
-past (droop, bristles, play) starts where the recording itself puts it.
+The same effects' hooks that make the residuals make the rates here; the states are x_p, x_p', p_a, p_b by RK4. What
+else has a past (droop, bristles, play) starts where the recording itself puts it.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 
 from hydro_diagnosis import chambers
 from hydro_diagnosis.chambers import Oil
@@ -21,6 +20,7 @@ from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.memory import RecordMemory, StepMemory
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.smoothing import smooth
+from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 
 SUBSTEPS = 8
 """RK4 steps per sample: 125 us, a ninetieth of a period of the mass-on-oil mode."""
@@ -78,7 +78,7 @@ class Plant:
         return np.stack([model.x[begins], model.v[begins], p_a[begins], p_b[begins]])
 
     def run(self, state: FloatArray, begins: Indices, length: int) -> FloatArray:
-        """Simulate windows of `length` samples; `state` as from `start` or with several variants, shape (4, variants * windows).
+        """Simulate windows of `length` samples from `state`: as from `start`, or variants side by side.
 
         Returns
         -------
@@ -92,12 +92,15 @@ class Plant:
         for k in range(length):
             states[k] = state
             for s in range(SUBSTEPS):
-                time = self.model.segment.start + (samples + k) * self.model.step + s * step
+                seconds = self.model.segment.start + (samples + k) * self.model.step + s * step
+                time = np.asarray(seconds, dtype=np.float64)
                 spool = self.spool[samples + k, s][:, None]
                 state = self._step(state, time, spool, memory, step)
         return states
 
-    def _step(self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory, step: float) -> FloatArray:
+    def _step(
+        self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory, step: float
+    ) -> FloatArray:
         first = self.rates(state, time, spool, memory)
         second = self.rates(state + 0.5 * step * first, time, spool, memory)
         third = self.rates(state + 0.5 * step * second, time, spool, memory)

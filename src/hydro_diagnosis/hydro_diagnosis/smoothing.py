@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weak form: signals and their derivatives seen through Gaussian test functions, so that nothing noisy is differentiated.
+"""Weak form: signals and derivatives seen through Gaussian test functions; nothing noisy is differentiated.
 
-Two Gaussians follow each other. The first (1 ms) makes position, velocity and acceleration out of the recorded position;
+Two Gaussians follow each other. The first (1 ms) makes position, velocity and acceleration out of the recorded
+position;
 the second brings everything, forces computed from these and forces measured, to the same total width of 1.5 ms.
 """
 

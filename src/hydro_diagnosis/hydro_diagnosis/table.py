@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+
 from hydro_bridge.recording import RecordingError, read_bag
 from hydro_bridge.signals import STATE_FIELDS
-
 from hydro_diagnosis.effects.base import FloatArray
 
 

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What may be said: which claims stand, whether something remains that nobody named, and what the verdict is.
 
-A name is never forced. Where something remains, claims that explain little are dropped, as they may only mimic the remainder;
+A name is never forced. Where something remains, claims that explain little are dropped, as they may only mimic the
+remainder;
 and if those that are left do not explain nearly all of the gap, they are dropped too and the verdict is `unknown`.
 """
 
@@ -56,7 +57,9 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     labels = {claim.effect.label for claim in kept.claims}
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
-    return Assessment("partly_explained" if kept.claims else "unknown", kept, places, remainder, tuple(forms[:6]), dropped)
+    return Assessment(
+        "partly_explained" if kept.claims else "unknown", kept, places, remainder, tuple(forms[:6]), dropped
+    )
 
 
 def noticeable(problem: Problem, residual: FloatArray) -> bool:
@@ -68,7 +71,11 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
     counts = problem.layout.count()
     before, after = mean_squares(problem, nothing.residual), mean_squares(problem, found.residual)
-    gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if square > NOTICEABLE or after[name] > NOTICEABLE}
+    gaps = {
+        name: max(square - 1.0, 0.0)
+        for name, square in before.items()
+        if square > NOTICEABLE or after[name] > NOTICEABLE
+    }
     left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
     shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and left[name] > NOTICEABLE - 1.0]
     return float(min(shares, default=1.0)) if counts.sum() else 1.0
@@ -89,7 +96,7 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit) -> Fit:
 
 
 def _coincidence(claims: Sequence[Claim]) -> bool:
-    """Whether both dead volumes are off by the same amount: two errors do not agree, so it is something else (hoses that give)."""
+    """Whether both dead volumes are off alike: two errors do not agree, so it is something else (hoses that give)."""
     ratios = [claim.values["ratio"] for claim in claims if claim.effect.id == "dead_volume"]
     return len(ratios) == 2 and abs(ratios[0] - ratios[1]) < 0.05 * abs(ratios[0] - 1.0)
 

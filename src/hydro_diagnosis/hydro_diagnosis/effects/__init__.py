@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The physics library: one small class per cause, grouped by where on the bench it lives; `LIBRARY` holds all candidates.
+"""The physics library: one small class per cause, grouped by where it lives; `LIBRARY` holds all candidates.
 
 Adding an effect is writing its class and listing it in its module's `EFFECTS`; nothing else changes.
 """

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What an effect is: a named cause with parameters, that says what it does to command, flows, forces or measurements.
 
-Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same hooks serve
+Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same
+hooks serve
 the regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes through
 `Memory`, which either filters a whole record or advances one step.
 """
@@ -15,6 +16,7 @@ from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import numpy.typing as npt
+
 from hydro_sim.bench import Bench
 
 FloatArray = npt.NDArray[np.float64]
@@ -134,7 +136,7 @@ class Effect:
         return bench
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
-        """Spool position in A from the valve current, shape (n, substeps), `substep` in s; the record starts at rest."""
+        """Spool position [A] from the valve current, shape (n, substeps); `substep` in s. The record starts at rest."""
         return current
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:

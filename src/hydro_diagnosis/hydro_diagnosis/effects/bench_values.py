@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hydro_sim.bench import Bench
-
 from hydro_diagnosis.effects.base import HYDRAULIC, PRESSURE, Effect, Parameter, Values
+from hydro_sim.bench import Bench
 
 _RATIO = Parameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
 

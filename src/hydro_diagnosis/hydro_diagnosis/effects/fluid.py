@@ -30,7 +30,8 @@ class BulkModulus(Effect):
 class EntrainedAir(Effect):
     """Compliance of oil and of free air in series: 1/beta_e = (o/beta + g/(n p)) / (o + g).
 
-    o = (1 - a) exp(-p/beta) and g = a (p_0/p)^(1/n) are the volumes of oil and air. Merritt 1967, section 2-6, with the exponent n of the air's compression: 1.4 adiabatic, 1.0 isothermal.
+    o = (1 - a) exp(-p/beta) and g = a (p_0/p)^(1/n) are the volumes of oil and air. Merritt 1967, section 2-6, with
+    the exponent n of the air's compression: 1.4 adiabatic, 1.0 isothermal.
     """
 
     id = "entrained_air"
@@ -52,9 +53,8 @@ class EntrainedAir(Effect):
         return (oil + air) / (oil / modulus + air / (exponent * absolute))
 
     def sentence(self, values: Values) -> str:
-        return (
-            f"{values['volume_fraction'] * 100:.3g} % of free air (at atmospheric pressure) in the oil softens it at low pressure."
-        )
+        share = values["volume_fraction"] * 100.0
+        return f"{share:.3g} % of free air (at atmospheric pressure) softens the oil where its pressure is low."
 
 
 EFFECTS: tuple[Effect, ...] = (BulkModulus(), EntrainedAir(), EntrainedAir({"form": "isothermal"}))

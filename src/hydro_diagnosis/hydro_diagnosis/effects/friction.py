@@ -6,7 +6,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects.base import (
     MOTION,
@@ -17,6 +16,7 @@ from hydro_diagnosis.effects.base import (
     Parameter,
     Values,
 )
+from hydro_sim.bench import Bench
 
 SLIP_VELOCITY = 1e-3
 """m/s, over which dry friction changes sign."""
@@ -110,9 +110,7 @@ class FrictionPresliding(Effect):
     equations = ("motion",)
     touches = frozenset({MOTION})
     needs = ("friction_coulomb",)
-    parameters = (
-        Parameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),
-    )
+    parameters = (Parameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -137,7 +135,9 @@ class ForceOffset(Effect):
         return force - values["force"]
 
     def sentence(self, values: Values) -> str:
-        return f"A constant force of {values['force']:.3g} N acts on the moving mass (for instance its weight on a slope)."
+        return (
+            f"A constant force of {values['force']:.3g} N acts on the moving mass (for instance its weight on a slope)."
+        )
 
 
 class EndCushion(Effect):

@@ -35,7 +35,7 @@ class LeakageInternal(Effect):
 
 
 class LeakageInternalOrifice(LeakageInternal):
-    """q = c sqrt(|dp| p_1) sign(dp) through a sharp edge; it passes as much as a laminar leak of the same c at dp = p_1."""
+    """q = c sqrt(|dp| p_1) sign(dp) through a sharp edge; as much as a laminar leak of the same c at dp = p_1."""
 
     def flows(self, flows: tuple[FloatArray, FloatArray], pressures: tuple[FloatArray, FloatArray], tank: float,
               values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip

@@ -6,9 +6,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from hydro_sim.bench import Bench
 
 from hydro_diagnosis.effects.base import LOAD, MOTION, Effect, FloatArray, Kinematics, Memory, Parameter, Values
+from hydro_sim.bench import Bench
 
 
 class _Load(Effect):
@@ -53,9 +53,7 @@ class Backlash(_Load):
 
     id = "backlash"
     parameters = (
-        Parameter(
-            name="width", unit="m", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4, 2e-3), smallest=1e-5
-        ),
+        Parameter(name="width", unit="m", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4, 2e-3), smallest=1e-5),
     )
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory,
@@ -103,4 +101,10 @@ class SpringRest(_Load):
         return f"The spring rests at {values['position'] * 1e3:.5g} mm, not where the bench file says."
 
 
-EFFECTS: tuple[Effect, ...] = (SpringStiffness(), SpringHardening(), Backlash(), BacklashPlay({"form": "play"}), SpringRest())
+EFFECTS: tuple[Effect, ...] = (
+    SpringStiffness(),
+    SpringHardening(),
+    Backlash(),
+    BacklashPlay({"form": "play"}),
+    SpringRest(),
+)

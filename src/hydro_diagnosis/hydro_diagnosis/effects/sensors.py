@@ -6,9 +6,19 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from hydro_sim.bench import Bench
 
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect, FloatArray, Memory, Parameter, Values
+from hydro_diagnosis.effects.base import (
+    HYDRAULIC,
+    LOAD,
+    MOTION,
+    PRESSURE,
+    Effect,
+    FloatArray,
+    Memory,
+    Parameter,
+    Values,
+)
+from hydro_sim.bench import Bench
 
 _TOUCHES = {
     "hydraulic_force": frozenset({MOTION, HYDRAULIC}),

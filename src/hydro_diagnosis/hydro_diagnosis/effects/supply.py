@@ -13,9 +13,7 @@ class SupplyDroop(Effect):
     equations = ("actuation",)
     touches = frozenset({PRESSURE})
     parameters = (
-        Parameter(
-            name="resistance", unit="Pa s/m3", low=0.0, high=1e12, neutral=0.0, probes=(3e10,), smallest=1e9
-        ),
+        Parameter(name="resistance", unit="Pa s/m3", low=0.0, high=1e12, neutral=0.0, probes=(3e10,), smallest=1e9),
         Parameter(name="time_constant", unit="s", low=1e-3, high=3.0, neutral=0.05, probes=(0.01, 0.05, 0.3)),
     )
 

@@ -58,20 +58,24 @@ class ValveDeadbandLopsided(_Valve):
         )
 
 
-class ValveDeadbandSoft(ValveDeadband):
+class ValveDeadbandSoft(_Valve):
     """An overlap whose edges open gradually: each side is a softplus of the current beyond the half width."""
 
+    id = "valve_deadband"
     parameters = (
         Parameter(name="half_width", unit="A", low=0.0, high=0.02, neutral=0.0, probes=(2e-4, 1e-3), smallest=5e-6),
-        Parameter(
-            name="softness", unit="A", low=5e-6, high=5e-3, neutral=1e-4, probes=(5e-5, 2e-4), reported=False
-        ),
+        Parameter(name="softness", unit="A", low=5e-6, high=5e-3, neutral=1e-4, probes=(5e-5, 2e-4), reported=False),
     )
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
         width, soft = values["half_width"], values["softness"]
         ratio, edge = current / soft, width / soft
         return soft * (np.logaddexp(0.0, ratio - edge) - np.logaddexp(0.0, -ratio - edge))
+
+    def sentence(self, values: Values) -> str:
+        return (
+            f"The valve hardly opens below {values['half_width'] * 1e3:.3g} mA: its edges overlap and open gradually."
+        )
 
 
 class ValveOffset(_Valve):
@@ -120,9 +124,7 @@ class ValveGainDrift(_Valve):
     """K_v (1 + r t), t from the start of a recording."""
 
     id = "valve_gain_drift"
-    parameters = (
-        Parameter(name="rate", unit="1/s", low=-0.2, high=0.2, neutral=0.0, probes=(-0.005,), smallest=3e-4),
-    )
+    parameters = (Parameter(name="rate", unit="1/s", low=-0.2, high=0.2, neutral=0.0, probes=(-0.005,), smallest=3e-4),)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         ratio = 1.0 + values["rate"] * time
@@ -146,9 +148,7 @@ class ValveNullLeakage(_Valve):
             probes=(3e-10,),
             smallest=2e-12,
         ),
-        Parameter(
-            name="width", unit="A", low=2e-5, high=2e-2, neutral=5e-4, probes=(2e-4, 1e-3, 4e-3), reported=False
-        ),
+        Parameter(name="width", unit="A", low=2e-5, high=2e-2, neutral=5e-4, probes=(2e-4, 1e-3, 4e-3), reported=False),
     )
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:

@@ -66,8 +66,13 @@ class ValveLag(Effect):
         )
 
 
-class ValveLagFirstOrder(ValveLag):
+class ValveLagFirstOrder(Effect):
     """Spool: s' = w (u - s)."""
+
+    id = "valve_lag"
+    equations = ("actuation",)
+    family = "valve"
+    touches = frozenset({PRESSURE})
 
     parameters = (
         Parameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),

@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
+from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.quality import checked
+from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.table import RawTable
+from hydro_sim.bench import Bench
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant
+
+
+def record(truth: Bench, seed: int = 1, seconds: float = 10.0, waveform: Waveform = Waveform.MULTISINE) -> StateArray:
+    """A run of the analytic plant, which shares no code with the diagnosis; the box believes the nominal bench."""
+    reference = ReferenceSignal(waveform=waveform, amplitude=260.0, frequency=0.7)
+    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=seconds)
+    return simulate(AnalyticPlant(truth), Bench.nominal(), schedule, seed=seed)
+
+
+def segment(states: StateArray, name: str = "run") -> Segment:
+    columns = {field: states[field].copy() for field in STATE_FIELDS}
+    table = RawTable(name, states["time"].copy(), None, columns)
+    return checked(table, Bench.nominal()).segments[0]
+
+
+def frame(states: StateArray) -> pd.DataFrame:
+    return pd.DataFrame({"time": states["time"], **{field: states[field] for field in STATE_FIELDS}})
+
+
+@pytest.fixture(scope="session")
+def nominal() -> StateArray:
+    return record(Bench.nominal(), seconds=12.0)
+
+
+@pytest.fixture(scope="session")
+def problem(nominal: StateArray) -> Problem:
+    return Problem([segment(nominal)], Bench.nominal())
+
+
+@pytest.fixture(scope="session")
+def problem_of() -> Callable[..., Problem]:
+    def build(**values: float) -> Problem:
+        truth = replace(Bench.nominal(), **values)
+        runs = [record(truth, 3), record(truth, 4, waveform=Waveform.SINE)]
+        return Problem([segment(run) for run in runs], Bench.nominal())
+
+    return build
+
+
+@pytest.fixture(scope="session")
+def csv(tmp_path_factory: pytest.TempPathFactory, nominal: StateArray) -> Path:
+    path = tmp_path_factory.mktemp("recordings") / "nominal.csv"
+    frame(nominal).to_csv(path, index=False)
+    return path
+
+
+@pytest.fixture(scope="session", name="record")
+def record_fixture() -> Callable[..., StateArray]:
+    return record
+
+
+@pytest.fixture(scope="session", name="frame")
+def frame_fixture() -> Callable[[StateArray], pd.DataFrame]:
+    return frame

@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydro_diagnosis.effects import LIBRARY, Claim, Effect
+from hydro_diagnosis.effects.fluid import EntrainedAir
+from hydro_diagnosis.effects.valve_dynamics import TransportDelay, ValveLag, ValveLagFirstOrder
+from hydro_diagnosis.problem import Problem
+from hydro_sim.bench import Bench
+
+TABLE = {
+    "friction_coulomb", "friction_viscous", "friction_stribeck", "leakage_internal", "leakage_external",
+    "valve_deadband",
+    "valve_lag", "transport_delay", "valve_offset", "valve_gain", "valve_gain_asymmetry", "valve_null_leakage",
+    "supply_droop",
+    "bulk_modulus", "entrained_air", "load_cell_gain", "load_cell_bias", "pressure_sensor_bias", "spring_stiffness",
+    "spring_hardening", "backlash", "moving_mass", "valve_gain_drift", "end_cushion", "force_offset", "sensor_lag",
+    "friction_presliding", "supply_pressure", "piston_area", "area_ratio", "dead_volume", "tank_pressure",
+    "spring_rest",
+}  # fmt: skip
+ADAPTED = [effect.adapted(Bench.nominal()) for effect in LIBRARY]
+
+
+def values_at(effect: Effect, which: str) -> dict[str, float]:
+    return {one.name: one.neutral if which == "neutral" else one.probes[0] for one in effect.parameters}
+
+
+def test_library_holds_every_id_of_the_table() -> None:
+    assert {effect.id for effect in LIBRARY} == TABLE
+
+
+def test_labels_are_unique() -> None:
+    labels = [effect.label for effect in LIBRARY]
+    assert len(labels) == len(set(labels))
+
+
+@pytest.mark.parametrize("effect", ADAPTED, ids=lambda effect: effect.label)
+def test_probes_lie_inside_the_bounds(effect: Effect) -> None:
+    for one in effect.parameters:
+        assert one.low <= one.neutral <= one.high
+        assert all(one.low < probe < one.high for probe in one.probes)
+
+
+@pytest.mark.parametrize("effect", [e for e in ADAPTED if not e.needs], ids=lambda effect: effect.label)
+def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(effect: Effect, problem: Problem) -> None:
+    from hydro_diagnosis.model import BLOCKS
+    from hydro_diagnosis.problem import CHANNELS
+
+    change = problem.residual([Claim(effect, values_at(effect, "probe"))]) - problem.residual([])
+    power = np.bincount(problem.layout.channel, np.square(change), len(CHANNELS))
+    shown = {CHANNELS[k] for k in np.flatnonzero(power > 1e-9 * power.max())}
+    may = {name for block in effect.touches for name in BLOCKS[block]} | {"motion"}  # arcs of forces reach the motion
+    assert shown
+    assert shown <= may
+
+
+@pytest.mark.parametrize(
+    "effect",
+    [e for e in ADAPTED if e.parameters[0].smallest > 0.0 and not e.needs and "soft" not in e.label],
+    ids=lambda effect: effect.label,
+)
+def test_effect_vanishes_at_its_neutral_value(effect: Effect, problem: Problem) -> None:
+    change = problem.residual([Claim(effect, values_at(effect, "neutral"))]) - problem.residual([])
+    assert np.max(np.abs(change)) < 1e-6
+
+
+def test_delay_of_whole_samples_is_a_shift() -> None:
+    current = np.repeat(np.random.default_rng(1).normal(size=100)[:, None], 4, axis=1)
+    late = TransportDelay().command(current, 2.5e-4, {"time": 3e-3})
+    assert np.allclose(late[3:], current[:-3])
+
+
+@pytest.mark.parametrize("spool, values", [
+    (ValveLag(), {"bandwidth": 90.0, "damping": 0.7}),
+    (ValveLagFirstOrder(), {"bandwidth": 90.0}),
+])  # fmt: skip
+def test_spool_follows_a_step_as_its_closed_form_says(spool: Effect, values: dict[str, float]) -> None:
+    step = 1e-4
+    current = np.zeros((400, 1))
+    current[200:] = 1.0
+    moved = spool.command(current, step, values)[200:, 0]
+    at = (np.arange(200) + 0.5) * step
+    omega = 2.0 * np.pi * 90.0
+    if "damping" in values:
+        fast = omega * np.sqrt(1.0 - 0.49)
+        expected = 1.0 - np.exp(-0.7 * omega * at) * (np.cos(fast * at) + 0.7 * omega / fast * np.sin(fast * at))
+    else:
+        expected = 1.0 - np.exp(-omega * at)
+    assert np.allclose(moved, expected, atol=1e-3)
+
+
+def test_air_in_rigid_oil_is_a_polytropic_gas() -> None:
+    pressure = np.array([2e5, 1e6, 1e7])
+    share, absolute = 0.01, pressure + 101325.0
+    gas = share * (101325.0 / absolute) ** (1.0 / 1.4)
+    soft = EntrainedAir().stiffness(np.full(3, 1e15), pressure, {"volume_fraction": share})
+    assert np.allclose(soft, 1.4 * absolute * (1.0 - share + gas) / gas, rtol=1e-4)
+
+
+def test_without_air_oil_keeps_its_modulus() -> None:
+    oil = np.full(3, 1.34e9)
+    assert np.allclose(EntrainedAir().stiffness(oil, np.array([2e5, 1e6, 1e7]), {"volume_fraction": 0.0}), oil)
