@@ -35,10 +35,17 @@ COMMAND_DTYPE = np.dtype(
 STATE_DTYPE = np.dtype(
     [("sequence", np.uint32), ("faults", np.uint32), ("refused", np.int64)]
     + [(name, np.bool_) for name in ("arm_wanted", "disarm_seen", "armed", "tripped", "filter_fresh")]
-    + [*_COMMANDED, ("received_at", np.float64), ("integral", np.float64), ("reference", reference.REFERENCE_DTYPE)],
+    + [*_COMMANDED, ("received_at", np.float64), ("integral", np.float64), ("reference", reference.REFERENCE_DTYPE)]
+    + [("armed_at", np.float64), ("excess", np.float64)],
     align=True,
 )
-"""All that the box remembers; `faults` are the flags of the faults that tripped it."""
+"""All that the box remembers; `faults` are the flags of the faults that tripped it, `excess` [N] is by how much the load
+force stood beyond its limit when the box was armed."""
+
+RECOVERY = 1.0
+"""s after arming within which a load force that began beyond its limit must come back."""
+RECOVERY_MARGIN = 20.0
+"""N that such a force may rise at first: the load cell's noise and the oil's last swing."""
 
 
 @njit(cache=True)
@@ -48,7 +55,8 @@ def reset(states):
     state.sequence, state.faults, state.refused = np.uint32(0), np.uint32(0), 0
     state.arm_wanted = state.disarm_seen = state.armed = state.tripped = state.filter_fresh = False
     state.delta_kp = state.delta_ki = state.delta_u = state.integral = 0.0
-    state.received_at = -math.inf
+    state.received_at = state.armed_at = -math.inf
+    state.excess = 0.0
     state.reference.wanted.waveform, state.reference.wanted.amplitude, state.reference.wanted.offset = 0, 0.0, 0.0
     state.reference.wanted.frequency, state.reference.wanted.phase = 1.0, 0.0
     reference.begin(state.reference, 0.0, 0.0)
@@ -93,8 +101,8 @@ def tick(bench, settings, states, measurement, time, outputs):
     state, limits, output = states[0], settings[0], outputs[0]
     late = _watch(state, limits, time)
     _follow_disarm(state)
-    _check(state, limits, measurement)
-    _follow_arm(state, measurement[limits.feedback_channel], time)
+    _check(state, limits, measurement, time)
+    _follow_arm(state, limits, measurement, time)
     output.time, output.sequence = time, state.sequence
     _show_measurement(measurement, output)
     _show_gains(state, limits, late, output)
@@ -124,27 +132,36 @@ def _follow_disarm(state):
 
 
 @njit(cache=True)
-def _check(state, limits, measurement):
+def _check(state, limits, measurement, time):
     """Trip on what cannot be or must not be; the causes stay until the disarm."""
     for i in range(8):
         if not limits.low[i] <= measurement[i] <= limits.high[i]:  # also true of NaN
             state.faults |= np.uint32(SENSOR_FAULT)
-    if abs(measurement[2]) > limits.load_force_limit:
+    if state.armed and abs(measurement[2]) > limits.load_force_limit + _allowance(state, time):
         state.faults |= np.uint32(FORCE_LIMIT)
     if state.faults != 0:
         state.tripped = True
 
 
 @njit(cache=True)
-def _follow_arm(state, force, time):
-    """Arm if the diagram in `hydro_sim.box` allows it: the reference then fades in from the measured force [N]."""
+def _allowance(state, time):
+    """How far [N] the force may stand beyond its limit: a closed valve holds the force that tripped the box, and only
+    the armed loop can take it back. What was there at arming is allowed, falling to nothing within `RECOVERY`."""
+    return state.excess * max(0.0, 1.0 - (time - state.armed_at) / RECOVERY)
+
+
+@njit(cache=True)
+def _follow_arm(state, limits, measurement, time):
+    """Arm if the diagram in `hydro_sim.box` allows it: the reference then fades in from the measured force."""
     if state.tripped:
         state.armed = False
     elif state.arm_wanted and not state.armed:
         state.armed, state.tripped = state.disarm_seen, not state.disarm_seen
         state.disarm_seen = False
         state.integral = 0.0
-        reference.begin(state.reference, force, time)
+        beyond = abs(measurement[2]) - limits.load_force_limit
+        state.armed_at, state.excess = time, beyond + RECOVERY_MARGIN if beyond > 0.0 else 0.0
+        reference.begin(state.reference, measurement[limits.feedback_channel], time)
 
 
 @njit(cache=True)

@@ -158,6 +158,29 @@ def test_load_force_beyond_the_limit_trips(force: float, bench: Bench) -> None:
     assert tripped["valve_current"] == 0.0
 
 
+def test_a_force_beyond_the_limit_can_be_taken_back_by_arming_anew(bench: Bench) -> None:
+    """The closed valve holds the force that tripped the box: without an allowance every re-arming would trip at once."""
+    rig = Rig(bench, BoxConfig(load_force_limit=250.0)).armed(0.1)
+    tripped = rig.go(400, RUN)
+    assert flags(tripped[-1]) == Flag.TRIPPED | Flag.FORCE_LIMIT and abs(tripped["load_force"][-1]) > 250.0
+    rig.go(10, Command())
+    calm = replace(RUN, delta_kp=30.0, reference=replace(SINE, amplitude=100.0))
+    back = rig.go(2000, calm)
+    assert (back["flags"] & Flag.ARMED).all()
+    assert np.abs(back["load_force"][1000:]).max() < 110.0
+
+
+def test_a_force_that_does_not_come_back_trips_again(bench: Bench) -> None:
+    rig = Rig(bench)
+    rig.go(1, Command())
+    stuck = rig.go(1000, RUN, x2=750.0)
+    assert flags(stuck[0]) & Flag.ARMED and flags(stuck[-1]) == Flag.TRIPPED | Flag.FORCE_LIMIT
+    rising = Rig(bench)
+    rising.go(1, Command())
+    rising.go(1, RUN, x2=750.0)
+    assert flags(rising.go(1, RUN, x2=775.0)[0]) & Flag.FORCE_LIMIT
+
+
 def test_an_unstable_loop_ends_in_a_trip_and_not_in_the_end_stop(bench: Bench) -> None:
     rig = Rig(bench)
     rig.go(1, Command())
