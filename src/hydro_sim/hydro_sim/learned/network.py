@@ -80,23 +80,22 @@ def rollout(layers, step, starts, currents):
 def _errors(z, targets, printed):
     """Loss of a block from z, shape (H, B, 8), which becomes its gradient by z; targets of shape (B, H, 8)."""
     horizon, count, _ = z.shape
-    loss = 0.0
-    share = z.dtype.type(1.0 / horizon)
-    for k in range(count):
-        for i in range(STATES):
-            total = z.dtype.type(0.0)
-            for h in range(horizon):
-                z[h, k, i] -= targets[k, h, i]
-                total += z[h, k, i]
-            for h in range(horizon):
-                if printed:
-                    z[h, k, i] = 2 * total
-                else:
-                    loss += z[h, k, i] * z[h, k, i] * share
-                    z[h, k, i] *= 2 * share
-            if printed:
-                loss += total * total
-    return loss
+    total, loss = np.zeros((count, STATES), z.dtype), 0.0
+    share = z.dtype.type(2.0 / horizon)
+    for h in range(horizon):
+        part = z.dtype.type(0.0)
+        for k in range(count):
+            for i in range(STATES):
+                error = z[h, k, i] - targets[k, h, i]
+                total[k, i] += error
+                part += error * error
+                z[h, k, i] = share * error
+        loss += part
+    if not printed:
+        return loss / horizon
+    for h in range(horizon):
+        z[h] = 2 * total
+    return float((total * total).sum())
 
 
 @njit(cache=True)
