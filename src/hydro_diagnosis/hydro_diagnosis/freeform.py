@@ -165,7 +165,7 @@ class _Responses:
         layout = problem.layout
         vector = np.zeros(len(layout.channel))
         for index, name in enumerate(CHANNELS):
-            for k, model in enumerate(problem.models):
+            for k in range(len(problem.models)):
                 if name in shown[k]:
                     at = (layout.channel == index) & (layout.segment == k)
                     vector[at] = shown[k][name] / problem.deviation(name, k)

@@ -94,7 +94,7 @@ def diagnose(
         effects=effects,
         remainder=_remainder(assessment, problem),
         fit=_fit(problem, assessment, models),
-        next_recording=next_recording(effects, assessment),
+        next_recording=next_recording(problem, outcome, assessment),
         checked=[name for block, name in _EQUATIONS.items() if block in problem.blocks],
         not_checked=[name for block, name in _EQUATIONS.items() if block not in problem.blocks],
         data_quality=quality,
