@@ -74,7 +74,7 @@ def receive(settings, states, commands, time):
     state.delta_kp = _admitted(state, command.delta_kp, limits.delta_kp_min, limits.delta_kp_max)
     state.delta_ki = _admitted(state, command.delta_ki, limits.delta_ki_min, limits.delta_ki_max)
     state.delta_u = _admitted(state, command.delta_u, -limits.delta_u_max, limits.delta_u_max)
-    if _playable(command.reference):
+    if _playable(command.reference, limits.high[limits.feedback_channel]):
         reference.copy_signal(command.reference, state.reference.wanted)
     else:
         state.refused += 1
@@ -90,9 +90,11 @@ def _admitted(state, value, low, high):
 
 
 @njit(cache=True)
-def _playable(signal):
-    levels = math.isfinite(signal.amplitude) and math.isfinite(signal.offset) and math.isfinite(signal.phase)
-    return levels and 0 <= signal.waveform <= LAST_WAVEFORM and 0.0 < signal.frequency < 1.0 / SAMPLE
+def _playable(signal, force_range):
+    """Whether the reference stays within what the load cell can show [N]; false of anything that is not finite."""
+    levels = signal.amplitude >= 0.0 and signal.amplitude + abs(signal.offset) <= force_range
+    shape = 0 <= signal.waveform <= LAST_WAVEFORM and math.isfinite(signal.phase)
+    return levels and shape and 0.0 < signal.frequency < 1.0 / SAMPLE
 
 
 @njit(cache=True)
@@ -178,6 +180,9 @@ def _control(bench, limits, state, measurement, late, time, output):
     nominal = force_law.nominal_current(
         bench, measurement, error, state.integral, wanted_rate, k_p, k_i, limits.gain_floor
     )
+    if not math.isfinite(nominal):  # nothing that was admitted leads here; the valve must not depend on that
+        state.armed, state.tripped = False, True
+        return False
     unlimited = nominal if late else nominal + state.delta_u
     current = min(max(unlimited, -bench.valve_current_max), bench.valve_current_max)
     state.integral = force_law.integrate(state.integral, error, k_i, unlimited, current, SAMPLE)

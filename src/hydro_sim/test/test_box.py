@@ -8,7 +8,7 @@ from math import inf, nan
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.signals import Command, Flag, FloatArray, ReferenceSignal, Waveform
@@ -233,6 +233,7 @@ any_float = st.floats(allow_nan=True, allow_infinity=True)
 
 
 @given(x=st.lists(any_float, min_size=8, max_size=8), numbers=st.lists(any_float, min_size=7, max_size=7))
+@example(x=[0.0] * 8, numbers=[0.0, 0.0, 0.0, 2.9e307, 0.0, 1.0, 0.0])  # its rate overflows
 @settings(max_examples=200, deadline=None)
 def test_whatever_comes_in_what_reaches_the_valve_is_finite(x: FloatArray, numbers: list[float]) -> None:
     bench = Bench.nominal()
