@@ -85,6 +85,8 @@ def _shares(results: list[Result], test: Any) -> tuple[int, int]:
 def table(results: list[Result]) -> dict[str, Any]:
     """The standards with what was reached, as text and as data."""
     by_kind: dict[str, list[Result]] = defaultdict(list)
+    refused = [result["name"] for result in results if result["verdict"] == "refused"]
+    results = [result for result in results if result["verdict"] != "refused"]
     for result in results:
         by_kind[result["kind"]].append(result)
     rows: list[tuple[str, str, str]] = []
@@ -109,6 +111,8 @@ def table(results: list[Result]) -> dict[str, Any]:
         hits, count = _shares(placed, located)
         rows.append(("right equation", ">= 99 %", f"{hits}/{count} = {hits / count:.1%}"))
     rows += _parameters(results) + _heldout(results) + _times(results)
+    if refused:
+        rows.append(("benches that tripped at once, refused", "", f"{len(refused)}: {', '.join(refused)}"))
     width = max((len(row[0]) for row in rows), default=0)
     lines = [f"{label:{width}}  goal {goal:28}  reached {reached}" for label, goal, reached in rows]
     return {"rows": rows, "confusion": _confusion(results), "text": "\n".join([*lines, "", _failures(results)])}

@@ -29,6 +29,8 @@ EVENT_MARGIN = 100
 """Samples before and after such an event that are left out."""
 STILL = 1e-5
 """m: a recording whose position moves less shows nothing."""
+MOVING = 2e-4
+"""m: a segment in which the position moves less (a tripped bench, say) is left out."""
 Mask = npt.NDArray[np.bool_]
 
 
@@ -50,8 +52,8 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     segments = _segments(table.name, step, index, columns, bad, notes)
     if not segments:
         raise UnusableRecordingError(
-            f"{table.name}: no stretch of {SHORTEST:g} s without a gap: too short to be diagnosed"
-            + (f" ({notes[-1]})" if notes else "")
+            f"{table.name}: the bench moves without a gap for less than {SHORTEST:g} s: too short to be diagnosed"
+            + (f" ({'; '.join(notes)})" if notes else "")
         )
     return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in notes))
 
@@ -175,7 +177,7 @@ def _segments(
     rows = good[first]
     cuts = np.flatnonzero(np.diff(unique) > BRIDGED + 1)
     starts, ends = np.concatenate([[0], cuts + 1]), np.concatenate([cuts + 1, [len(unique)]])
-    segments, bridged, short = [], 0, 0
+    segments, bridged, short, still = [], 0, 0, 0
     origin = unique[0]
     for begin, end in zip(starts, ends, strict=True):
         at = unique[begin:end]
@@ -183,12 +185,17 @@ def _segments(
         if len(even) * step < SHORTEST:
             short += len(even)
             continue
-        bridged += len(even) - len(at)
         channels = {key: np.interp(even, at, values[rows[begin:end]]) for key, values in columns.items()}
+        if "piston_position" in channels and np.ptp(channels["piston_position"]) < MOVING:
+            still += len(even)
+            continue
+        bridged += len(even) - len(at)
         start = float(min(at[0] - origin, 10**5) * step)
         segments.append(Segment(name, start, step, channels))
     if bridged:
         notes.append(f"{bridged} missing samples were bridged by straight lines")
+    if still:
+        notes.append(f"{still} samples in which the piston stands still were not used")
     if short:
         notes.append(f"{short} samples stand in stretches shorter than {SHORTEST:g} s and were not used")
     return segments
