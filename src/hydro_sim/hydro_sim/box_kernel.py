@@ -39,8 +39,8 @@ STATE_DTYPE = np.dtype(
     + [("armed_at", np.float64), ("excess", np.float64)],
     align=True,
 )
-"""All that the box remembers; `faults` are the flags of the faults that tripped it, `excess` [N] is by how much the load
-force stood beyond its limit when the box was armed."""
+"""All that the box remembers; `faults` are the flags of the faults that tripped it, `excess` [N] is by how much the
+load force stood beyond its limit when the box was armed."""
 
 RECOVERY = 1.0
 """s after arming within which a load force that began beyond its limit must come back."""
@@ -147,8 +147,10 @@ def _check(state, limits, measurement, time):
 
 @njit(cache=True)
 def _allowance(state, time):
-    """How far [N] the force may stand beyond its limit: a closed valve holds the force that tripped the box, and only
-    the armed loop can take it back. What was there at arming is allowed, falling to nothing within `RECOVERY`."""
+    """How far [N] the force may stand beyond its limit: as far as it did at arming, falling to zero within `RECOVERY`.
+
+    A closed valve holds the force that tripped the box, and only the armed loop can take it back.
+    """
     return state.excess * max(0.0, 1.0 - (time - state.armed_at) / RECOVERY)
 
 

@@ -159,7 +159,7 @@ def test_load_force_beyond_the_limit_trips(force: float, bench: Bench) -> None:
 
 
 def test_a_force_beyond_the_limit_can_be_taken_back_by_arming_anew(bench: Bench) -> None:
-    """The closed valve holds the force that tripped the box: without an allowance every re-arming would trip at once."""
+    """The closed valve holds the force that tripped the box: without an allowance every re-arming would trip."""
     rig = Rig(bench, BoxConfig(load_force_limit=250.0)).armed(0.1)
     tripped = rig.go(400, RUN)
     assert flags(tripped[-1]) == Flag.TRIPPED | Flag.FORCE_LIMIT and abs(tripped["load_force"][-1]) > 250.0
