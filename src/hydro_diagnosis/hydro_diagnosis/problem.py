@@ -50,6 +50,10 @@ class Problem:
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
         self._doubt: list[FloatArray] = []
+        self._bent = {
+            channel: [model.curvature_doubt(channel) for model in self.models]
+            for channel in (("pressure_a", "pressure_b") if PRESSURE in self.blocks else ())
+        }
         self.set_doubt(())
         self.layout = self._layout()
 
@@ -76,7 +80,10 @@ class Problem:
 
     def deviation(self, channel: str, segment: int) -> FloatArray | float:
         """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
-        return np.hypot(self.noise[channel], self._doubt[segment]) if channel == "motion" else self.noise[channel]
+        if channel == "motion":
+            return np.hypot(self.noise[channel], self._doubt[segment])
+        bent = self._bent.get(channel)
+        return self.noise[channel] if bent is None else np.hypot(self.noise[channel], bent[segment])
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its noise, one vector in the order of `layout`."""
@@ -85,8 +92,8 @@ class Problem:
         arcs: list[FloatArray] | None = None
         if PRESSURE in self.blocks:
             chambers = self._block(PRESSURE, everything, self._pressure)
-            parts += [part / self.noise["pressure_a"] for _, part, _ in chambers]
-            parts += [part / self.noise["pressure_b"] for _, _, part in chambers]
+            parts += [part / self.deviation("pressure_a", k) for k, (_, part, _) in enumerate(chambers)]
+            parts += [part / self.deviation("pressure_b", k) for k, (_, _, part) in enumerate(chambers)]
             arcs = [arc for arc, _, _ in chambers]
         if MOTION in self.blocks:
             motions = self._block(MOTION, everything, lambda model, claims: model.motion_residual(claims))

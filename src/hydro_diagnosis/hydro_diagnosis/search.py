@@ -29,7 +29,7 @@ class SearchSettings:
     """Claims at most."""
     shortlist: int = 7
     """Prospects that are fitted in full at each step."""
-    form_error: float = 0.05
+    form_error: float = 0.035
     """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
 
 

@@ -17,7 +17,7 @@ from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.fit import Fit, fit
 from hydro_diagnosis.freeform import FreeForm, free_forms
 from hydro_diagnosis.locate import NOTICEABLE, Place, locate, locate_claims, mean_squares
-from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.problem import CHANNELS, Problem
 
 MOST_OF_THE_GAP = 0.95
 """Share of the squared mismatch that names must explain where something remains."""
@@ -49,9 +49,7 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     if not noticeable(problem, found.residual) and not coincidence:
         verdict = "explained" if found.claims else "no_mismatch"
         return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
-    kept = nothing if coincidence else _without_minor(problem, found, nothing)
-    if kept.claims and (explained_share(problem, kept, nothing) < MOST_OF_THE_GAP or _crowded(kept.claims)):
-        kept = nothing
+    kept = nothing if coincidence else _trusted(problem, found, nothing)
     forms = free_forms(problem, kept)
     remainder = tuple(locate(problem, kept.residual, forms))
     labels = {claim.effect.label for claim in kept.claims}
@@ -60,6 +58,31 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     return Assessment(
         "partly_explained" if kept.claims else "unknown", kept, places, remainder, tuple(forms[:6]), dropped
     )
+
+
+def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
+    """The fit without those claims that act where something remains and do not explain nearly all of it.
+
+    Claims that show in other channels, in which nothing remains, are not in question.
+    """
+    suspects = _suspects(problem, found)
+    fewer = _without_minor(problem, found, nothing, suspects)
+    left = [claim for claim in fewer.claims if claim.effect.label in suspects]
+    if left and explained_share(problem, fewer, nothing) >= MOST_OF_THE_GAP and not _crowded(left):
+        return fewer
+    return fit(problem, tuple(claim for claim in fewer.claims if claim.effect.label not in suspects))
+
+
+def _suspects(problem: Problem, found: Fit) -> set[str]:
+    """Labels of claims that show mainly in channels in which something remains."""
+    noisy = {name for name, square in mean_squares(problem, found.residual).items() if square > NOTICEABLE}
+    suspects = set()
+    for claim in found.claims:
+        without = problem.residual(tuple(one for one in found.claims if one is not claim))
+        shown = mean_squares(problem, without - found.residual)
+        if max(shown, key=lambda name: shown[name]) in noisy:
+            suspects.add(claim.effect.label)
+    return suspects
 
 
 def noticeable(problem: Problem, residual: FloatArray) -> bool:
@@ -81,18 +104,24 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     return float(min(shares, default=1.0)) if counts.sum() else 1.0
 
 
-def _without_minor(problem: Problem, found: Fit, nothing: Fit) -> Fit:
-    """Drop, one after the other, claims without which hardly more remains."""
-    gap = float(np.sum(np.square(nothing.residual)) - np.sum(np.square(found.residual)))
+def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str]) -> Fit:
+    """Drop, one after the other, suspects without which hardly more remains."""
+    noisy = [k for k, name in enumerate(CHANNELS) if mean_squares(problem, found.residual).get(name, 0.0) > NOTICEABLE]
+    judged = np.isin(problem.layout.channel, noisy)
+    gap = float(np.sum(np.square(nothing.residual[judged])) - np.sum(np.square(found.residual[judged])))
     current = found
-    while len(current.claims) > 1:
-        smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in current.claims]
-        losses = [float(np.sum(np.square(one.residual)) - np.sum(np.square(current.residual))) for one in smaller]
+    while True:
+        needed = {name for claim in current.claims for name in claim.effect.needs}
+        open_ = [one for one in current.claims if one.effect.label in suspects and one.effect.id not in needed]
+        if not open_ or len(current.claims) == 1:
+            return current
+        smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in open_]
+        remains = float(np.sum(np.square(current.residual[judged])))
+        losses = [float(np.sum(np.square(one.residual[judged]))) - remains for one in smaller]
         least = int(np.argmin(losses))
         if losses[least] > MINOR * gap:
-            break
+            return current
         current = smaller[least]
-    return current
 
 
 def _coincidence(claims: Sequence[Claim]) -> bool:
@@ -103,5 +132,5 @@ def _coincidence(claims: Sequence[Claim]) -> bool:
 
 def _crowded(claims: Sequence[Claim]) -> bool:
     """Whether two names of one family share a mismatch that they do not explain."""
-    families = [claim.effect.family or claim.effect.label for claim in claims]
+    families = [claim.effect.family or claim.effect.label for claim in claims if not claim.effect.needs]
     return len(set(families)) < len(families)
