@@ -41,6 +41,12 @@ def _signed(low: float, high: float) -> Callable[[np.random.Generator], float]:
     return lambda rng: size(rng) * float(rng.choice([-1.0, 1.0]))
 
 
+def _stepped(low: float, high: float) -> Callable[[np.random.Generator], float]:
+    """In steps of 25 us: the emulator rounds a dead time up to its integrator's step."""
+    size = _log(low, high)
+    return lambda rng: 25e-6 * round(size(rng) / 25e-6)
+
+
 def _ratio(low: float, high: float) -> Callable[[np.random.Generator], float]:
     """1 +/- something."""
     size = _signed(low, high)
@@ -64,7 +70,7 @@ SINGLES: dict[str, Draw] = {
     "leakage_external": _of(coefficient=_log(1e-14, 1e-13), chamber=_pick("a", "b")),
     "valve_deadband": _of(half_width=_log(5e-5, 1e-3)),
     "valve_lag": _of(bandwidth=_log(60.0, 180.0), damping=_log(0.6, 1.0)),
-    "transport_delay": _of(time=_log(3e-4, 1.5e-3)),
+    "transport_delay": _of(time=_stepped(3e-4, 1.5e-3)),
     "valve_offset": _of(current=_signed(3e-5, 5e-4)),
     "valve_gain": _of(ratio=_ratio(0.03, 0.15)),
     "valve_gain_asymmetry": _of(ratio=_ratio(0.03, 0.2)),

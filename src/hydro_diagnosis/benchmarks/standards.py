@@ -150,7 +150,9 @@ def _heldout(results: list[Result]) -> list[tuple[str, str, str]]:
         if result["kind"] in ("single", "value", "pair", "triple"):
             channels = result["fit"]["holdout"].values()
             parts = [
-                channel["rmse_after"] / channel["noise_floor"] if channel["rmse_after"] is not None else 99.0
+                channel["rmse_after"] / channel["noise_floor"]
+                if channel["rmse_after"] is not None and channel["noise_floor"]
+                else 99.0
                 for channel in channels
             ]
             ratios.append(float(np.sqrt(np.mean(np.square(parts)))) if parts else 99.0)

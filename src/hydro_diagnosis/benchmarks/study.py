@@ -86,10 +86,10 @@ def _results(cases: list[Case], folder: Path, workers: int, budget: float) -> li
     """Results of all cases, the new ones computed in slices and kept as JSON beside the recordings."""
     begun = time.monotonic()
     missing = [case for case in cases if not _kept(case, folder).exists()]
-    for at in range(0, len(missing), 2 * workers):
+    for at in range(0, len(missing), 4 * workers):
         if time.monotonic() - begun > budget:
             break
-        slice_ = missing[at : at + 2 * workers]
+        slice_ = missing[at : at + 4 * workers]
         bags = record(slice_, folder)
         done = Parallel(workers, return_as="generator")(delayed(run_case)(case, bags[case.name]) for case in slice_)
         for case, result in zip(slice_, done, strict=True):

@@ -31,8 +31,8 @@ OBSERVER_MEMORY = 0.12
 """s. A shorter memory forgets the slow drift that a small leak builds up."""
 BLOCK = 100
 """Samples per mean of the hydraulic balance."""
-CURVATURE_DOUBT = 0.01
-"""Share of a pressure's second difference that the equations, integrated sample by sample, may be off by."""
+TIMING_DOUBT = 3e-6
+"""s, to which the equations, integrated sample by sample, and the sensors agree on when something happened."""
 SETTLE = 0.3
 """s at the start of a segment that are not judged: filters and observer settle."""
 
@@ -171,11 +171,11 @@ class SegmentModel:
             sides.append(self.dry_friction_level(claims, velocity) * np.tanh(velocity / SLIP_VELOCITY))
         return smooth(np.abs(sides[1] - sides[0]) / 2.0)
 
-    def curvature_doubt(self, channel: str) -> FloatArray:
-        """Standard deviation [Pa] of what a sample's straight line leaves out of a pressure that bends, decimated."""
-        bend = np.diff(smooth(self.channels[channel]), 2, prepend=[0.0, 0.0])
-        bend[:2] = 0.0
-        return CURVATURE_DOUBT * self._kept(smooth(np.abs(bend)))
+    def timing_doubt(self) -> FloatArray:
+        """Standard deviation [Pa] of the pressures, because displacement and flow are only so well timed, decimated."""
+        bench = self._bench
+        per_meter = bench.bulk_modulus * bench.piston_area / bench.dead_volume_a
+        return per_meter * TIMING_DOUBT * self._kept(smooth(np.abs(self.v)))
 
     # -- residuals, in physical units -------------------------------------------------------------------------------
 

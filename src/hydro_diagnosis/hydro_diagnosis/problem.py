@@ -50,10 +50,7 @@ class Problem:
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
         self._doubt: list[FloatArray] = []
-        self._bent = {
-            channel: [model.curvature_doubt(channel) for model in self.models]
-            for channel in (("pressure_a", "pressure_b") if PRESSURE in self.blocks else ())
-        }
+        self._timing = [model.timing_doubt() for model in self.models] if PRESSURE in self.blocks else []
         self.set_doubt(())
         self.layout = self._layout()
 
@@ -82,8 +79,9 @@ class Problem:
         """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
         if channel == "motion":
             return np.hypot(self.noise[channel], self._doubt[segment])
-        bent = self._bent.get(channel)
-        return self.noise[channel] if bent is None else np.hypot(self.noise[channel], bent[segment])
+        if channel in ("pressure_a", "pressure_b"):
+            return np.hypot(self.noise[channel], self._timing[segment])
+        return self.noise[channel]
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its noise, one vector in the order of `layout`."""

@@ -19,7 +19,7 @@ from hydro_diagnosis.freeform import FreeForm, free_forms
 from hydro_diagnosis.locate import NOTICEABLE, Place, locate, locate_claims, mean_squares
 from hydro_diagnosis.problem import CHANNELS, Problem
 
-MOST_OF_THE_GAP = 0.95
+MOST_OF_THE_GAP = 0.98
 """Share of the squared mismatch that names must explain where something remains."""
 MINOR = 0.1
 """Share below which a claim is dropped where something remains."""

@@ -177,7 +177,7 @@ class MovingMass(Effect):
     family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
-    parameters = (Parameter(name="mass", unit="kg", low=-1e3, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.03),)
+    parameters = (Parameter(name="mass", unit="kg", low=-1e3, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.05),)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return replace(bench, moving_mass=max(bench.moving_mass + values["mass"], 0.01))
