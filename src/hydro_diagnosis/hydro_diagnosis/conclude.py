@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.fit import Fit, fit
 from hydro_diagnosis.intervals import Interval, intervals
@@ -17,19 +19,21 @@ CLOSE = 10.0
 """BIC within which a rival is not told apart from a claim (Kass and Raftery 1995: decisive beyond it)."""
 
 
-def describe(problem: Problem, outcome: Outcome, assessment: Assessment) -> list[EffectReport]:
-    """One entry per claim that stands, the strongest evidence first."""
+def describe(problem: Problem, held: Problem, outcome: Outcome, assessment: Assessment) -> list[EffectReport]:
+    """One entry per claim that stands, the strongest evidence first; `held`: the held-out recordings."""
     found = assessment.fit
     bounds = intervals(problem, found)
     reports, k = [], 0
     for claim in found.claims:
         count = len(claim.effect.parameters)
-        reports.append(_report(problem, outcome, found, claim, bounds[k : k + count]))
+        reports.append(_report(problem, held, outcome, found, claim, bounds[k : k + count]))
         k += count
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 
 
-def _report(problem: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: list[Interval]) -> EffectReport:
+def _report(
+    problem: Problem, held: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: list[Interval]
+) -> EffectReport:
     without = fit(problem, tuple(one for one in found.claims if one is not claim))
     parameters = {
         parameter.name: ParameterEstimate(
@@ -44,9 +48,19 @@ def _report(problem: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds
         options=dict(claim.effect.options),
         sentence=claim.effect.sentence(claim.values),
         parameters=parameters,
-        evidence={"delta_bic": score(problem, without) - score(problem, found)},
+        evidence={
+            "delta_bic": score(problem, without) - score(problem, found),
+            "holdout_gain": _holdout_gain(held, without, found),
+        },
         rivals=_rivals(problem, outcome, found, claim),
     )
+
+
+def _holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
+    """Share of the held-out squared residual, beyond that of all claims, that a claim removes."""
+    squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
+    nothing, fewer, everything = squares
+    return (fewer - everything) / max(nothing - everything, 1e-12)
 
 
 def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> list[Rival]:

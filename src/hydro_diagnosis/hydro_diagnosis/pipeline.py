@@ -87,7 +87,8 @@ def diagnose(
     assessment = assess(problem, outcome.fit, outcome.nothing)
     models = [SegmentModel(segment, believed) for segment in held]
     progress("checking on held-out recordings")
-    effects = describe(problem, outcome, assessment)
+    unseen = Problem(held, believed, baseline, noise=problem.sensor_noise)
+    effects = describe(problem, unseen, outcome, assessment)
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],

@@ -48,6 +48,7 @@ def test_command_writes_what_the_contract_says(worn: list[Path], tmp_path: Path)
     ratio = report["effects"][0]["parameters"]["ratio"]
     assert ratio["ci95"][0] <= 18500.0 / 20000.0 <= ratio["ci95"][1]
     assert report["location"][0]["equation"] == "load"
+    assert report["effects"][0]["evidence"]["holdout_gain"] == pytest.approx(1.0, abs=0.05)
     for channel, error in report["fit"]["holdout"].items():
         assert error["rmse_after"] < 1.1 * error["noise_floor"], channel
     assert report["fit"]["holdout"]["load_force"]["rmse_before"] > 5.0

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -102,3 +104,10 @@ def test_air_in_rigid_oil_is_a_polytropic_gas() -> None:
 def test_without_air_oil_keeps_its_modulus() -> None:
     oil = np.full(3, 1.34e9)
     assert np.allclose(EntrainedAir().stiffness(oil, np.array([2e5, 1e6, 1e7]), {"volume_fraction": 0.0}), oil)
+
+
+def test_effects_stay_within_what_a_bench_allows() -> None:
+    light = replace(Bench.nominal(), spring_stiffness=1.0, viscous_friction=0.0, moving_mass=0.01, area_ratio=1.0)
+    for effect in (one.adapted(light) for one in LIBRARY):
+        for bound in ("low", "high"):
+            effect.bench(light, {one.name: getattr(one, bound) for one in effect.parameters})

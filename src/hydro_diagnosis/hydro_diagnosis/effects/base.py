@@ -10,7 +10,7 @@ the regression (arrays run over time) and the forward simulation (arrays run ove
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 from math import nan
 from typing import Any, ClassVar, Protocol
 
@@ -24,6 +24,16 @@ Values = Mapping[str, float]
 
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
 """The blocks of residuals that an effect can touch; only those are computed anew when its parameters change."""
+
+
+def changed(bench: Bench, **values: float | None) -> Bench:
+    """A bench with values replaced, kept within the ranges that `Bench` allows."""
+    limits = {one.name: one.metadata for one in fields(bench)}
+    inside = {
+        name: value if value is None else min(max(value, limits[name]["low"]), limits[name]["high"])
+        for name, value in values.items()
+    }
+    return replace(bench, **inside)  # type: ignore[arg-type]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hydro_diagnosis.effects.base import HYDRAULIC, PRESSURE, Effect, Parameter, Values
+from hydro_diagnosis.effects.base import HYDRAULIC, PRESSURE, Effect, Parameter, Values, changed
 from hydro_sim.bench import Bench
 
 _RATIO = Parameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
@@ -20,7 +20,7 @@ class SupplyPressure(Effect):
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, supply_pressure=bench.supply_pressure * values["ratio"])
+        return changed(bench, supply_pressure=bench.supply_pressure * values["ratio"])
 
     def sentence(self, values: Values) -> str:
         return f"The supply pressure is {values['ratio']:.4g} times what the bench file says."
@@ -35,7 +35,7 @@ class PistonArea(Effect):
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, piston_area=bench.piston_area * values["ratio"])
+        return changed(bench, piston_area=bench.piston_area * values["ratio"])
 
     def sentence(self, values: Values) -> str:
         return f"The piston area is {values['ratio']:.4g} times what the bench file says."
@@ -50,7 +50,7 @@ class AreaRatio(Effect):
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, area_ratio=min(bench.area_ratio * values["ratio"], 1.0))
+        return changed(bench, area_ratio=bench.area_ratio * values["ratio"])
 
     def sentence(self, values: Values) -> str:
         return f"The ratio of the piston areas is {values['ratio']:.4g} times what the bench file says."
@@ -69,7 +69,7 @@ class DeadVolume(Effect):
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         name = "dead_volume_" + self.options["chamber"]
-        return replace(bench, **{name: getattr(bench, name) * values["ratio"]})
+        return changed(bench, **{name: getattr(bench, name) * values["ratio"]})
 
     def sentence(self, values: Values) -> str:
         chamber = self.options["chamber"].upper()
@@ -96,7 +96,7 @@ class TankPressure(Effect):
         return replace(self, reference=bench.tank_pressure)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, tank_pressure=max(values["pressure"], 0.0))
+        return changed(bench, tank_pressure=values["pressure"])
 
     def sentence(self, values: Values) -> str:
         return f"The tank stands at {values['pressure'] * 1e-6:.3g} MPa, not at what the bench file says."

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hydro_diagnosis.effects.base import (
@@ -15,6 +13,7 @@ from hydro_diagnosis.effects.base import (
     Memory,
     Parameter,
     Values,
+    changed,
 )
 from hydro_sim.bench import Bench
 
@@ -73,7 +72,7 @@ class FrictionViscous(Effect):
     )
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, viscous_friction=max(bench.viscous_friction + values["coefficient"], 0.0))
+        return changed(bench, viscous_friction=bench.viscous_friction + values["coefficient"])
 
     def sentence(self, values: Values) -> str:
         more = "more" if values["coefficient"] > 0 else "less"
@@ -180,7 +179,7 @@ class MovingMass(Effect):
     parameters = (Parameter(name="mass", unit="kg", low=-1e3, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.05),)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, moving_mass=max(bench.moving_mass + values["mass"], 0.01))
+        return changed(bench, moving_mass=bench.moving_mass + values["mass"])
 
     def sentence(self, values: Values) -> str:
         more = "more" if values["mass"] > 0 else "less"

@@ -7,7 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import LOAD, MOTION, Effect, FloatArray, Kinematics, Memory, Parameter, Values
+from hydro_diagnosis.effects.base import (
+    LOAD,
+    MOTION,
+    Effect,
+    FloatArray,
+    Kinematics,
+    Memory,
+    Parameter,
+    Values,
+    changed,
+)
 from hydro_sim.bench import Bench
 
 
@@ -24,7 +34,7 @@ class SpringStiffness(_Load):
     parameters = (Parameter(name="ratio", unit="-", low=0.05, high=20.0, neutral=1.0, probes=(0.95,), smallest=0.002),)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, spring_stiffness=bench.spring_stiffness * values["ratio"])
+        return changed(bench, spring_stiffness=bench.spring_stiffness * values["ratio"])
 
     def sentence(self, values: Values) -> str:
         return f"The spring is {values['ratio']:.4g} times as stiff as the bench file says."
@@ -95,7 +105,7 @@ class SpringRest(_Load):
         return replace(self, reference=bench.spring_rest_position)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, spring_rest_position=values["position"])
+        return changed(bench, spring_rest_position=values["position"])
 
     def sentence(self, values: Values) -> str:
         return f"The spring rests at {values['position'] * 1e3:.5g} mm, not where the bench file says."

@@ -3,8 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from hydro_diagnosis.effects.base import (
@@ -17,6 +15,7 @@ from hydro_diagnosis.effects.base import (
     Memory,
     Parameter,
     Values,
+    changed,
 )
 from hydro_sim.bench import Bench
 
@@ -117,7 +116,7 @@ class SensorLag(_Sensor):
         return self.channel
 
     def bench(self, bench: Bench, values: Values) -> Bench:
-        return replace(bench, load_cell_bandwidth=None) if self.channel == "load_force" else bench
+        return changed(bench, load_cell_bandwidth=None) if self.channel == "load_force" else bench
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.channel:
