@@ -169,7 +169,8 @@ class SegmentModel:
         sides = []
         for velocity in (self.v - doubt, self.v + doubt):
             sides.append(self.dry_friction_level(claims, velocity) * np.tanh(velocity / SLIP_VELOCITY))
-        return smooth(np.abs(sides[1] - sides[0]) / 2.0)
+        late = [claim for claim in claims if claim.effect.rounds == "hydraulic_force"]
+        return smooth(np.abs(self.reading("hydraulic_force", np.abs(sides[1] - sides[0]) / 2.0, late)))
 
     def timing_doubt(self) -> FloatArray:
         """Standard deviation [Pa] of the pressures, because displacement and flow are only so well timed, decimated."""
