@@ -33,7 +33,9 @@ def probe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         watcher = Probe()
         stack.callback(watcher.close)
         watcher.wait(lambda: len(watcher.heard[STATE]) > 100)
-        watcher.spin(2.0)  # the filter compiles
+        watcher.wait(lambda: watcher.node.count_publishers(CORRECTION) == 1)  # the filter compiles first
+        watcher.wait(lambda: all(watcher.node.count_subscribers(topic) for topic in (GAINS, CORRECTION, REFERENCE)))
+        watcher.spin(1.0)
         yield watcher
 
 

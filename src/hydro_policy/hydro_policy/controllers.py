@@ -88,6 +88,10 @@ def policy_controller(path: Path) -> PolicyController:
     ValueError
         Neither is there.
     """
-    file = RunDirectory(path).policy if path.is_dir() else path
-    policy, gains, _ = load_policy(file)
+    policy, gains, _ = load_policy(policy_file(path))
     return PolicyController(policy, gains, f"policy {path.name if path.is_dir() else path.stem}")
+
+
+def policy_file(path: Path) -> Path:
+    """The policy's file: `path` itself, or that of the run in folder `path`."""
+    return RunDirectory(path).policy if path.is_dir() else path

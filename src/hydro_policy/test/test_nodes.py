@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+from hashlib import sha256
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from hydro_policy.nodes.companions import PlantOptions, commands
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
 from hydro_policy.task import GainRange
+from hydro_sim.learned.weights import shipped
 
 pytestmark = pytest.mark.graph
 
@@ -47,7 +49,8 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     assert not recording.state["flags"][-1] & Flag.ARMED
     assert len(recording["/hydro/gains"]) >= 500
     assert recording["/hydro/training"]["updates"].max() > 100
-    assert "config.yaml" in recording.attachments
+    assert {"config.yaml", "bench.yaml"} <= set(recording.attachments)
+    assert recording.metadata["hydro"]["model_sha256"] == sha256(shipped().read_bytes()).hexdigest()
 
     again = run("trainer", "--runs", str(tmp_path), "--name", "a")
     assert again.returncode == 2

@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from hydro_bridge.guard import GuardSettings
 from hydro_bridge.ros import Companion
+from hydro_policy.nodes import provenance
 from hydro_policy.task import GainRange
 
 PLANTS = ("sim", "emulator", "bench", "external")
@@ -48,7 +49,9 @@ class PlantOptions:
     metadata: tuple[str, ...] = ()
     """key=value words kept in the recording."""
     attachments: tuple[Path, ...] = ()
-    """Files kept in the recording."""
+    """Files kept in the recording, besides the bench file."""
+    policies: tuple[Path, ...] = ()
+    """Policy files that act in this run; the recording keeps their digests."""
     seed: int = 0
     """Of the noise of simulation or emulator."""
 
@@ -128,13 +131,10 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     guard = guard_parameters(gains)
     started: list[tuple[str, str, list[str]]] = []
     if options.recording is not None:
-        arguments = ["--out", str(options.recording), "--metadata", f"plant={options.plant}", *options.metadata]
-        if options.attachments:
-            arguments += ["--attach", *map(str, options.attachments)]
-        started.append(("hydro_bridge", "recorder", arguments))
-    started.append(("hydro_filter", "filter", bench))
+        started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
+    started.append(("hydro_filter", "filter", [*bench, "--realtime"]))
     if options.plant == "sim":
-        started.append(("hydro_sim", "sim", [*bench, "--seed", str(options.seed), *guard]))
+        started.append(("hydro_sim", "sim", [*bench, "--realtime", "--seed", str(options.seed), *guard]))
         return started
     port = options.port
     if options.plant == "emulator":
@@ -144,8 +144,15 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         arguments += ["--truth", str(options.truth)] if options.truth else []
         arguments += ["--faults", options.faults] if options.faults else []
         started.append(("hydro_sim", "emulator", arguments))
-    started.append(("hydro_bridge", "bridge", [*(["--port", port] if port else []), *guard]))
+    started.append(("hydro_bridge", "bridge", ["--realtime", *(["--port", port] if port else []), *guard]))
     return started
+
+
+def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
+    digests = provenance.weights(options.plant, options.bench, options.policies)
+    metadata = [f"plant={options.plant}", *options.metadata, *digests]
+    attachments = [provenance.bench_file(options.bench), *options.attachments]
+    return ["--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]
 
 
 def guard_parameters(gains: GainRange) -> list[str]:

@@ -19,7 +19,7 @@ from hydro_bridge.console import command
 from hydro_bridge.recording_run import code_version
 from hydro_bridge.ros import CompanionError, declare_parameters, ros_arguments
 from hydro_policy import report
-from hydro_policy.controllers import Controller, FixedGains, policy_controller
+from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
 from hydro_policy.nodes.companions import CompanionWatch, start_companions
 from hydro_policy.nodes.graph import GraphNode, start_ros
@@ -83,7 +83,8 @@ def evaluate(options: argparse.Namespace) -> int:
         node = GraphNode("evaluate")
         stack.callback(node.destroy_node)
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
-        plant = plant_options(options, recording=options.record, seed=options.seed)
+        policies = tuple(map(policy_file, options.policy))
+        plant = plant_options(options, recording=options.record, seed=options.seed, policies=policies)
         node.companions = CompanionWatch(start_companions(stack, plant, reach(controllers), folder, None))
         if not rearms(options):
             node.listen_for_enter()

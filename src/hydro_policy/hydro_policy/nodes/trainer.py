@@ -176,10 +176,8 @@ def _start_plant(
     run = prepared.run
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
-    attachments = (run.config, *([options.bench] if options.bench else []))
-    plant = plant_options(
-        options, recording=recording, metadata=metadata, attachments=attachments, seed=prepared.settings.seed
-    )
+    kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}
+    plant = plant_options(options, recording=recording, seed=prepared.settings.seed, **kept)
     return recording, start_companions(stack, plant, prepared.settings.task.gains, run.path, log)
 
 

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a recording says of where it comes from: the bench file, and the digests of all weights that took part."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from hashlib import sha256
+from importlib import resources
+from pathlib import Path
+
+from hydro_sim.learned.weights import shipped
+
+
+def bench_file(given: Path | None) -> Path:
+    """The bench.yaml in force: the one given, or the nominal one that comes with hydro_sim."""
+    return given or Path(str(resources.files("hydro_sim") / "data" / "bench.yaml"))
+
+
+def weights(plant: str, bench: Path | None, policies: Iterable[Path]) -> list[str]:
+    """key=value words: SHA-256 of the simulation's model and of each policy that the recording may show.
+
+    The sim node runs the analytic model of a bench file that it is given, and else the weights that come with it.
+    """
+    words = [f"policy_sha256_{path.stem}={_digest(path)}" for path in policies if path.is_file()]
+    if plant == "sim":
+        words.append(f"model_sha256={_digest(shipped())}" if bench is None else "model=analytic")
+    return words
+
+
+def _digest(path: Path) -> str:
+    return sha256(path.read_bytes()).hexdigest()
