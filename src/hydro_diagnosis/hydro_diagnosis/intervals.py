@@ -21,9 +21,9 @@ from hydro_diagnosis.fit import Fit, fit, pack, spreads, unpack
 from hydro_diagnosis.problem import Problem
 
 QUANTILE = 1.96
-SYSTEMATIC = 0.1
+SYSTEMATIC = 0.03
 """Of a parameter's smallest size worth claiming; of the value itself for shapes: `SYSTEMATIC_SHAPE`."""
-SYSTEMATIC_SHAPE = 0.01
+SYSTEMATIC_SHAPE = 0.003
 _BLOCK = 0.25
 
 
