@@ -110,13 +110,15 @@ def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_sta
     run = RunDirectory(tmp_path / "run")
     with start(run.path) as process:
         probe.wait(lambda: is_learning(probe), 60.0)
-        os.kill(process.child("/recorder "), signal.SIGKILL)
-        probe.wait(lambda: "recorder ended by itself (exit status -9)" in process.text, 5.0)
+        recorder = process.child("/recorder ")
+        probe.spin(0.1)
         sequence = probe.last(STATE).sequence
+        os.kill(recorder, signal.SIGKILL)
+        probe.wait(lambda: "recorder ended by itself (exit status -9)" in process.text, 5.0)
         probe.forget()
         probe.spin(2.0)
         assert phase(probe) == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150
         assert process.end() == 130
     states = read_bag(run.bag).state
     assert len(states) > 1000
-    assert sequence - int(states["sequence"][-1]) < 2500, "more than the last two flushes is missing"
+    assert sequence - int(states["sequence"][-1]) < 1000, "more than a second is missing"
