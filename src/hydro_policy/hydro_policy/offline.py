@@ -127,10 +127,6 @@ class OfflineGraph(Outputs):
         self.time += SAMPLE
         return output
 
-    def vent(self) -> None:
-        """Put the bench back to rest, as a person does after a trip."""
-        self._measurement = self.plant.reset(round(self.time / SAMPLE))
-
     def run(self, session: Session, seconds: float, learner: InlineLearner | None = None) -> None:
         """Drive `session` until it is finished or `seconds` of bench time are over."""
         end = self.time + seconds - 0.5 * SAMPLE
