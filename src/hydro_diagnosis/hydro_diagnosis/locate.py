@@ -178,7 +178,8 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
         if len(values):
             low, high = np.percentile(values, [10, 90])
             region[name] = (float(low), float(high))
-    sentence = f"{share * 100:.0f} % of the mismatch is in {_WORDS[equation]}."
+    amount = f"{share * 100:.0f} %" if share >= 0.01 else "Under 1 %"
+    sentence = f"{amount} of the mismatch is in {_WORDS[equation]}."
     return Place(equation, share, tuple(windows), region, sentence)
 
 

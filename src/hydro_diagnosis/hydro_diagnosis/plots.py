@@ -17,11 +17,11 @@ from hydro_diagnosis.problem import CHANNELS
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend
 
 _NAMES = {
-    "pressure_a": ("chamber A", "kPa", 1e-3),
-    "pressure_b": ("chamber B", "kPa", 1e-3),
-    "motion": ("motion", "N", 1.0),
-    "load": ("load", "N", 1.0),
-    "hydraulic": ("force against pressures", "N", 1.0),
+    "pressure_a": ("pressure A", "kPa", 1e-3),
+    "pressure_b": ("pressure B", "kPa", 1e-3),
+    "motion": ("force balance", "N", 1.0),
+    "load": ("load force", "N", 1.0),
+    "hydraulic": ("hydraulic\nforce", "N", 1.0),
 }
 _VARIABLES = {
     "position": ("piston position [mm]", 1e3),
@@ -35,12 +35,13 @@ _VARIABLES = {
 _BINS = 36
 
 
-def svg(rows: int, size: tuple[float, float], draw: Callable[[Any], None]) -> str:
+def svg(rows: int, size: tuple[float, float], draw: Callable[[Any], None], **layout: Any) -> str:
     """A figure of `rows` axes as SVG text that can stand within HTML."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "plot.svg"
-        with figure(path, rows, size=size) as (_, axes):
+        with figure(path, rows, size=size, **layout) as (drawing, axes):
             draw(axes)
+            drawing.align_ylabels(axes)
         text = path.read_text(encoding="utf-8")
     return text[text.index("<svg") :]
 
@@ -63,7 +64,7 @@ def residual_plot(found: Diagnosis) -> str:
         legend(axes[0])
         axes[-1].set_xlabel("time [s]")
 
-    return svg(len(present), (9.0, 1.5 * len(present) + 0.5), draw)
+    return svg(len(present), (9.0, 1.5 * len(present) + 0.5), draw, sharex=True)
 
 
 def effect_plot(found: Diagnosis, claim: Claim) -> str:
@@ -91,10 +92,10 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
         centers, means = _binned(x, signature[at])
         axes[0].plot(centers * units, means * scale, color=BLUE, label="fitted effect")
         axes[0].set_xlabel(label)
-        axes[0].set_ylabel(f"{name} [{unit}]")
+        axes[0].set_ylabel(f"unexplained\n{name} [{unit}]")
         legend(axes[0])
 
-    return svg(1, (6.0, 3.0), draw)
+    return svg(1, (8.0, 3.2), draw)
 
 
 def evidence_plot(found: Diagnosis) -> str:
@@ -115,7 +116,7 @@ def evidence_plot(found: Diagnosis) -> str:
 
 def _variable(effect: str, found: Diagnosis) -> str:
     have = set(found.problem.models[0].channels)
-    if effect.startswith(("friction", "moving_mass", "force_offset")):
+    if effect.startswith(("friction", "moving_mass", "force_offset", "sensor_lag")):
         return "velocity"
     if effect in ("leakage_internal",):
         return "pressure_difference"
@@ -135,9 +136,15 @@ def _sampled(found: Diagnosis, segment: int, variable: str, channel: int) -> Flo
 
 
 def _binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-    edges = np.linspace(x.min(), x.max() + 1e-12, _BINS + 1)
-    index = np.clip(np.digitize(x, edges) - 1, 0, _BINS - 1)
-    count = np.bincount(index, minlength=_BINS)
+    """Mean of y over the mean of x, in even bins cut finer where the data are dense."""
+    even = np.linspace(x.min(), x.max(), _BINS + 1)
+    dense = np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1))
+    finer = dense[1:][np.diff(dense) < 0.5 * (even[1] - even[0])]
+    coarse = [edge for edge in even if not len(finer) or np.min(np.abs(finer - edge)) > 0.5 * (even[1] - even[0])]
+    edges = np.unique(np.concatenate([coarse, finer]))
+    bins = len(edges) + 1
+    index = np.searchsorted(edges, x, side="right")
+    count = np.bincount(index, minlength=bins)
     kept = count >= 5
-    means = np.bincount(index, y, _BINS)[kept] / count[kept]
-    return (0.5 * (edges[1:] + edges[:-1]))[kept], means
+    means = [np.bincount(index, values, bins)[kept] / count[kept] for values in (x, y)]
+    return means[0], means[1]

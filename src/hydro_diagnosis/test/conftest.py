@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
+from hydro_diagnosis.cli import run
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import Segment
@@ -60,6 +61,26 @@ def csv(tmp_path_factory: pytest.TempPathFactory, nominal: StateArray) -> Path:
     path = tmp_path_factory.mktemp("recordings") / "nominal.csv"
     frame(nominal).to_csv(path, index=False)
     return path
+
+
+@pytest.fixture(scope="session")
+def worn(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Two recordings of a bench with a soft spring, and one to hold out."""
+    folder = tmp_path_factory.mktemp("worn")
+    truth = replace(Bench.nominal(), spring_stiffness=18500.0)
+    paths = []
+    for k, waveform in enumerate((Waveform.MULTISINE, Waveform.SINE, Waveform.SMOOTH_STEP)):
+        paths.append(folder / f"run{k}.csv")
+        frame(record(truth, 20 + k, waveform=waveform)).to_csv(paths[-1], index=False)
+    return paths
+
+
+@pytest.fixture(scope="session")
+def written(worn: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What the command writes about the soft spring."""
+    folder = tmp_path_factory.mktemp("written")
+    assert run([str(worn[0]), str(worn[1]), "--holdout", str(worn[2]), "--out", str(folder), "--quiet"]) == 0
+    return folder
 
 
 @pytest.fixture(scope="session", name="record")
