@@ -70,6 +70,8 @@ class Link:
         in.
     log
         Called with a sentence when something changes.
+    warn
+        Called with a sentence when something is wrong; `log` by default.
     """
 
     def __init__(
@@ -78,6 +80,7 @@ class Link:
         guard: CommandGuard,
         on_state: Callable[[State, int, int], None],
         log: Callable[[str], None],
+        warn: Callable[[str], None] | None = None,
     ) -> None:
         self.port, self.guard = port, guard
         self.lock = threading.Lock()
@@ -89,7 +92,7 @@ class Link:
         self.state = LinkState.CLOSED
         self.flags = Flag(0)
         self._wanted_limits = guard.settings
-        self._on_state, self._log = on_state, log
+        self._on_state, self._log, self._warn = on_state, log, warn or log
         self._decoder, self._tracker = Decoder(self.counts), SequenceTracker(self.counts)
         self._stopping = threading.Event()
         self._sequence = 0
@@ -224,7 +227,7 @@ class Link:
                 self._news.notify_all()
 
     def _restarted(self) -> None:
-        self._log("the box was restarted: disarmed until armed anew")
+        self._warn("the box was restarted: disarmed until armed anew")
         self._disarm_and_forget()
 
     def _disconnect(self) -> None:
@@ -247,7 +250,7 @@ class Link:
         """Say what is wrong once, not at every attempt."""
         if sentence != self._complaint:
             self._complaint = sentence
-            self._log(sentence)
+            self._warn(sentence)
 
 
 def _foreign(version: int) -> str:

@@ -69,7 +69,8 @@ class BridgeNode(PlantNode):
         port = Port(declare_parameters(self, settings))
         if not guard.settings.require_filter:
             self.get_logger().warning("guard.require_filter is false: gains reach the valve UNFILTERED")
-        self.link = BridgeSide(port, guard, self._publish, self.get_logger().info)
+        logger = self.get_logger()
+        self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning)
         self.connect(self.link)
         self.get_logger().info(be_prompt(realtime=realtime))
         self._thread = threading.Thread(target=self.link.run, name="serial", daemon=True)
