@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
@@ -40,6 +41,10 @@ class FixedGains:
     proportional: float
     integral: float
     base: tuple[float, float] = (15.0, 5.0)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.proportional) and math.isfinite(self.integral)):
+            raise ValueError(f"fixed gains are two finite numbers, not {self.proportional:g} and {self.integral:g}")
 
     @property
     def name(self) -> str:

@@ -76,12 +76,29 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     [
         (("--resume", "/nowhere"), "holds no run to resume"),
         (("--ros-args", "-p", "sac.discount:=1.5"), "sac.discount"),
+        (("--ros-args", "-p", "sac.discont:=0.9"), "no parameter sac.discont; is sac.discount meant?"),
+        (("--plant", "emulator", "--truth", "/nowhere"), "emulator: /nowhere cannot be read"),
+        (("--runs", "/dev/null"), "cannot be made"),
     ],
 )
 def test_what_the_user_can_put_right_is_one_sentence_and_status_2(
     words: tuple[str, ...], sentence: str, tmp_path: Path
 ) -> None:
     done = run("trainer", "--runs", str(tmp_path), *words)
+    assert done.returncode == 2
+    assert sentence in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--fixed", "nan", "5"), "fixed gains are two finite numbers, not nan and 5"),
+        (("--repeats", "0"), "repeats is 0"),
+        (("--json", "/nowhere/figures.json"), "there is no folder /nowhere"),
+    ],
+)
+def test_evaluate_says_at_once_what_it_cannot_use(words: tuple[str, ...], sentence: str) -> None:
+    done = run("evaluate", *words, timeout=30.0)
     assert done.returncode == 2
     assert sentence in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
 

@@ -64,6 +64,7 @@ class Companion:
     ) -> None:
         self.name = name or executable
         self._output = output or sys.stderr
+        self._last_line = ""
         parent = os.getpid()
         self.process = subprocess.Popen(
             [str(executable_path(package, executable)), *arguments],
@@ -82,6 +83,13 @@ class Companion:
     def running(self) -> bool:
         """Whether the process still runs."""
         return self.process.poll() is None
+
+    @property
+    def last_words(self) -> str:
+        """Its last line of output; of one that has ended, all was read."""
+        if not self.running:
+            self._echo.join(1.0)
+        return self._last_line
 
     def stop(self, timeout: float = 5.0) -> int:
         """End the process group, by SIGINT and after `timeout` s by SIGKILL; the exit status, negative for a signal."""
@@ -110,6 +118,7 @@ class Companion:
         assert self.process.stdout is not None
         with self.process.stdout as lines:
             for line in lines:
+                self._last_line = line.strip() or self._last_line
                 with suppress(ValueError):  # the program's output is closed already
                     self._output.write(f"[{self.name}] {line.rstrip()}\n")
                     self._output.flush()

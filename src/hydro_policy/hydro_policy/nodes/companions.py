@@ -26,6 +26,7 @@ from hydro_policy.nodes import provenance
 from hydro_policy.task import GainRange
 
 PLANTS = ("sim", "emulator", "bench", "external")
+_REFUSED = 2  # the exit status of all our commands for what they cannot use
 _REPEAT = 10.0  # s, before the same sentence is shown again
 _LOUD = ("warn", "error", "fatal", "traceback", "bypass")
 
@@ -107,11 +108,17 @@ class CompanionWatch:
 
     def __init__(self, companions: list[Companion]) -> None:
         self._running = list(companions)
+        self.refused = ""
+        """What a companion said that cannot use its input: it will not come back, and there is nothing to wait for."""
 
     def ended(self) -> list[str]:
         """Sentences about those that ended since the last call."""
         gone = [companion for companion in self._running if not companion.running]
         self._running = [companion for companion in self._running if companion not in gone]
+        for companion in gone:
+            if companion.process.returncode == _REFUSED:
+                said = companion.last_words.removeprefix("error: ").removeprefix(f"{companion.name}: ")
+                self.refused = self.refused or f"{companion.name}: {said}"
         return [f"{c.name} ended by itself (exit status {c.process.returncode}){_outcome(c.name)}" for c in gone]
 
 

@@ -15,14 +15,14 @@ from tempfile import TemporaryDirectory
 
 import rclpy
 
-from hydro_bridge.console import command
+from hydro_bridge.console import UserError, command
 from hydro_bridge.recording_run import code_version
-from hydro_bridge.ros import CompanionError, declare_parameters, ros_arguments
+from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_policy import report
 from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
 from hydro_policy.nodes.companions import CompanionWatch, start_companions
-from hydro_policy.nodes.graph import GraphNode, start_ros
+from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.progress import EvaluationProgress
 from hydro_policy.task import GainRange
@@ -78,10 +78,15 @@ def evaluate(options: argparse.Namespace) -> int:
     controllers: list[Controller] = [policy_controller(path) for path in options.policy]
     controllers += [FixedGains(kp, ki) for kp, ki in options.fixed or [(90.0, 15.0), (15.0, 5.0)]]
     given = {"frequencies": options.frequencies and tuple(options.frequencies), "repeats": options.repeats}
-    settings = EvaluationSettings(**{key: value for key, value in given.items() if value})
+    settings = EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
+    for path in filter(None, (options.json, options.plot)):  # found out now, not after minutes on the bench
+        if not path.parent.is_dir():
+            raise UserError(f"{path} cannot be written: there is no folder {path.parent}")
     with ExitStack() as stack:
         node = GraphNode("evaluate")
         stack.callback(node.destroy_node)
+        settings = declare_parameters(node, settings)
+        refuse_unknown_parameters(node)
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
         policies = tuple(map(policy_file, options.policy))
         plant = plant_options(options, recording=options.record, seed=options.seed, policies=policies)
@@ -89,7 +94,7 @@ def evaluate(options: argparse.Namespace) -> int:
         if not rearms(options):
             node.listen_for_enter()
         stack.callback(node.disarm)
-        results = evaluate_on(node, controllers, rearm=rearms(options), settings=declare_parameters(node, settings))
+        results = evaluate_on(node, controllers, rearm=rearms(options), settings=settings)
     show_results(results, options.json, options.plot, {"plant": options.plant, "seed": options.seed})
     return 0 if results.finished else 130
 

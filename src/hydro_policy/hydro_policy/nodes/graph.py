@@ -12,7 +12,6 @@ from contextlib import suppress
 from typing import IO
 
 import numpy as np
-import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -29,6 +28,7 @@ from hydro_bridge.ros import (
     REFERENCE_QOS,
     STATE,
     STATE_QOS,
+    CompanionError,
     be_prompt,
     reference_to_message,
     seconds,
@@ -77,11 +77,20 @@ class GraphNode(Node):
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def drive(self, session: Session, each_tick: Callable[[], None]) -> bool:
-        """Carry `session` until it is finished (True) or a signal ends it (False); `each_tick` runs every 50 ms."""
+        """Carry `session` until it is finished (True) or a signal ends it (False); `each_tick` runs every 50 ms.
+
+        Raises
+        ------
+        CompanionError
+            A companion cannot use what it was given.
+        """
         self._session, self._each_tick, self._done = session, each_tick, Future()
         be_prompt(realtime=False)
         try:
-            return not spin(self, self._done)
+            broken = spin(self, self._done)
+            if self.companions.refused:
+                raise CompanionError(self.companions.refused)
+            return not broken
         finally:
             self._session = None
 
@@ -148,7 +157,7 @@ class GraphNode(Node):
         for sentence in self.companions.ended():
             self.say(sentence, warning=True)
         self._each_tick()
-        if self._session.finished:
+        if self._session.finished or self.companions.refused:
             self._finish()
 
     def _finish(self) -> None:
@@ -171,8 +180,3 @@ class GraphNode(Node):
     def _read_keys(self) -> None:
         for line in sys.stdin:
             self._keys.put(line)
-
-
-def start_ros(ros: list[str]) -> None:
-    """Start ROS without its signal handlers: ours leave time to disarm."""
-    rclpy.init(args=["hydro", *ros], signal_handler_options=rclpy.signals.SignalHandlerOptions.NO)

@@ -16,14 +16,14 @@ from typing import IO, Any
 import rclpy
 import torch
 
-from hydro_bridge.console import command
-from hydro_bridge.ros import Companion, CompanionError, ros_arguments
+from hydro_bridge.console import UserError, command
+from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.episode import Phase
 from hydro_policy.nodes.companions import CompanionWatch, start_companions
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
-from hydro_policy.nodes.graph import GraphNode, start_ros
+from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import add_plant_options, declare_settings, plant_options, rearms
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.run import RunDirectory, TrainingSettings, new_run
@@ -163,8 +163,12 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         wide = replace(settings.task.gains, delta_kp_max=285.0)
         settings = replace(settings, task=replace(settings.task, gains=wide))
     settings = declare_settings(node, settings)
+    refuse_unknown_parameters(node)
     if options.resume is None:
-        run.create()
+        try:
+            run.create()
+        except (NotADirectoryError, PermissionError) as error:
+            raise UserError(f"{run.path} cannot be made: {error.strerror}") from None
     run.save_settings(settings)
     return Prepared(run, settings, checkpoint)
 
