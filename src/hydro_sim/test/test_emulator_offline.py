@@ -150,6 +150,9 @@ def test_batch_records_many_jobs_with_one_command(tmp_path: Path) -> None:
         (["--offline", "--out", "bag", "--truth", "none.yaml"], "none.yaml cannot be read"),
         (["--offline", "--out", "bag", "--seconds", "-1"], "emulator.seconds must be within"),
         (["--batch", "none.yaml"], "none.yaml cannot be read"),
+        (["--seconds", "nan"], "--seconds nan"),
+        (["--seconds", "-3"], "--seconds -3"),
+        (["--seed", "-1"], "--seed -1"),
     ],
 )
 def test_wrong_words_end_in_one_sentence_and_status_2(

@@ -41,6 +41,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (ConfigError, RecordingError, ValueError, OSError) as error:
         print(f"emulator: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:  # before it runs: from then on Ctrl-C is asked for politely
+        return 130
     return 0
 
 
@@ -80,6 +82,10 @@ def _jobs(options: argparse.Namespace) -> list[jobs.Job]:
 def _serve(options: argparse.Namespace) -> None:
     if options.out or options.schedule:
         raise ConfigError("--out and --schedule record offline: add --offline")
+    if options.seconds is not None and not 0.001 <= options.seconds < float("inf"):
+        raise ConfigError(f"--seconds {options.seconds:g}: 0.001 s or more is meant")
+    if options.seed < 0:
+        raise ConfigError(f"--seed {options.seed}: 0 or more is meant")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     box = BoxConfig()
     machine = Machine(jobs.truth(options.truth), bench, box, options.seed)
