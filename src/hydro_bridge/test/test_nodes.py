@@ -195,6 +195,26 @@ def test_recorder_refuses_to_overwrite(start, tmp_path):
     assert output.getvalue() == f"[recorder] error: {tmp_path} exists already; a recording is never overwritten\n"
 
 
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (
+            ["bridge", "--ros-args", "-p", "guard.delta_kp_mx:=30.0"],
+            "no parameter guard.delta_kp_mx; is guard.delta_kp_max",
+        ),
+        (["bridge", "--ros-args", "--params-file", "/nowhere"], "ROS refuses its arguments"),
+        (["bridge", "--ros-args", "--nonsense"], "--nonsense"),
+        (["recorder", "--out", "OUT", "--topics", "/bad name"], "Invalid topic name"),
+    ],
+)
+def test_what_cannot_be_used_is_one_sentence_and_status_2(words, sentence, start, tmp_path):
+    output, folder = io.StringIO(), tmp_path / "recording"
+    companion = start(*[str(folder) if word == "OUT" else word for word in words], output=output)
+    assert companion.process.wait(20.0) == 2
+    assert sentence in companion.last_words and companion.last_words.startswith("error: ")
+    assert "Traceback" not in output.getvalue() and not folder.exists()
+
+
 def test_replayer_takes_the_plants_place(probe, start, tmp_path, make_states):
     states = make_states(1500)
     with BagWriter(tmp_path / "run") as writer:

@@ -15,11 +15,13 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock, ClockType
+from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from hydro_bridge.bag_types import TopicQos
-from hydro_bridge.console import command
+from hydro_bridge.console import UserError, command
 from hydro_bridge.recording import repair
 from hydro_bridge.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
 from hydro_bridge.ros import GRAPH, DiagnosticsPublisher, Level, Status, be_prompt, ros_arguments, run_node
@@ -116,5 +118,10 @@ def main() -> None:
     if options.repair:
         print(f"{options.repair}: kept {repair(options.repair)} messages", file=sys.stderr)
         return
+    for topic in options.topics:  # before a folder is made
+        try:
+            validate_full_topic_name(topic)
+        except InvalidTopicNameException as error:
+            raise UserError(f"--topics {topic}: {str(error).splitlines()[0].rstrip(':')}") from None
     metadata, attachments = parse_pairs(options.metadata), read_attachments(options.attach)
     run_node(lambda: RecorderNode(lambda: RecordingRun(options.out, metadata, attachments), options.topics), ros)

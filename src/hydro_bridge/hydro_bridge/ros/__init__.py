@@ -12,9 +12,9 @@ from hydro_bridge.ros.messages import (
     seconds,
     state_from_message,
 )
-from hydro_bridge.ros.parameters import declare_parameters
+from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
 from hydro_bridge.ros.scheduling import be_prompt
-from hydro_bridge.ros.spinning import ros_arguments, run_node, spin
+from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
     CORRECTION,
@@ -58,9 +58,11 @@ __all__ = [
     "executable_path",
     "reference_from_message",
     "reference_to_message",
+    "refuse_unknown_parameters",
     "ros_arguments",
     "run_node",
     "seconds",
     "spin",
+    "start_ros",
     "state_from_message",
 ]

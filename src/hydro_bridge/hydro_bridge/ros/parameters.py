@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, replace
+from difflib import get_close_matches
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
@@ -44,6 +45,21 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
     declared = replace(settings, **chosen)  # type: ignore[type-var]
     check(declared)
     return declared
+
+
+def refuse_unknown_parameters(node: Node) -> None:
+    """Call it once all are declared: ROS itself ignores what it does not know, and so a limit that is misspelt.
+
+    Raises
+    ------
+    SettingsError
+        The user set a parameter, by name or in a file, that this node does not have.
+    """
+    for name in node._parameter_overrides:  # rclpy has no public way to what the user set
+        if not node.has_parameter(name):
+            close = get_close_matches(name, node.get_parameters_by_prefix(""), 1)
+            hint = f"; is {close[0]} meant?" if close else ""
+            raise SettingsError(f"{node.get_name()} has no parameter {name}{hint}")
 
 
 def _descriptor(default: object, doc: FieldDoc) -> ParameterDescriptor:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import sys
 from collections.abc import Callable, Sequence
@@ -15,6 +16,9 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from hydro_bridge.ros.parameters import refuse_unknown_parameters
+from hydro_bridge.settings import SettingsError
+
 _SLICE = 0.2
 
 
@@ -26,6 +30,21 @@ def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], li
     begin = rest.index("--ros-args")
     end = rest.index("--", begin) + 1 if "--" in rest[begin:] else len(rest)
     return rest[:begin] + rest[end:], rest[begin:end]
+
+
+def start_ros(ros: Sequence[str] = ()) -> None:
+    """Start ROS without its signal handlers: ours leave time to disarm.
+
+    Raises
+    ------
+    SettingsError
+        The arguments, `--ros-args` and what follows, cannot be used.
+    """
+    try:
+        rclpy.init(args=["hydro", *ros], signal_handler_options=SignalHandlerOptions.NO)
+    except RuntimeError as error:  # of which all of rclpy's are
+        sentence = re.sub(r",? at /\S+:\d+", "", str(error))
+        raise SettingsError(f"ROS refuses its arguments: {' '.join(sentence.split())}") from None
 
 
 def spin(node: Node, until: Future | None = None) -> bool:
@@ -71,10 +90,11 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
     ros
         Arguments from `--ros-args` on.
     """
-    rclpy.init(args=["hydro", *ros], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(ros)
     node = None
     try:
         node = make()
+        refuse_unknown_parameters(node)
         spin(node)
     finally:
         if node is not None:

@@ -15,7 +15,6 @@ from typing import Any
 import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 from tqdm import tqdm
@@ -35,6 +34,7 @@ from hydro_bridge.ros import (
     reference_to_message,
     ros_arguments,
     spin,
+    start_ros,
 )  # fmt: skip
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import BenchState, Gains, ReferenceSignal
@@ -120,7 +120,7 @@ class CollectNode(Node):
 
 def _play(schedule: Sequence[Stretch], out: str, ros: Sequence[str]) -> None:
     """Record while the schedule plays; raises UserError if it was broken off."""
-    rclpy.init(args=["collect", *ros], signal_handler_options=SignalHandlerOptions.NO)
+    start_ros(ros)
     topics = ["--topics", STATE, GAINS, REFERENCE]
     try:
         with Companion("hydro_bridge", "recorder", ["--out", out, *topics]):
