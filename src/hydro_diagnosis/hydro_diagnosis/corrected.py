@@ -15,20 +15,38 @@ from typing import Any
 import yaml
 
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_sim.bench import Bench
 
 
 def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
-    """A bench with its values replaced and the remaining claims in `effects`, after those it had."""
+    """A bench with its values replaced and the remaining claims in `effects`, after those it had.
+
+    A wrong bulk modulus or valve gain becomes a number of the bench unless an effect before it acts on the same
+    quantity (air in the oil, say): then their order matters, and it stays an effect.
+    """
+    before = [claim.effect for claim in claims_of(bench)]
     effects: list[Mapping[str, Any]] = list(bench.effects)
     for claim in claims:
-        changed = claim.effect.bench(bench, claim.values)
+        changed = bench if _meets(claim.effect, before) else claim.effect.settled(bench, claim.values)
         if changed == bench or claim.effect.id == "sensor_lag":
             effects.append(claim.to_mapping())
+            before.append(claim.effect)
         else:
             bench = replace(changed, effects=())
     return replace(bench, effects=tuple(effects))
+
+
+def _meets(effect: Effect, before: Sequence[Effect]) -> bool:
+    """Whether an effect that multiplies a quantity comes after one that shapes the same quantity."""
+    for hook in ("stiffness", "openings"):
+        if _overrides(effect, hook) and any(_overrides(one, hook) for one in before):
+            return True
+    return False
+
+
+def _overrides(effect: Effect, hook: str) -> bool:
+    return getattr(type(effect), hook) is not getattr(Effect, hook)
 
 
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:

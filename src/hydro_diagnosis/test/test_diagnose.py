@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -15,6 +16,8 @@ from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.corrected import claims_of, corrected_bench
 from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.problem import Problem
 from hydro_sim.bench import Bench
 
 Record = Callable[..., StateArray]
@@ -58,6 +61,31 @@ def test_effects_survive_the_corrected_bench(tmp_path: Path) -> None:
     assert [(claim.effect.label, dict(claim.values)) for claim in back] == [
         (claim.effect.label, dict(claim.values)) for claim in claims
     ]
+
+
+def test_wrong_modulus_and_valve_gain_become_numbers_of_the_bench(problem: Problem) -> None:
+    claims = [claim("bulk_modulus", 0.9), claim("valve_gain", 1.05)]
+    corrected = corrected_bench(problem.bench, claims)
+    assert corrected.effects == ()
+    assert corrected.valve_gain == pytest.approx(1.05 * problem.bench.valve_gain)
+    model = problem.models[0]
+    as_effects, as_numbers = model.chamber_run(claims), SegmentModel(model.segment, corrected).chamber_run(())
+    np.testing.assert_allclose(as_numbers.innovations, as_effects.innovations, rtol=1e-9, atol=1e-3)
+
+
+def test_order_that_matters_keeps_the_modulus_an_effect() -> None:
+    claims = [claim("entrained_air", 0.01), claim("bulk_modulus", 0.9)]
+    corrected = corrected_bench(Bench.nominal(), claims)
+    assert [effect["id"] for effect in corrected.effects] == ["entrained_air", "bulk_modulus"]
+    assert corrected.bulk_modulus == Bench.nominal().bulk_modulus
+    turned = corrected_bench(Bench.nominal(), claims[::-1])
+    assert [effect["id"] for effect in turned.effects] == ["entrained_air"]
+    assert turned.bulk_modulus == pytest.approx(0.9 * Bench.nominal().bulk_modulus)
+
+
+def claim(identifier: str, value: float) -> Claim:
+    effect = next(one for one in LIBRARY if one.id == identifier and not one.options)
+    return Claim(effect, {effect.parameters[0].name: value})
 
 
 def test_recording_without_pressures_is_diagnosed_for_what_it_shows(

@@ -71,7 +71,7 @@ class Bench:
     load_cell_bandwidth: float | None = field(default=None, metadata={"unit": "Hz", "low": 1.0, "high": 1e4})
     """Second-order Butterworth low-pass in the load cell's amplifier; None: ideal."""
     effects: tuple[Mapping[str, Any], ...] = ()
-    """Effects beyond these equations, found by a diagnosis (`corrected.yaml`); kept as read."""
+    """Effects beyond these equations, found by a diagnosis (`corrected.yaml`): kept, not simulated, see `left_out`."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -86,6 +86,12 @@ class Bench:
     def valve_gain(self) -> float:
         """K_v [m3/s/A/sqrt(Pa)] (eq. q4)."""
         return self.valve_nominal_flow / (self.valve_nominal_current * sqrt(self.valve_nominal_pressure_drop / 2.0))
+
+    @property
+    def left_out(self) -> str:
+        """A sentence that names the effects, which hydro_sim's equations leave out; empty without effects."""
+        names = ", ".join(str(effect["id"]) for effect in self.effects)
+        return f"of the bench file's effects the analytic simulation leaves out {names}" if names else ""
 
     @classmethod
     def nominal(cls) -> Bench:

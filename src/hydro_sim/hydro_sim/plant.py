@@ -8,6 +8,7 @@ learned model predicts all eight at once.
 
 from __future__ import annotations
 
+import warnings
 from typing import Protocol
 
 import numpy as np
@@ -41,7 +42,7 @@ class AnalyticPlant:
     Parameters
     ----------
     bench
-        What is simulated.
+        What is simulated, without its `effects`: a UserWarning names those.
     noise
         Scale of the sensors' noise and quantisation, 0 or more; 0: ideal sensors.
     settings
@@ -51,6 +52,8 @@ class AnalyticPlant:
     def __init__(self, bench: Bench, *, noise: float = 1.0, settings: Sensors | None = None) -> None:
         if not 0.0 <= noise < np.inf:
             raise ValueError(f"noise scale {noise!r} is not a number of 0 or more")
+        if bench.left_out:
+            warnings.warn(bench.left_out, stacklevel=2)
         self.constants = bench.constants()
         self.sensors = (settings or Sensors()).constants(noise)
         self.state = np.zeros(1, PLANT_STATE_DTYPE)

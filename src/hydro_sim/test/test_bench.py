@@ -10,6 +10,7 @@ import pytest
 import yaml
 
 from hydro_sim.bench import BENCH_DTYPE, Bench
+from hydro_sim.plant import AnalyticPlant
 
 
 def write(path: Path, **changes: object) -> Path:
@@ -46,6 +47,14 @@ def test_optional_key_may_be_absent(tmp_path: Path) -> None:
     assert bench.load_cell_bandwidth is None
     assert bench.constants()["load_cell_omega"][0] == 0.0
     assert "load_cell_bandwidth" not in bench.to_mapping()
+
+
+def test_what_is_not_simulated_is_named(bench: Bench) -> None:
+    corrected = replace(bench, effects=({"id": "valve_lag", "parameters": {}}, {"id": "backlash", "parameters": {}}))
+    assert bench.left_out == ""
+    assert corrected.left_out.endswith("leaves out valve_lag, backlash")
+    with pytest.warns(UserWarning, match="leaves out valve_lag, backlash"):
+        AnalyticPlant(corrected)
 
 
 def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:

@@ -6,9 +6,11 @@ from __future__ import annotations
 import subprocess
 import threading
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import yaml
 
 rclpy = pytest.importorskip("rclpy")
 
@@ -17,6 +19,7 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 
 from hydro_bridge.ros import CORRECTION, GRAPH, STATE, Companion, executable_path, seconds  # noqa: E402
 from hydro_msgs.msg import BenchState, Correction  # noqa: E402
+from hydro_sim.bench import Bench  # noqa: E402
 
 pytestmark = pytest.mark.graph
 
@@ -34,6 +37,20 @@ def test_what_it_cannot_use_is_refused_in_one_sentence(arguments: list[str], sen
     ended = subprocess.run(sim, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 2
     assert sentence in ended.stderr and "Traceback" not in ended.stderr
+
+
+def test_effects_of_a_corrected_bench_are_not_left_out_silently(tmp_path: Path) -> None:
+    corrected = replace(Bench.nominal(), effects=({"id": "valve_lag", "parameters": {"bandwidth": 110.0}},))
+    (tmp_path / "corrected.yaml").write_text(yaml.safe_dump(corrected.to_mapping()))
+    sim = [str(executable_path("hydro_sim", "sim")), "--bench", "corrected.yaml", "--speed", "0"]
+    with subprocess.Popen(sim, cwd=tmp_path, stderr=subprocess.PIPE, text=True) as started:
+        assert started.stderr is not None
+        watchdog = threading.Timer(60.0, started.kill)
+        watchdog.start()
+        said = next((line for line in started.stderr if "leaves out valve_lag" in line), "nothing")
+        watchdog.cancel()
+        started.terminate()
+    assert "WARN" in said
 
 
 @pytest.fixture

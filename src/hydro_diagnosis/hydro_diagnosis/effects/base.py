@@ -145,6 +145,10 @@ class Effect:
         """The bench with a value replaced."""
         return bench
 
+    def settled(self, bench: Bench, values: Values) -> Bench:
+        """The bench file with this effect written into its numbers, exact where no earlier effect meets its hooks."""
+        return self.bench(bench, values)
+
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
         """Spool position [A] from the valve current, shape (n, substeps); `substep` in s. The record starts at rest."""
         return current

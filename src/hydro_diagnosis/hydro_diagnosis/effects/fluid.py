@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Parameter, Values
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Parameter, Values, changed
+from hydro_sim.bench import Bench
 
 ATMOSPHERE = 101325.0
 """Pa; `volume_fraction` is the share of free air at this pressure."""
@@ -22,6 +23,9 @@ class BulkModulus(Effect):
 
     def stiffness(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:
         return modulus * values["ratio"]
+
+    def settled(self, bench: Bench, values: Values) -> Bench:
+        return changed(bench, bulk_modulus=bench.bulk_modulus * values["ratio"])
 
     def sentence(self, values: Values) -> str:
         return f"The bulk modulus is {values['ratio']:.4g} times what the bench file says, at every pressure."

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Openings, Parameter, Values
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Openings, Parameter, Values, changed
+from hydro_sim.bench import Bench
 
 
 class _Valve(Effect):
@@ -102,6 +103,9 @@ class ValveGain(_Valve):
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         return _scaled(edges, values["ratio"], values["ratio"])
+
+    def settled(self, bench: Bench, values: Values) -> Bench:
+        return changed(bench, valve_nominal_flow=bench.valve_nominal_flow * values["ratio"])
 
     def sentence(self, values: Values) -> str:
         return f"The valve passes {values['ratio']:.4g} times the flow that the bench file says."

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +46,8 @@ def main() -> None:
     learned = Learned.load(options.model)
     scored = _scored(options.bags, options.noise_free)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    if bench.left_out:
+        print(bench.left_out, file=sys.stderr)
     states = [learned.model.estimate(item.run) for item in scored]
     analytic = AnalyticModel(bench)
     same = isinstance(learned.model, StructuredModel)

@@ -35,6 +35,9 @@ CLOCK_DEPTH = 10
 class SimSide(Simulation):
     """A simulation that can say on /diagnostics how it is doing."""
 
+    left_out = ""
+    """What of the bench file is not simulated, a sentence."""
+
     def status(self) -> Status:
         """See `hydro_bridge.nodes.plant_node.PlantSide`."""
         with self.lock:
@@ -47,6 +50,7 @@ class SimSide(Simulation):
             "late samples": self.pacer.late,
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
+            "not simulated": self.left_out or "none",
             **{f"guard {name}": count for name, count in guard.items()},
         }
         return Status(level=self._level(), message=self._sentence(), values=values)
@@ -75,9 +79,13 @@ class SimNode(PlantNode):
         bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
         box = Box(bench, declare_parameters(self, BoxConfig(), "box."))
         plant = _plant(settings, bench)
+        left_out = bench.left_out if isinstance(plant, AnalyticPlant) else ""
+        if left_out:
+            self.get_logger().warning(left_out)
         self._time = Clock()
         self._clock_publisher = None if settings.speed == 1.0 else self.create_publisher(Clock, CLOCK, CLOCK_DEPTH)
         self.simulation = SimSide(box, plant, guard, settings, self._publish, self.get_logger().info)
+        self.simulation.left_out = left_out
         self.connect(self.simulation, self.simulation.clock)
         self.get_logger().info(be_prompt(realtime=realtime))
         self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
@@ -104,7 +112,7 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     """The plant that the settings name."""
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
-        return AnalyticPlant(bench, noise=settings.noise)
+        return AnalyticPlant(replace(bench, effects=()), noise=settings.noise)  # the node says what that leaves out
     return LearnedPlant(None if name == "shipped" else name, noise=settings.noise)
 
 
