@@ -63,6 +63,10 @@ class Probe:
             assert time.monotonic() < end, "it did not happen"
             self.executor.spin_once(timeout_sec=0.02)
 
+    def listen(self, seconds: float) -> None:
+        end = time.monotonic() + seconds
+        self.wait(lambda: time.monotonic() > end, seconds + 20.0)
+
     def arm(self, arm: bool) -> SetBool.Response:
         self.wait(self.arming.service_is_ready)
         answer = self.arming.call_async(SetBool.Request(data=arm))
@@ -135,6 +139,19 @@ def test_bridge_arms_disarms_and_is_disarmed_after_replugging(cable, small_box, 
     assert probe.arm(False).message == "disarmed" and not box.flags & Flag.ARMED
 
 
+def test_bridge_says_once_that_the_box_tripped_and_why(cable, small_box, probe, start):
+    box, output = small_box(), io.StringIO()
+    start("bridge", "--port", cable.path, output=output)
+    probe.wait(lambda: len(probe.states) > 20)
+    assert "tripped" not in output.getvalue()
+    box.obeys, box.flags = False, Flag.TRIPPED | Flag.FORCE_LIMIT
+    probe.wait(lambda: "the box tripped (TRIPPED" in output.getvalue())
+    heard = len(probe.states)
+    probe.wait(lambda: len(probe.states) > heard + 300)
+    said = [line for line in output.getvalue().splitlines() if "the box tripped" in line]
+    assert len(said) == 1 and "WARN" in said[0] and "FORCE_LIMIT" in said[0]
+
+
 def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start):
     box = small_box()
     bridge = start("bridge", "--port", cable.path)
@@ -151,8 +168,8 @@ def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, s
     attached = tmp_path / "bench.yaml"
     attached.write_text("stroke: 0.08\n")
     recorder = start("recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached)
-    probe.wait((tmp_path / "run").exists)
-    time.sleep(3.0)
+    probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
+    probe.listen(3.0)
     assert recorder.stop() == 0
     recording = read_bag(tmp_path / "run")
     assert len(recording.state) > 1000 and recording.notes == ()
@@ -170,9 +187,8 @@ def test_killed_recorder_loses_less_than_a_second(cable, small_box, probe, start
     start("bridge", "--port", cable.path)
     probe.wait(lambda: len(probe.states) > 20)
     recorder = start("recorder", "--out", tmp_path / "run")
-    probe.wait((tmp_path / "run").exists)
-    begin = time.monotonic()
-    probe.wait(lambda: time.monotonic() > begin + 4.0)
+    probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
+    probe.listen(4.0)
     os.killpg(recorder.process.pid, signal.SIGKILL)
     recorder.process.wait()
     last = probe.states[-1].sequence

@@ -35,6 +35,7 @@ from hydro_bridge.ros import (
     Status,
     reference_from_message,
 )
+from hydro_bridge.signals import Flag, flag_names
 from hydro_msgs.msg import BenchState, Correction, Gains, ReferenceSignal
 
 
@@ -67,6 +68,7 @@ class PlantNode(Node):
         super().__init__(name)
         self._publisher = self.create_publisher(BenchState, STATE, STATE_QOS)
         self._state = StateMessage()
+        self._flags, self._tripped = 0, False
 
     def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
         """Take commands for `side`, and report on it; `clock` is the guard's [s]."""
@@ -80,6 +82,7 @@ class PlantNode(Node):
 
     def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
         """Publish one sample; `values` in STATE_FIELDS order. Called from one thread only, the plant's."""
+        self._flags = flags
         self._publisher.publish(self._state.fill(stamp_ns, sequence, values, flags))
 
     def _on_gains(self, message: Gains) -> None:
@@ -110,3 +113,7 @@ class PlantNode(Node):
             events = self.side.guard.take_events()
         for event in events:
             self.get_logger().warning(event)
+        flags, before = self._flags, self._tripped
+        self._tripped = bool(flags & Flag.TRIPPED)
+        if self._tripped and not before:
+            self.get_logger().warning(f"the box tripped ({flag_names(flags)}): disarm it, then arm it")
