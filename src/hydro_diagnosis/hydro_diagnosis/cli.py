@@ -12,6 +12,7 @@ from hydro_bridge.console import command
 from hydro_diagnosis.corrected import write_corrected
 from hydro_diagnosis.page import write_page
 from hydro_diagnosis.pipeline import Diagnosis, diagnose
+from hydro_diagnosis.report import DiagnosisInterrupted
 from hydro_diagnosis.table import InputError
 
 
@@ -29,15 +30,24 @@ def parser() -> argparse.ArgumentParser:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Diagnose and write; 0 whatever the verdict."""
+    """Diagnose and write; 0 whatever the verdict, 130 after Ctrl-C, with what was finished by then."""
     chosen = parser().parse_args(arguments)
     quiet = chosen.quiet or not sys.stderr.isatty()
-    found = diagnose(
-        chosen.recordings,
-        holdout=chosen.holdout,
-        bench=chosen.bench,
-        progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
-    )
+    try:
+        found = diagnose(
+            chosen.recordings,
+            holdout=chosen.holdout,
+            bench=chosen.bench,
+            progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
+        )
+    except DiagnosisInterrupted as interrupted:
+        chosen.out.mkdir(parents=True, exist_ok=True)
+        interrupted.report.write(chosen.out)
+        print(f"interrupted: {chosen.out / 'report.json'} holds what was finished, no verdict", file=sys.stderr)
+        return 130
+    except KeyboardInterrupt:
+        print("interrupted while reading: nothing was written", file=sys.stderr)
+        return 130
     chosen.out.mkdir(parents=True, exist_ok=True)
     found.report.write(chosen.out)
     write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")

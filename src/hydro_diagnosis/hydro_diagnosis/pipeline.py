@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import metadata
 from pathlib import Path
@@ -20,7 +20,7 @@ from hydro_diagnosis.nextrec import next_recording
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import Recording, Segment
-from hydro_diagnosis.report import Report, channel_errors
+from hydro_diagnosis.report import INTERRUPTED, DiagnosisInterrupted, Report, channel_errors
 from hydro_diagnosis.search import Outcome, Search, SearchSettings
 from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
 from hydro_diagnosis.verdict import Assessment, assess
@@ -70,6 +70,8 @@ def diagnose(
     ------
     InputError
         If a recording cannot be diagnosed, in one sentence.
+    DiagnosisInterrupted
+        On Ctrl-C once the recordings are read; its `report` holds what was finished.
     """
     begun = time.monotonic()
     believed = bench if isinstance(bench, Bench) else _bench(bench)
@@ -80,14 +82,30 @@ def diagnose(
     problem = Problem(fitted, believed, baseline)
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
+    search = Search(problem, [effect.adapted(believed) for effect in LIBRARY], settings, progress)
+    facts: dict[str, Any] = {
+        "checked": [name for block, name in _EQUATIONS.items() if block in problem.blocks],
+        "not_checked": [name for block, name in _EQUATIONS.items() if block not in problem.blocks],
+        "data_quality": quality,
+        "baseline": {"bench": believed.to_mapping(), "model": "analytic"},
+        "versions": {"hydro_diagnosis": _version()},
+    }
+    try:
+        return _diagnosed(search, held, facts, begun)
+    except KeyboardInterrupt:
+        raise DiagnosisInterrupted(_unfinished(search, facts, begun)) from None
+
+
+def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], begun: float) -> Diagnosis:
+    """Search, judge, prove; `facts` go into the report as they are."""
+    problem, believed, progress = search.problem, search.problem.bench, search.progress
     progress("searching")
-    library = [effect.adapted(believed) for effect in LIBRARY]
-    outcome = Search(problem, library, settings, progress).run()
+    outcome = search.run()
     progress("judging")
     assessment = assess(problem, outcome.fit, outcome.nothing)
     models = [SegmentModel(segment, believed) for segment in held]
     progress("checking on held-out recordings")
-    unseen = Problem(held, believed, baseline, noise=problem.sensor_noise)
+    unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     effects = describe(problem, unseen, outcome, assessment)
     report = Report(
         verdict=assessment.verdict,
@@ -96,15 +114,30 @@ def diagnose(
         remainder=_remainder(assessment, problem),
         fit=_fit(problem, assessment, models),
         next_recording=next_recording(problem, outcome, assessment),
-        checked=[name for block, name in _EQUATIONS.items() if block in problem.blocks],
-        not_checked=[name for block, name in _EQUATIONS.items() if block not in problem.blocks],
-        data_quality=quality,
-        baseline={"bench": believed.to_mapping(), "model": "analytic"},
-        versions={"hydro_diagnosis": _version()},
         seconds=time.monotonic() - begun,
-        steps=[{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in outcome.steps],
+        steps=_steps(search),
+        **facts,
     )
     return Diagnosis(report, believed, problem, assessment, outcome, models)
+
+
+def _unfinished(search: Search, facts: Mapping[str, Any], begun: float) -> Report:
+    """What is known when Ctrl-C comes: which equations can be checked, and the steps so far, which prove nothing."""
+    return Report(
+        verdict=INTERRUPTED,
+        location=[],
+        effects=[],
+        remainder=None,
+        fit={},
+        next_recording=None,
+        seconds=time.monotonic() - begun,
+        steps=_steps(search),
+        **facts,
+    )
+
+
+def _steps(search: Search) -> list[dict[str, Any]]:
+    return [{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps]
 
 
 _EQUATIONS = {

@@ -11,6 +11,9 @@ from typing import Any
 
 from hydro_diagnosis.heldout import ChannelError
 
+INTERRUPTED = "interrupted"
+"""In place of a verdict where there is none."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Location:
@@ -67,7 +70,7 @@ class Report:
     """Everything a diagnosis says."""
 
     verdict: str
-    """no_mismatch, explained, partly_explained or unknown."""
+    """no_mismatch, explained, partly_explained or unknown; `INTERRUPTED` if Ctrl-C came before there was one."""
     location: list[Location]
     effects: list[EffectReport]
     remainder: dict[str, Any] | None
@@ -90,6 +93,14 @@ class Report:
     def write(self, folder: Path) -> None:
         """Write report.json."""
         (folder / "report.json").write_text(self.to_json() + "\n", encoding="utf-8")
+
+
+class DiagnosisInterrupted(KeyboardInterrupt):
+    """Ctrl-C before the verdict."""
+
+    def __init__(self, report: Report) -> None:
+        super().__init__("the diagnosis was interrupted before its verdict")
+        self.report = report
 
 
 def channel_errors(errors: dict[str, ChannelError]) -> dict[str, Any]:

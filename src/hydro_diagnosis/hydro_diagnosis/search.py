@@ -72,11 +72,13 @@ class Search:
         self.library = tuple(library)
         self.settings = settings or SearchSettings()
         self.progress = progress
+        self.steps: list[Step] = []
+        """What was accepted and dropped so far; those of the outcome."""
 
     def run(self) -> Outcome:
         """Forward until nothing more pays, then swaps and drops until nothing changes."""
         nothing = fit(self.problem, ())
-        outcome = Outcome(nothing, nothing)
+        outcome = Outcome(nothing, nothing, self.steps)
         for _ in range(3):
             self._forward(outcome)
             if not (self._swap(outcome) | self._backward(outcome)):

@@ -108,6 +108,34 @@ def test_bad_input_ends_in_one_sentence_and_status_2(tmp_path: Path) -> None:
     assert "there is no such recording" in ended.stderr
 
 
+def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> None:
+    """Ctrl-C when the search has begun; a terminal sends it to the whole process group, here to the one process."""
+    started = [sys.executable, "-c", INTERRUPTED_RUN, str(worn[0]), str(worn[1]), "--out", str(tmp_path / "out")]
+    ended = subprocess.run(started, capture_output=True, text=True, check=False, timeout=60)
+    assert ended.returncode == 130, ended.stderr
+    assert (
+        ended.stderr.strip() == f"interrupted: {tmp_path / 'out' / 'report.json'} holds what was finished, no verdict"
+    )
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert set(report) >= CONTRACT
+    assert report["verdict"] == "interrupted"
+    assert [step["label"] for step in report["steps"]] == ["spring_stiffness"]
+    assert "motion" in report["checked"] and report["effects"] == []
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["report.json"]
+
+
+INTERRUPTED_RUN = """
+import os, signal
+from hydro_diagnosis import cli, search
+swap = search.Search._swap
+def interrupted(self, outcome):
+    os.kill(os.getpid(), signal.SIGINT)
+    return swap(self, outcome)
+search.Search._swap = interrupted
+cli.main()
+"""
+
+
 def test_python_returns_what_the_command_writes(csv: Path, nominal: StateArray) -> None:
     found = diagnose([csv])
     assert found.report.verdict == "no_mismatch"
