@@ -151,9 +151,12 @@ def _command_line(pid: int) -> str:
 
 @contextmanager
 def own_domain() -> Iterator[None]:
-    """A ROS domain that no other test of this machine is likely to use, on this machine only."""
+    """A ROS domain that no other test of this machine is likely to use, on this machine only.
+
+    Domains above 101 use ports that the kernel hands out to anybody.
+    """
     before = {name: os.environ.get(name) for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE")}
-    os.environ |= {"ROS_DOMAIN_ID": str(120 + os.getpid() % 80), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    os.environ |= {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
     try:
         yield
     finally:

@@ -169,7 +169,7 @@ def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, s
     attached.write_text("stroke: 0.08\n")
     recorder = start("recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached)
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
-    probe.listen(3.0)
+    probe.listen(6.0)  # the bridge may hear of the recorder only by its second announcement, 3 s after the first
     assert recorder.stop() == 0
     recording = read_bag(tmp_path / "run")
     assert len(recording.state) > 1000 and recording.notes == ()
@@ -188,7 +188,7 @@ def test_killed_recorder_loses_less_than_a_second(cable, small_box, probe, start
     probe.wait(lambda: len(probe.states) > 20)
     recorder = start("recorder", "--out", tmp_path / "run")
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
-    probe.listen(4.0)
+    probe.listen(6.0)
     os.killpg(recorder.process.pid, signal.SIGKILL)
     recorder.process.wait()
     last = probe.states[-1].sequence

@@ -25,7 +25,7 @@ from hydro_sim.learned.weights import shipped
 
 pytestmark = pytest.mark.graph
 
-ENVIRONMENT = {"ROS_DOMAIN_ID": str(20 + os.getpid() % 80), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+ENVIRONMENT = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def run(executable: str, *words: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
