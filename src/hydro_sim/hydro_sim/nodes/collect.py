@@ -136,7 +136,7 @@ def _play(schedule: Sequence[Stretch], out: str, ros: Sequence[str]) -> None:
         raise UserError(f"broken off: {out} holds what was played so far")
 
 
-@command(ValueError, CompanionError)
+@command(ValueError, OSError, CompanionError)
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
@@ -159,6 +159,10 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--write-schedule", metavar="FILE", help="write the schedule, for instance for the emulator")
     add_json_argument(parser)
     options = parser.parse_args(own)
+    if not 1.0 <= options.seconds <= 36000.0:
+        parser.error(f"--seconds {options.seconds:g}: 1 to 36000 is meant")
+    if options.seed < 0:
+        parser.error(f"--seed {options.seed}: 0 or more is meant")
     if not (options.out or options.write_schedule):
         parser.error("say where to: --out, --write-schedule, or both")
     return options
