@@ -19,7 +19,7 @@ _RETRY = 1.0  # s
 _HINT_AFTER = 8.0  # s
 
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
-HOW_TO_ARM = "press Enter here, or: ros2 service call /hydro/arm std_srvs/srv/SetBool '{data: true}'"
+HOW_TO_ARM = "press Enter here, or with a full ROS 2: ros2 service call /hydro/arm std_srvs/srv/SetBool '{data: true}'"
 
 
 class PlantWatch:

@@ -91,7 +91,8 @@ def arguments(own: Sequence[str]) -> tuple[PortSettings, bool]:
         prog="bridge",
         description="The box on a serial line as topics: /hydro/state; gains, correction, reference, /hydro/arm.",
         epilog="Limits, ages and time-outs are ROS parameters: --ros-args -p guard.delta_kp_max:=50.0. The plant is "
-        "armed by `ros2 service call /hydro/arm std_srvs/srv/SetBool '{data: true}'` or by the trainer.",
+        "armed by the trainer, or with a full ROS 2 by `ros2 service call /hydro/arm std_srvs/srv/SetBool "
+        "'{data: true}'`.",
     )
     texts, defaults = describe(PortSettings), PortSettings()
     parser.add_argument("--port", default=defaults.path, help=f"{texts['path'].text} Default %(default)s.")
