@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Find, name, size and model the physics that the simulation leaves out.
 
-`table`, `quality`: recordings; `effects`: the physics library; `model`, `chambers`, `problem`: residuals; `screen`,
-`fit`, `search`:
-naming; `freeform`, `locate`, `verdict`: what remains and where; `intervals`, `heldout`, `simulate`: how sure, how good;
+`intake`, `table`, `quality`: recordings; `effects`: the physics library; `model`, `chambers`, `problem`: residuals;
+`screen`, `fit`, `search`: naming; `freeform`, `locate`, `verdict`: what remains and where; `intervals`, `heldout`,
+`simulate`: how sure, how good;
 `report`, `page`, `corrected`: what is written. `pipeline.diagnose` puts them together.
 """
 

@@ -15,20 +15,18 @@ from hydro_diagnosis.corrected import claims_of
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE
 from hydro_diagnosis.heldout import FREE_RUN, HORIZON, WINDOWS, compare
+from hydro_diagnosis.intake import taken
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.nextrec import next_recording
 from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.quality import checked
-from hydro_diagnosis.recording import Recording, Segment
+from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report import INTERRUPTED, DiagnosisInterrupted, Report, channel_errors
 from hydro_diagnosis.search import Outcome, Search, SearchSettings
-from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
+from hydro_diagnosis.table import InputError
 from hydro_diagnosis.verdict import Assessment, assess
 from hydro_sim.bench import Bench
 
 Progress = Callable[[str], None]
-LONGEST = 90.0
-"""s of recordings that are fitted; of more, the stretches with the most motion are taken, and the report says so."""
 
 
 @dataclass
@@ -58,7 +56,8 @@ def diagnose(
     recordings
         rosbag2 folders, .mcap, .csv or .parquet files (see `table.read_table`).
     holdout
-        Recordings on which nothing is fitted; without, the last recording, or the last third of the only one.
+        Recordings on which nothing is fitted (all are read by joblib: `joblib.parallel_config` chooses backend and
+        number of jobs); without, the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml, or None for the nominal one.
     settings
@@ -76,8 +75,7 @@ def diagnose(
     begun = time.monotonic()
     believed = bench if isinstance(bench, Bench) else _bench(bench)
     progress("reading")
-    fitted, held, quality = _split(*_read(recordings, believed), *_read(holdout, believed))
-    fitted = _informative(fitted, quality)
+    fitted, held, quality = taken(recordings, holdout, believed)
     baseline = claims_of(believed)
     problem = Problem(fitted, believed, baseline)
     if not problem.blocks:
@@ -153,57 +151,6 @@ def _bench(path: str | Path | None) -> Bench:
         return Bench.nominal() if path is None else Bench.load(path)
     except ValueError as error:
         raise InputError(str(error)) from None
-
-
-def _read(paths: Sequence[str | Path], bench: Bench) -> tuple[list[Recording], list[str]]:
-    """Recordings that show something, and a note on each that does not; if none does, the first reason is raised."""
-    recordings, refused = [], []
-    for path in paths:
-        try:
-            recordings.append(checked(read_table(path), bench))
-        except UnusableRecordingError as error:
-            refused.append(error)
-    if refused and not recordings:
-        raise refused[0]
-    notes = [f"{error}; it was left out" for error in refused]
-    return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
-
-
-def _split(
-    fitted: list[Recording], notes: list[str], held: list[Recording], held_notes: list[str]
-) -> tuple[list[Segment], list[Segment], list[str]]:
-    """Segments to fit, segments held out, and what was noted about all."""
-    if not fitted:
-        raise InputError("no recording was given")
-    quality = [*notes, *held_notes]
-    if not held and len(fitted) > 1:
-        held = [fitted.pop()]
-        quality.append(f"{held[0].name} was held back to check on")
-    first = [segment for recording in fitted for segment in recording.segments]
-    if held:
-        return first, [segment for recording in held for segment in recording.segments], quality
-    longest = max(first, key=len)
-    cut = len(longest) * 2 // 3
-    quality.append("the last third of the only recording was held back to check on")
-    return [*(s for s in first if s is not longest), longest.cut(0, cut)], [longest.cut(cut, len(longest))], quality
-
-
-def _informative(segments: list[Segment], quality: list[str]) -> list[Segment]:
-    """At most `LONGEST` seconds: pieces of 10 s in the order of how much moves in them."""
-    total = sum(len(segment) * segment.step for segment in segments)
-    if total <= LONGEST:
-        return segments
-    pieces = []
-    for segment in segments:
-        length = round(10.0 / segment.step)
-        pieces += [segment.cut(at, at + length) for at in range(0, max(len(segment) - length + 1, 1), length)]
-    lively = sorted(
-        pieces,
-        key=lambda piece: -float(piece.channels.get("piston_position", next(iter(piece.channels.values()))).std()),
-    )
-    kept = lively[: int(LONGEST / 10.0)]
-    quality.append(f"of {total:.0f} s the {10 * len(kept)} s in which most moves were fitted, in pieces of 10 s")
-    return kept
 
 
 def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | None:
