@@ -206,7 +206,9 @@ def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.latency", description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0, help="default 20")
-    parser.add_argument("--realtime", action="store_true", help="bridge and filter ask for SCHED_FIFO")
+    parser.add_argument(
+        "--ordinary", dest="realtime", action="store_false", help="bridge and filter do not ask for SCHED_FIFO"
+    )
     parser.add_argument("--load", type=int, default=0, metavar="N", help="processes that compute without pause")
     add_json_argument(parser)
     asked = parser.parse_args()
