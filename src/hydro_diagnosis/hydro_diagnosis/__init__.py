@@ -2,8 +2,8 @@
 """Find, name, size and model the physics that the simulation leaves out.
 
 `intake`, `table`, `quality`: recordings; `effects`: the physics library; `model`, `chambers`, `problem`: residuals;
-`screen`, `fit`, `search`: naming; `freeform`, `locate`, `verdict`: what remains and where; `intervals`, `heldout`,
-`simulate`: how sure, how good;
+`screen`, `fit`, `search`: naming; `freeform`, `responses`, `locate`, `verdict`: what remains and where; `intervals`,
+`heldout`, `simulate`: how sure, how good;
 `report`, `page`, `corrected`: what is written. `pipeline.diagnose` puts them together.
 """
 
