@@ -89,3 +89,38 @@ def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[FloatA
     volume_a = bench.dead_volume_a + area * oil.position
     volume_b = bench.dead_volume_b + bench.area_ratio * area * (bench.stroke - oil.position)
     return moduli[0] / volume_a, moduli[1] / volume_b
+
+
+@dataclass(frozen=True)
+class ChamberRun:
+    """What the chamber equations make of a segment."""
+
+    innovations: tuple[FloatArray, FloatArray]
+    """Pa, shape (n,), not smoothed."""
+    arc: FloatArray
+    """N, shape (n,): by how much the mean of f_h around a sample exceeds what straight lines between samples give."""
+    built_force: FloatArray
+    """N, shape (n,): what each sample adds to f_h."""
+
+
+def force_arc(
+    bench: Bench, oil: Oil, stiff: tuple[FloatArray, FloatArray], acceleration: FloatArray, step: float
+) -> FloatArray:
+    """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
+    gain, (p_a, p_b), alpha = bench.valve_gain, oil.pressures, bench.area_ratio
+    positive = np.maximum(oil.spool, 0.0) @ _FIRST_MOMENT
+    negative = np.maximum(-oil.spool, 0.0) @ _FIRST_MOMENT
+    root, p_s, p_t = signed_root, bench.supply_pressure, bench.tank_pressure
+    flow_a = gain * (positive * root(p_s - p_a) - negative * root(p_a - p_t))
+    flow_b = gain * (negative * root(p_s - p_b) - positive * root(p_b - p_t))
+    swept = -bench.piston_area * acceleration * step / 12.0
+    rate = stiff[0] * (flow_a - swept) - alpha * stiff[1] * (flow_b + alpha * swept)
+    per_interval = bench.piston_area * rate * step
+    around: FloatArray = 0.5 * (per_interval + np.concatenate([per_interval[:1], per_interval[:-1]]))
+    return around
+
+
+def middle(signal: FloatArray) -> FloatArray:
+    """Mean of each sample and the next, shape (n,); the last repeats."""
+    between: FloatArray = 0.5 * (signal + np.concatenate([signal[1:], signal[-1:]]))
+    return between

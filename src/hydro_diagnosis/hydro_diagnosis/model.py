@@ -13,13 +13,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import lfilter
 
 from hydro_diagnosis import chambers
-from hydro_diagnosis.chambers import Oil
+from hydro_diagnosis.chambers import ChamberRun, Oil
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, Kinematics
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.memory import RecordMemory
@@ -35,18 +34,6 @@ TIMING_DOUBT = 3e-6
 """s, to which the equations, integrated sample by sample, and the sensors agree on when something happened."""
 SETTLE = 0.3
 """s at the start of a segment that are not judged: filters and observer settle."""
-
-
-@dataclass(frozen=True)
-class ChamberRun:
-    """What the chamber equations make of a segment."""
-
-    innovations: tuple[FloatArray, FloatArray]
-    """Pa, shape (n,), not smoothed."""
-    arc: FloatArray
-    """N, shape (n,): by how much the mean of f_h around a sample exceeds what straight lines between samples give."""
-    built_force: FloatArray
-    """N, shape (n,): what each sample adds to f_h."""
 
 
 class SegmentModel:
@@ -93,8 +80,8 @@ class SegmentModel:
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
         spool = chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
-        pressures = tuple(_middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
-        return Oil(self.time, _middle(self.channels["piston_position"]), (pressures[0], pressures[1]), spool)
+        pressures = tuple(chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
+        return Oil(self.time, chambers.middle(self.channels["piston_position"]), (pressures[0], pressures[1]), spool)
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
         """Innovations and arcs under the claims."""
@@ -112,7 +99,11 @@ class SegmentModel:
             for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
         )
         force = bench.piston_area * (built_a - bench.area_ratio * built_b)
-        return ChamberRun((innovations[0], innovations[1]), self._arc(bench, oil, stiff_a, stiff_b), force)
+        return ChamberRun(
+            (innovations[0], innovations[1]),
+            chambers.force_arc(bench, oil, (stiff_a, stiff_b), self.a, self.step),
+            force,
+        )
 
     def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
@@ -121,20 +112,6 @@ class SegmentModel:
         start = float(np.mean(unexplained[:10]))
         followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
         return unexplained - np.asarray(followed)
-
-    def _arc(self, bench: Bench, oil: Oil, stiff_a: FloatArray, stiff_b: FloatArray) -> FloatArray:
-        """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin)."""
-        gain, (p_a, p_b), alpha = bench.valve_gain, oil.pressures, bench.area_ratio
-        positive = np.maximum(oil.spool, 0.0) @ chambers._FIRST_MOMENT
-        negative = np.maximum(-oil.spool, 0.0) @ chambers._FIRST_MOMENT
-        root, p_s, p_t = chambers.signed_root, bench.supply_pressure, bench.tank_pressure
-        flow_a = gain * (positive * root(p_s - p_a) - negative * root(p_a - p_t))
-        flow_b = gain * (negative * root(p_s - p_b) - positive * root(p_b - p_t))
-        swept = -bench.piston_area * self.a * self.step / 12.0
-        rate = stiff_a * (flow_a - swept) - alpha * stiff_b * (flow_b + alpha * swept)
-        per_interval = bench.piston_area * rate * self.step
-        around: FloatArray = 0.5 * (per_interval + np.concatenate([per_interval[:1], per_interval[:-1]]))
-        return around
 
     # -- forces -----------------------------------------------------------------------------------------------------
 
@@ -229,11 +206,6 @@ class SegmentModel:
         """s, of the means over blocks."""
         count = (len(self.time) - self.settle) // BLOCK
         return self.time[self.settle] + (np.arange(count) + 0.5) * BLOCK * self.step
-
-
-def _middle(signal: FloatArray) -> FloatArray:
-    middle: FloatArray = 0.5 * (signal + np.concatenate([signal[1:], signal[-1:]]))
-    return middle
 
 
 BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}

@@ -9,8 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from hydro_diagnosis.chambers import ChamberRun
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
-from hydro_diagnosis.model import ChamberRun, SegmentModel
+from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.noise import residual_noise, sensor_noise
 from hydro_diagnosis.recording import Segment
 from hydro_sim.bench import Bench
