@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import statistics
 import sys
 import time
 import timeit
@@ -48,10 +49,10 @@ def _torch_models() -> Any:
 
 
 def _duel(mine: Callable[[], object], other: Callable[[], object], repeat: int) -> tuple[float, float]:
-    """Best time [s] of each, taken in turns."""
+    """Median time [s] of each, taken in turns: other work on the machine hits both."""
     mine(), other()
     times = [(timeit.timeit(mine, number=1), timeit.timeit(other, number=1)) for _ in range(repeat)]
-    return min(t[0] for t in times), min(t[1] for t in times)
+    return statistics.median(t[0] for t in times), statistics.median(t[1] for t in times)
 
 
 def network_speed(models: Any, windows: int) -> dict[str, float]:
@@ -65,7 +66,7 @@ def network_speed(models: Any, windows: int) -> dict[str, float]:
     mine, other = _duel(
         lambda: network.loss_and_gradient(layers, step, *parts, False, threads),
         lambda: models.network_loss(layers, step, *parts, False),
-        5,
+        15,
     )
     return {"windows": windows, "seconds": mine, "torch_seconds": other, "ratio": other / mine}
 
@@ -81,7 +82,7 @@ def structured_speed(models: Any, model: StructuredModel, windows: int) -> dict[
     mine, other = _duel(
         lambda: structured.loss_and_gradients(*parts, numba.get_num_threads()),
         lambda: models.structured_loss(*parts),
-        2,
+        3,
     )
     return {"windows": windows, "seconds": mine, "torch_seconds": other, "ratio": other / mine}
 

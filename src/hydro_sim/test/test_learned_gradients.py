@@ -27,15 +27,29 @@ def close(one, other, tolerance=1e-8):
 
 @pytest.mark.parametrize("printed", [False, True])
 @pytest.mark.parametrize("windows", [3, network.BLOCK + 5])
-def test_network_gradient_is_that_of_torch(printed, windows):
+@pytest.mark.parametrize("hidden", [(32, 32), (6, 5)])
+def test_network_gradient_is_that_of_torch(printed, windows, hidden):
     rng = np.random.default_rng(0)
-    layers = mlp.layers(mlp.initial(rng, 9, (32, 32), 8), 9, (32, 32), 8)
+    layers = mlp.layers(mlp.initial(rng, 9, hidden, 8), 9, hidden, 8)
     parts = np.full(8, 0.05), rng.standard_normal((windows, 8)), rng.standard_normal((windows, 12))
     targets = rng.standard_normal((windows, 12, 8))
     loss, gradient = network.loss_and_gradient(layers, *parts, targets, printed, 2)
     expected, expected_gradient = torch_models.network_loss(layers, *parts, targets, printed)
     assert loss == pytest.approx(expected, rel=1e-10)
     assert close(gradient, expected_gradient)
+
+
+def test_rollout_is_the_network_one_window_at_a_time():
+    rng = np.random.default_rng(2)
+    layers, step = mlp.layers(mlp.initial(rng, 9, (6, 5), 8), 9, (6, 5), 8), np.full(8, 0.05)
+    starts, currents = rng.standard_normal((network.BLOCK + 5, 8)), rng.standard_normal((network.BLOCK + 5, 10))
+    states = network.rollout(layers, step, starts, currents)
+    x, a1, a2, y = np.empty(9), np.empty(6), np.empty(5), np.empty(8)
+    for window in (0, network.BLOCK - 1, network.BLOCK, network.BLOCK + 4):
+        z = starts[window].copy()
+        for h in range(10):
+            network.advance(layers, step, z, currents[window, h], x, a1, a2, y)
+            assert states[window, h] == pytest.approx(z, rel=1e-12, abs=1e-14)
 
 
 def random_start(rng, count):

@@ -14,16 +14,17 @@ Source: paper eq. state, eq. loss, Table training; docs/physics.md says why the 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+import numpy.typing as npt
 from numba import njit, prange
 
-from hydro_sim.learned import mlp
+from hydro_sim.learned import dense, mlp
+from hydro_sim.learned.dense import BLOCK, CHUNK, ROW
 from hydro_sim.learned.mlp import LOOSE
 
 STATES, INPUTS = 8, 9
-
-BLOCK = 128
-"""Trajectories that go through the network together: wide enough for BLAS, small enough for the second-level cache."""
 
 
 @njit(cache=True, fastmath=LOOSE)
@@ -37,26 +38,76 @@ def advance(layers, step, z, current, x, a1, a2, y):
         z[i] += step[i] * y[i]
 
 
-@njit(cache=True)
-def _advance_block(layers, step, z, currents, x, a1, a2, y):
-    """One sample of a block of trajectories: z of shape (B, 8) in place, the rest work space of B rows."""
-    x[:, :STATES] = z
-    x[:, STATES] = currents
-    np.dot(x, layers.w1, a1)
-    _bias_relu(a1, layers.b1)
-    np.dot(a1, layers.w2, a2)
-    _bias_relu(a2, layers.b2)
-    np.dot(a2, layers.w3, y)
-    for k in range(z.shape[0]):
-        for i in range(STATES):
-            z[k, i] += step[i] * (y[k, i] + layers.b3[i])
+class Work(NamedTuple):
+    """A thread's buffers for one block of windows. Those of the network are in rows, a chunk of steps each: `dense`."""
+
+    x: npt.NDArray[np.floating]
+    """What the network saw: z, current, three rows of zeros; (chunks, 12 * ROW)."""
+    a1: npt.NDArray[np.floating]
+    """Activations, of all chunks or of the current one: (chunks or 1, h1 * ROW)."""
+    a2: npt.NDArray[np.floating]
+    y: npt.NDArray[np.floating]
+    """Outputs, then their gradients."""
+    g1: npt.NDArray[np.floating]
+    """Gradients by what enters the ReLUs, one chunk."""
+    g2: npt.NDArray[np.floating]
+    gz: npt.NDArray[np.floating]
+    """Gradient by the state, one step: 8 rows."""
+    errors: npt.NDArray[np.floating]
+    """(H, 8, BLOCK)."""
 
 
 @njit(cache=True)
-def _bias_relu(a, b):
-    for k in range(a.shape[0]):
-        for j in range(a.shape[1]):
-            a[k, j] = max(a[k, j] + b[j], a.dtype.type(0.0))
+def _work(layers, horizon, trained):
+    """Buffers; without `trained`, what a roll-out alone needs."""
+    chunks, kind = horizon // CHUNK + 1, layers.b1.dtype
+    inputs, h1, h2 = layers.w1.shape[0], layers.w2.shape[0], layers.w3.shape[0]
+    x = np.zeros((chunks, inputs * ROW), kind)
+    if not trained:
+        chunks, horizon = 1, 0
+    a1, a2 = np.empty((chunks, h1 * ROW), kind), np.empty((chunks, h2 * ROW), kind)
+    y, g1, g2 = np.empty(STATES * ROW, kind), np.empty(h1 * ROW, kind), np.empty(h2 * ROW, kind)
+    return Work(x, a1, a2, y, g1, g2, np.empty(STATES * ROW, kind), np.zeros((horizon, STATES, BLOCK), kind))
+
+
+@njit(cache=True)
+def _states(work, i, h):
+    """State i of all windows before sample h, a view of shape (BLOCK,)."""
+    begin = i * ROW + h % CHUNK * BLOCK
+    return work.x[h // CHUNK, begin : begin + BLOCK]
+
+
+@njit(cache=True)
+def _load(work, starts, currents):
+    """First states and all currents of up to BLOCK windows; where there are fewer, the last one fills up."""
+    count, horizon = currents.shape
+    for i in range(STATES):
+        z = _states(work, i, 0)
+        for k in range(BLOCK):
+            z[k] = starts[min(k, count - 1), i]
+    for h in range(horizon):
+        v = _states(work, STATES, h)
+        for k in range(BLOCK):
+            v[k] = currents[min(k, count - 1), h]
+
+
+@njit(cache=True, fastmath=LOOSE)
+def _advance_block(layers, step, work, h):
+    """States after sample h from those before it; leaves the activations."""
+    at, kept = np.uint64(h % CHUNK * BLOCK), h // CHUNK % len(work.a1)
+    a1, a2 = work.a1[kept], work.a2[kept]
+    dense.fill(a1, at, layers.b1)
+    dense.product(layers.w1, work.x[h // CHUNK], at, a1, at)
+    dense.relu(a1, at, len(layers.b1))
+    dense.fill(a2, at, layers.b2)
+    dense.product(layers.w2, a1, at, a2, at)
+    dense.relu(a2, at, len(layers.b2))
+    dense.fill(work.y, at, layers.b3)
+    dense.product(layers.w3, a2, at, work.y, at)
+    for i in range(STATES):
+        z, then, y = _states(work, i, h), _states(work, i, h + 1), dense.row(work.y, i, at)
+        for k in range(BLOCK):
+            then[k] = z[k] + step[i] * y[k]
 
 
 @njit(cache=True, parallel=True)
@@ -66,106 +117,108 @@ def rollout(layers, step, starts, currents):
     states = np.empty((n, horizon, STATES), starts.dtype)
     for block in prange(-(-n // BLOCK)):
         begin, end = block * BLOCK, min((block + 1) * BLOCK, n)
-        z = starts[begin:end].copy()
-        x, y = np.empty((end - begin, INPUTS), starts.dtype), np.empty((end - begin, STATES), starts.dtype)
-        a1 = np.empty((end - begin, layers.b1.shape[0]), starts.dtype)
-        a2 = np.empty((end - begin, layers.b2.shape[0]), starts.dtype)
-        for h in range(horizon):
-            _advance_block(layers, step, z, currents[begin:end, h], x, a1, a2, y)
-            states[begin:end, h] = z
+        _rollout_block(layers, step, starts[begin:end], currents[begin:end], states[begin:end])
     return states
 
 
 @njit(cache=True)
-def _errors(z, targets, printed):
-    """Loss of a block from z, shape (H, B, 8), which becomes its gradient by z; targets of shape (B, H, 8)."""
-    horizon, count, _ = z.shape
-    total, loss = np.zeros((count, STATES), z.dtype), 0.0
-    share = z.dtype.type(2.0 / horizon)
+def _rollout_block(layers, step, starts, currents, states):
+    count, horizon = currents.shape
+    filled = dense.padded(layers)
+    work = _work(filled, horizon, False)
+    _load(work, starts, currents)
     for h in range(horizon):
-        part = z.dtype.type(0.0)
-        for k in range(count):
-            for i in range(STATES):
-                error = z[h, k, i] - targets[k, h, i]
-                total[k, i] += error
+        _advance_block(filled, step, work, h)
+        for i in range(STATES):
+            states[:, h, i] = _states(work, i, h + 1)[:count]
+
+
+@njit(cache=True, fastmath=LOOSE)
+def _errors(work, targets, printed):
+    """Loss of a block, from targets of shape (count, H, 8); leaves its gradient by the states in `work.errors`.
+
+    Windows that only fill up the block have neither.
+    """
+    count, horizon, _ = targets.shape
+    kind = work.errors.dtype.type
+    work.errors[:, :, count:] = kind(0.0)
+    total, loss, share = np.zeros((STATES, BLOCK), work.errors.dtype), 0.0, kind(2.0 / horizon)
+    for h in range(horizon):
+        for i in range(STATES):
+            z, part = _states(work, i, h + 1), kind(0.0)
+            for k in range(count):
+                error = z[k] - targets[k, h, i]
+                total[i, k] += error
                 part += error * error
-                z[h, k, i] = share * error
-        loss += part
+                work.errors[h, i, k] = share * error
+            loss += part
     if not printed:
         return loss / horizon
-    for h in range(horizon):
-        z[h] = 2 * total
+    work.errors[:] = kind(2.0) * total
     return float((total * total).sum())
 
 
-@njit(cache=True)
-def _block(layers, transposed, step, starts, currents, targets, printed, gradient):
-    """Loss of a block of windows; adds its gradient to `gradient` (Layers). `transposed`: W1, W2, W3 the other way."""
-    count, horizon, kind = len(starts), currents.shape[1], starts.dtype
-    h1, h2 = layers.b1.shape[0], layers.b2.shape[0]
-    x, z = np.empty((horizon, count, INPUTS), kind), np.empty((horizon, count, STATES), kind)
-    a1, a2 = np.empty((horizon, count, h1), kind), np.empty((horizon, count, h2), kind)
-    now, y = starts.copy(), np.empty((count, STATES), kind)
-    for h in range(horizon):
-        _advance_block(layers, step, now, currents[:, h], x[h], a1[h], a2[h], y)
-        z[h] = now
-    loss = _errors(z, targets, printed)
-    gz, g1, g2 = np.zeros((count, STATES), kind), np.empty((count, h1), kind), np.empty((count, h2), kind)
-    gx, gw1 = np.empty((count, INPUTS), kind), np.empty((INPUTS, h1), kind)
-    gw2, gw3 = np.empty((h1, h2), kind), np.empty((h2, STATES), kind)
-    for h in range(horizon - 1, -1, -1):
-        for k in range(count):
-            for i in range(STATES):
-                gz[k, i] += z[h, k, i]
-                y[k, i] = step[i] * gz[k, i]
-        _layer_back(a2[h], y, transposed[2], gw3, gradient.w3, gradient.b3, g2)
-        _mask(g2, a2[h])
-        _layer_back(a1[h], g2, transposed[1], gw2, gradient.w2, gradient.b2, g1)
-        _mask(g1, a1[h])
-        _layer_back(x[h], g1, transposed[0], gw1, gradient.w1, gradient.b1, gx)
-        for k in range(count):
-            for i in range(STATES):
-                gz[k, i] += gx[k, i]
-    return loss
+@njit(cache=True, fastmath=LOOSE)
+def _back_block(layers, transposed, step, work, h):
+    """Gradient by the states before sample h from that by those after it; leaves those by the layers' outputs."""
+    at, start = np.uint64(h % CHUNK * BLOCK), np.uint64(0)
+    a1, a2 = work.a1[h // CHUNK], work.a2[h // CHUNK]
+    for i in range(STATES):
+        gz, gy = dense.row(work.gz, i, start), dense.row(work.y, i, at)
+        for k in range(BLOCK):
+            gz[k] += work.errors[h, i, k]
+            gy[k] = step[i] * gz[k]
+    dense.clear(work.g2, at, len(layers.b2))
+    dense.product(transposed[2], work.y, at, work.g2, at)
+    dense.mask(work.g2, a2, at, len(layers.b2))
+    dense.clear(work.g1, at, len(layers.b1))
+    dense.product(transposed[1], work.g2, at, work.g1, at)
+    dense.mask(work.g1, a1, at, len(layers.b1))
+    dense.product(transposed[0], work.g1, at, work.gz, start)
 
 
 @njit(cache=True)
-def _layer_back(a, gy, w_transposed, scratch, gw, gb, ga):
-    """Gradients of y = a W + b: adds those by W, b; sets ga."""
-    np.dot(a.T, gy, scratch)
-    gw += scratch
-    for k in range(gy.shape[0]):
-        for j in range(gy.shape[1]):
-            gb[j] += gy[k, j]
-    np.dot(gy, w_transposed, ga)
+def _add_weights(work, horizon, c, gradient):
+    """Add what the steps of chunk c give to the gradient (Layers)."""
+    count = min(CHUNK, horizon - c * CHUNK) * BLOCK
+    dense.outer(work.a2[c], work.y, gradient.w3, gradient.b3, count)
+    dense.outer(work.a1[c], work.g2, gradient.w2, gradient.b2, count)
+    dense.outer(work.x[c], work.g1, gradient.w1, gradient.b1, count)
 
 
 @njit(cache=True)
-def _mask(g, a):
-    for k in range(g.shape[0]):
-        for j in range(g.shape[1]):
-            g[k, j] = g[k, j] if a[k, j] > 0 else g.dtype.type(0.0)
+def _share(layers, step, starts, currents, targets, printed):
+    """Loss of a thread's windows, block by block, and its gradient by the flat weights."""
+    n, horizon = currents.shape
+    filled, loss = dense.padded(layers), 0.0
+    work, gradient = _work(filled, horizon, True), dense.zeros(filled)
+    transposed = filled.w1[:STATES].T.copy(), filled.w2.T.copy(), filled.w3.T.copy()
+    for begin in range(0, n, BLOCK):
+        end = min(begin + BLOCK, n)
+        _load(work, starts[begin:end], currents[begin:end])
+        for h in range(horizon):
+            _advance_block(filled, step, work, h)
+        loss += _errors(work, targets[begin:end], printed)
+        work.gz[:] = work.gz.dtype.type(0.0)
+        for h in range(horizon - 1, -1, -1):
+            _back_block(filled, transposed, step, work, h)
+            if h % CHUNK == 0:
+                _add_weights(work, horizon, h // CHUNK, gradient)
+    return loss, dense.unpadded(gradient, INPUTS, len(layers.b1), len(layers.b2))
 
 
 @njit(cache=True, parallel=True)
 def loss_and_gradient(layers, step, starts, currents, targets, printed, threads):
     """Loss of a batch and its gradient by the flat weights; float32 or float64, as the arrays are.
 
-    Shapes: starts (n, 8), scaled currents (n, H), targets (n, H, 8). The batch is cut into blocks that fit the cache.
+    Shapes: starts (n, 8), scaled currents (n, H), targets (n, H, 8). Each thread takes a share of the blocks.
     """
-    n = len(currents)
-    h1, h2, kind = layers.b1.shape[0], layers.b2.shape[0], layers.b1.dtype
-    transposed = (layers.w1.T.copy(), layers.w2.T.copy(), layers.w3.T.copy())
-    losses, blocks = np.zeros(threads), -(-n // BLOCK)
-    w1, b1 = np.zeros((threads, INPUTS, h1), kind), np.zeros((threads, h1), kind)
-    w2, b2 = np.zeros((threads, h1, h2), kind), np.zeros((threads, h2), kind)
-    w3, b3 = np.zeros((threads, h2, STATES), kind), np.zeros((threads, STATES), kind)
+    n, blocks, kind = len(currents), -(-len(currents) // BLOCK), layers.b1.dtype
+    losses = np.zeros(threads)
+    size = layers.w1.size + layers.b1.size + layers.w2.size + layers.b2.size + layers.w3.size + layers.b3.size
+    gradients = np.zeros((threads, size), kind)
     for t in prange(threads):
-        gradient = mlp.Layers(w1[t], b1[t], w2[t], b2[t], w3[t], b3[t])
-        for block in range(t * blocks // threads, (t + 1) * blocks // threads):
-            begin, end = block * BLOCK, min((block + 1) * BLOCK, n)
-            part = starts[begin:end], currents[begin:end], targets[begin:end]
-            losses[t] += _block(layers, transposed, step, part[0], part[1], part[2], printed, gradient)
-    share = kind.type(1.0 / (n * STATES))
-    parts = (w1.sum(0).ravel(), b1.sum(0), w2.sum(0).ravel(), b2.sum(0), w3.sum(0).ravel(), b3.sum(0))
-    return losses.sum() / (n * STATES), np.concatenate(parts) * share
+        begin, end = t * blocks // threads * BLOCK, min((t + 1) * blocks // threads * BLOCK, n)
+        part = starts[begin:end], currents[begin:end], targets[begin:end]
+        losses[t], gradients[t] = _share(layers, step, part[0], part[1], part[2], printed)
+    return losses.sum() / (n * STATES), gradients.sum(0) * kind.type(1.0 / (n * STATES))
