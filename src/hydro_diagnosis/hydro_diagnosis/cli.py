@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -33,6 +34,9 @@ def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 130 after Ctrl-C, with what was finished by then."""
     chosen = parser().parse_args(arguments)
     quiet = chosen.quiet or not sys.stderr.isatty()
+    chosen.out.mkdir(parents=True, exist_ok=True)  # now: a folder that cannot be made shall not cost the work
+    if not os.access(chosen.out, os.W_OK):
+        raise InputError(f"--out {chosen.out} cannot be written: choose another folder")
     try:
         found = diagnose(
             chosen.recordings,
@@ -41,14 +45,12 @@ def run(arguments: Sequence[str]) -> int:
             progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
         )
     except DiagnosisInterrupted as interrupted:
-        chosen.out.mkdir(parents=True, exist_ok=True)
         interrupted.report.write(chosen.out)
         print(f"interrupted: {chosen.out / 'report.json'} holds what was finished, no verdict", file=sys.stderr)
         return 130
     except KeyboardInterrupt:
         print("interrupted while reading: nothing was written", file=sys.stderr)
         return 130
-    chosen.out.mkdir(parents=True, exist_ok=True)
     found.report.write(chosen.out)
     write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")
     write_page(found, chosen.out / "report.html")

@@ -13,7 +13,7 @@ from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.schedules import load_schedule
 from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import adam, constants, recordings, schedule, training
+from hydro_sim.learned import adam, constants, learn, recordings, schedule, training
 from hydro_sim.learned.coverage import coverage
 from hydro_sim.learned.recordings import DataError
 
@@ -161,3 +161,21 @@ def test_coverage_counts_what_was_visited(recording):
     rows = {row["quantity"]: row["visited"] for row in coverage(recording.states).rows}
     assert rows["load force"] > 0.5
     assert {row["quantity"]: row["visited"] for row in coverage(still).rows}["load force"] == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--horizon", "0"], "--horizon is 0, needs 1 or more"),
+        (["--hidden", "32", "0"], "--hidden is 0, needs 1 or more"),
+        (["--learning-rate", "nan"], "--learning-rate is nan"),
+        (["--out", "/nowhere/x.safetensors"], "--out /nowhere/x.safetensors cannot be written"),
+    ],
+)
+def test_learn_refuses_what_cannot_work_before_the_work(words, sentence, tmp_path, monkeypatch, capsys):
+    default = ["--out", str(tmp_path / "x.safetensors")]
+    monkeypatch.setattr("sys.argv", ["learn", "/no/recording", *default, *words])
+    with pytest.raises(SystemExit) as ended:
+        learn.main()
+    assert ended.value.code == 2
+    assert sentence in capsys.readouterr().err

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from dataclasses import asdict, replace
@@ -28,6 +29,7 @@ from hydro_sim.learned.structured_model import StructuredModel
 def main() -> None:
     """Entry point."""
     options = _arguments()
+    _check(options)
     settings = _settings(options)
     numba.set_num_threads(min(options.threads or numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS))
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
@@ -69,6 +71,23 @@ def _train(
 
 def _say(sentence: str) -> None:
     print(sentence, file=sys.stderr)
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse numbers that cannot work and a place that cannot be written, before the work; raises ValueError."""
+    counts = {"--horizon": options.horizon, "--batch": options.batch, "--epochs": options.epochs}
+    counts |= {"--patience": options.patience, "--hidden": min(options.hidden)}
+    for word, count in counts.items():
+        if count is not None and count < 1:
+            raise ValueError(f"{word} is {count}, needs 1 or more")
+    rate = options.learning_rate
+    if rate is not None and not 0.0 < rate <= 1.0:
+        raise ValueError(f"--learning-rate is {rate:g}, needs a number above 0, at most 1")
+    if options.seed < 0 or options.threads < 0:
+        raise ValueError("--seed and --threads need 0 or more")
+    folder = Path(options.out).absolute().parent
+    if not os.access(folder, os.W_OK) or Path(options.out).is_dir():
+        raise ValueError(f"--out {options.out} cannot be written: it names a file in a folder that exists")
 
 
 def _settings(options: argparse.Namespace) -> training.Settings:
