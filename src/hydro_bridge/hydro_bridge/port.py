@@ -14,8 +14,15 @@ import serial
 _READ_SIZE = 65536
 
 
+_TAKEN = (errno.EAGAIN, errno.EBUSY)
+
+
 class PortLostError(Exception):
     """The port cannot be opened or is gone; the message is one clear sentence."""
+
+
+class PortTakenError(PortLostError):
+    """Another program has the port."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,13 +53,14 @@ class Port:
         self._unwritten = b""
 
     def open(self) -> None:
-        """Open the port; raises PortLostError with the reason."""
+        """Open the port; raises PortLostError with the reason, PortTakenError if another program has it."""
         self.close()
         path = self.settings.path
         try:
             self._serial = serial.Serial(path, self.settings.baud, timeout=0, write_timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            raise PortLostError(_reason(path, error)) from None
+            taken = getattr(error, "errno", None) in _TAKEN
+            raise (PortTakenError if taken else PortLostError)(_reason(path, error)) from None
         self.low_latency = False
         # Pseudo-terminals and most drivers have no such mode, and each says so in its own way.
         with contextlib.suppress(Exception):
@@ -119,6 +127,6 @@ def _reason(path: str, error: Exception) -> str:
         return f"{path} is not there: is the box plugged in and switched on?"
     if number == errno.EACCES:
         return f"{path} may not be opened: add yourself to the group that owns it (usually dialout) and log in anew"
-    if number in (errno.EAGAIN, errno.EBUSY):
+    if number in _TAKEN:
         return f"{path} is in use by another program"
     return f"{path} cannot be opened: {_text(error)}"

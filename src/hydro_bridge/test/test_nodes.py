@@ -152,6 +152,19 @@ def test_bridge_says_once_that_the_box_tripped_and_why(cable, small_box, probe, 
     assert len(said) == 1 and "WARN" in said[0] and "FORCE_LIMIT" in said[0]
 
 
+def test_a_second_bridge_on_the_same_port_ends_and_says_why(cable, small_box, probe, start):
+    small_box()
+    start("bridge", "--port", cable.path)
+    probe.wait(lambda: len(probe.states) > 20)
+    said = io.StringIO()
+    second = start("bridge", "--port", cable.path, output=said)
+    assert second.process.wait(15.0) == 2
+    probe.wait(lambda: "is in use by another program; end that first" in said.getvalue())
+    probe.arm(False)
+    seen = len(probe.states)
+    probe.wait(lambda: len(probe.states) > seen + 20)
+
+
 def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start):
     box = small_box()
     bridge = start("bridge", "--port", cable.path)

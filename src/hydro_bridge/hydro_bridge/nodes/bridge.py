@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import argparse
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 
-from hydro_bridge.console import command
+from hydro_bridge.console import UserError, command
 from hydro_bridge.guard import CommandGuard, GuardSettings
 from hydro_bridge.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.port import Port, PortSettings
+from hydro_bridge.port import Port, PortLostError, PortSettings, PortTakenError
 from hydro_bridge.protocol import State
 from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
 from hydro_bridge.settings import describe
@@ -102,9 +103,30 @@ def arguments(own: Sequence[str]) -> tuple[PortSettings, bool]:
     return replace(defaults, path=options.port, baud=options.baud), options.realtime
 
 
+def refuse_taken_port(settings: PortSettings, patience: float = 2.0) -> None:
+    """End if another program has the port for `patience` [s]: a second bridge would answer /hydro/arm beside the first.
+
+    A port that is not there may still come: the link waits for it.
+    """
+    port, end = Port(settings), time.monotonic() + patience
+    while True:
+        try:
+            port.open()
+        except PortTakenError as error:
+            if time.monotonic() > end:
+                raise UserError(f"{error}; end that first, two bridges cannot share a box") from None
+            time.sleep(0.1)
+        except PortLostError:
+            return
+        else:
+            port.close()
+            return
+
+
 @command()
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     settings, realtime = arguments(own)
+    refuse_taken_port(settings)
     run_node(lambda: BridgeNode(settings, realtime=realtime), ros)
