@@ -24,7 +24,10 @@ class SearchSettings:
     """How hard to look and when to claim."""
 
     threshold: float = 20.0
-    """Evidence in units of BIC that a claim needs beyond its parameters' price, [0, 1000]. From `calibrate`."""
+    """Evidence in units of BIC that a claim needs beyond its parameters' price, [0, 1000].
+
+    A choice, held against recordings with nothing missing; `calibrate` measures what such recordings reach.
+    """
     most: int = 6
     """Claims at most."""
     shortlist: int = 7
