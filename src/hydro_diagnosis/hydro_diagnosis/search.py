@@ -2,8 +2,8 @@
 """Which causes together account for the recordings: forward, backward and swap steps by evidence.
 
 Evidence is the Bayesian information criterion on the deviance of `fit`: a claim must gain more than ln(n) per
-parameter plus a
-threshold that `calibrate` found on recordings in which nothing is missing, by running this whole search on them.
+parameter plus a threshold. What chance alone reaches, `calibrate` finds by running this whole search on recordings in
+which nothing is missing.
 """
 
 from __future__ import annotations
