@@ -16,15 +16,23 @@ from hydro_diagnosis.pipeline import Diagnosis, diagnose
 from hydro_diagnosis.report import DiagnosisInterrupted
 from hydro_diagnosis.table import InputError
 
+RECORDINGS = "rosbag2 folder, .mcap, .csv, .parquet or .mat"
+
 
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     options = argparse.ArgumentParser(
         prog="diagnose", description="Find, name and size the physics that a simulation leaves out."
     )
-    options.add_argument("recordings", nargs="+", metavar="RECORDING", help="rosbag2 folder, .mcap, .csv or .parquet")
+    options.add_argument("recordings", nargs="+", metavar="RECORDING", help=RECORDINGS)
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
     options.add_argument("--bench", metavar="FILE", help="bench.yaml or corrected.yaml (default: the nominal bench)")
+    options.add_argument(
+        "--columns",
+        metavar="MAP",
+        help="of .csv, .parquet and .mat files: FIELD=COLUMN,... with units, scales and offsets, for instance "
+        "time=t,piston_position=pos[mm]-40,pressure_a=pa*1e5 or a YAML file of the same; `inspect FILE` lists columns",
+    )
     options.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")
     return options
@@ -42,6 +50,7 @@ def run(arguments: Sequence[str]) -> int:
             chosen.recordings,
             holdout=chosen.holdout,
             bench=chosen.bench,
+            columns=chosen.columns,
             progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
         )
     except DiagnosisInterrupted as interrupted:

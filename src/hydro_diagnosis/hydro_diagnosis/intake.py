@@ -8,6 +8,7 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
+from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import Recording, Segment
 from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
@@ -18,9 +19,12 @@ LONGEST = 90.0
 
 
 def taken(
-    recordings: Sequence[str | Path], holdout: Sequence[str | Path], bench: Bench
+    recordings: Sequence[str | Path],
+    holdout: Sequence[str | Path],
+    bench: Bench,
+    columns: ColumnMap | None = None,
 ) -> tuple[list[Segment], list[Segment], list[str]]:
-    """Segments to fit, segments held out, and what was noted about their quality.
+    """Segments to fit, segments held out, and what was noted about their quality; `columns`: see `read_table`.
 
     Joblib reads the recordings one after the other unless `joblib.parallel_config` says otherwise.
 
@@ -29,13 +33,13 @@ def taken(
     InputError
         If nothing of them can be diagnosed.
     """
-    fitted, held, quality = _split(*_read(recordings, bench), *_read(holdout, bench))
+    fitted, held, quality = _split(*_read(recordings, bench, columns), *_read(holdout, bench, columns))
     return _informative(fitted, quality), held, quality
 
 
-def _read(paths: Sequence[str | Path], bench: Bench) -> tuple[list[Recording], list[str]]:
+def _read(paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None) -> tuple[list[Recording], list[str]]:
     """Recordings that show something, and a note on each that does not; if none does, the first reason is raised."""
-    looked = Parallel()(delayed(_look)(path, bench) for path in paths)
+    looked = Parallel()(delayed(_look)(path, bench, columns) for path in paths)
     recordings = [one for one in looked if isinstance(one, Recording)]
     refused = [one for one in looked if not isinstance(one, Recording)]
     if refused and not recordings:
@@ -44,9 +48,9 @@ def _read(paths: Sequence[str | Path], bench: Bench) -> tuple[list[Recording], l
     return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
 
 
-def _look(path: str | Path, bench: Bench) -> Recording | UnusableRecordingError:
+def _look(path: str | Path, bench: Bench, columns: ColumnMap | None) -> Recording | UnusableRecordingError:
     try:
-        return checked(read_table(path), bench)
+        return checked(read_table(path, columns), bench)
     except UnusableRecordingError as error:
         return error
 

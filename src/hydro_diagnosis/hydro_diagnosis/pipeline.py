@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
 from hydro_diagnosis.corrected import claims_of
 from hydro_diagnosis.effects import LIBRARY
@@ -46,6 +47,7 @@ def diagnose(
     *,
     holdout: Sequence[str | Path] = (),
     bench: Bench | str | Path | None = None,
+    columns: ColumnMap | Mapping[str, Any] | str | Path | None = None,
     settings: SearchSettings | None = None,
     progress: Progress = lambda text: None,
 ) -> Diagnosis:
@@ -54,12 +56,14 @@ def diagnose(
     Parameters
     ----------
     recordings
-        rosbag2 folders, .mcap, .csv or .parquet files (see `table.read_table`).
+        rosbag2 folders, .mcap, .csv, .parquet or .mat files (see `table.read_table`).
     holdout
         Recordings on which nothing is fitted (all are read by joblib: `joblib.parallel_config` chooses backend and
         number of jobs); without, the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml, or None for the nominal one.
+    columns
+        Which column of a .csv, .parquet or .mat file is what: see `columns`.
     settings
         Of the search.
     progress
@@ -75,7 +79,7 @@ def diagnose(
     begun = time.monotonic()
     believed = bench if isinstance(bench, Bench) else _bench(bench)
     progress("reading")
-    fitted, held, quality = taken(recordings, holdout, believed)
+    fitted, held, quality = taken(recordings, holdout, believed, ColumnMap.load(columns))
     baseline = claims_of(believed)
     problem = Problem(fitted, believed, baseline)
     if not problem.blocks:

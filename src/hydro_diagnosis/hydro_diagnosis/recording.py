@@ -22,6 +22,14 @@ UNITS = {
 }
 
 
+class InputError(ValueError):
+    """What was given cannot be diagnosed; the message is one sentence for the person who gave it."""
+
+
+class UnusableRecordingError(InputError):
+    """A recording that was read but shows nothing; others beside it may."""
+
+
 @dataclass(frozen=True)
 class Segment:
     """Samples without a gap."""

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.io import savemat
+
+from hydro_bridge.signals import StateArray
+from hydro_diagnosis.columns import UNITS, ColumnMap
+from hydro_diagnosis.quality import checked
+from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.table import RawTable, read_table
+from hydro_sim.bench import Bench
+
+Frame = Callable[[StateArray], pd.DataFrame]
+MAP = "time=clock[ms],piston_position=pos[mm]-40,pressure_a='p a [bar]'[bar],hydraulic_force=vir*gtau,load_force=0"
+YAML = """
+time: clock[ms]
+piston_position: {column: pos, unit: mm, offset: -40}
+pressure_a: {column: "p a [bar]", unit: bar}
+hydraulic_force: vir*gtau
+load_force: 0
+"""
+TRUE = {
+    "time": [0.0, 1e-3, 2e-3],
+    "piston_position": [0.01, 0.0, -0.01],
+    "pressure_a": [8e6, 8.1e6, 8.2e6],
+    "hydraulic_force": [35.0, 70.0, -35.0],
+    "load_force": [0.0, 0.0, 0.0],
+}
+
+
+def file(folder: Path) -> Path:
+    path = folder / "run.mat"
+    columns = {"clock": [0.0, 1.0, 2.0], "pos": [50.0, 40.0, 30.0], "vir": [1.0, 2.0, -1.0], "gtau": 35.0}
+    savemat(path, {**columns, "note": "cold oil", "out": {"p": [80.0, 81.0, 82.0]}})
+    return path
+
+
+@pytest.mark.parametrize("form", ["text", "yaml", "mapping"])
+def test_every_form_of_a_map_gives_the_same_fields(form: str, tmp_path: Path) -> None:
+    path = file(tmp_path)
+    (tmp_path / "map.yaml").write_text(YAML.replace('"p a [bar]"', "out.p"))
+    text = MAP.replace("'p a [bar]'", "out.p")
+    given = {
+        "text": text,
+        "yaml": tmp_path / "map.yaml",
+        "mapping": dict(part.split("=") for part in text.split(",")),
+    }[form]
+    same(read_table(path, ColumnMap.load(given)), TRUE)
+
+
+def test_quoted_names_may_hold_anything(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    frame = pd.DataFrame({"clock": [0, 1, 2], "pos": [50, 40, 30], "p a [bar]": [80, 81, 82], "vir": [35, 70, -35]})
+    frame.to_csv(path, index=False)
+    same(read_table(path, ColumnMap.load(MAP.replace("*gtau", ""))), TRUE)
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet", ".mat"])
+def test_formats_agree_to_the_bit(suffix: str, tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
+    data = frame(nominal)
+    path = tmp_path / f"run{suffix}"
+    if suffix == ".csv":
+        data.to_csv(path, index=False)
+    elif suffix == ".parquet":
+        data.to_parquet(path)
+    else:
+        savemat(path, {name: data[name].to_numpy()[:, None] for name in data})
+    segment = checked(read_table(path), Bench.nominal()).segments[0]
+    np.testing.assert_array_equal(segment.channels["pressure_a"], nominal["pressure_a"])
+    np.testing.assert_array_equal(segment.channels["valve_current"], nominal["valve_current"])
+
+
+def test_matrices_and_structs_become_columns(tmp_path: Path) -> None:
+    path = tmp_path / "log.mat"
+    signals = [{"values": np.arange(5.0)}, {"values": np.ones((2, 5))}]
+    savemat(path, {"out": {"time": np.arange(5.0)[:, None], "signals": np.array(signals, dtype=object)}})
+    columns = "time=out.time,valve_current=out.signals.0.values,pressure_a=out.signals.1.values.1"
+    table = read_table(path, ColumnMap.load(columns))
+    np.testing.assert_array_equal(table.columns["valve_current"], np.arange(5.0))
+    np.testing.assert_array_equal(table.columns["pressure_a"], np.ones(5))
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("time=t,load_force=vir", "run.mat: there is no column named 't'; there are clock, pos, vir, out.p"),
+        ("time=clok,load_force=vir", "did you mean 'clock'"),
+        ("time=clock,load_force=vir*gtua", "no single number named 'gtua', did you mean 'gtau'"),
+        (
+            "time=clock,piston_positon=pos",
+            "'piston_positon' is no field of a recording, did you mean 'piston_position'",
+        ),
+        ("time=clock,foo=pos", "there are time, hydraulic_force"),
+        ("time=clock,load_force=vir[lbf]", "unit 'lbf' is unknown; there are s, ms"),
+        ("time=clock,load_force", "'load_force' is not FIELD=COLUMN"),
+        ("time=clock,load_force=vir**2", "cannot be read from '\\*\\*2' on"),
+        ("time=3,load_force=vir", "the time cannot be a constant"),
+        ("load_force=vir", "no column is the time"),
+        ({"time": {"column": "clock", "factor": 2}}, "'factor' is unknown; there are column, unit, scale, offset"),
+    ],
+)
+def test_wrong_map_is_one_sentence_that_helps(given: object, said: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=said) as raised:
+        read_table(file(tmp_path), ColumnMap.load(given))  # type: ignore[arg-type]
+    assert "\n" not in str(raised.value)
+
+
+def test_newer_matlab_format_is_refused_with_a_way_out(tmp_path: Path) -> None:
+    path = tmp_path / "new.mat"
+    header = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
+    path.write_bytes(header.ljust(512, b"\x00") + b"\x89HDF\r\n\x1a\n")
+    with pytest.raises(InputError, match=r"save\(\.\.\., '-v7'\)"):
+        read_table(path)
+
+
+def test_damaged_matlab_file_is_one_sentence(tmp_path: Path) -> None:
+    whole = file(tmp_path).read_bytes()
+    for length in (0, 60, 130, 300):
+        (tmp_path / "cut.mat").write_bytes(whole[:length])
+        with pytest.raises(InputError, match=r"cut.mat: .") as raised:
+            read_table(tmp_path / "cut.mat")
+        assert "\n" not in str(raised.value)
+
+
+def test_every_unit_is_a_number_of_si() -> None:
+    assert UNITS["bar"] == 1e5 and UNITS["mm"] == 1e-3 and UNITS["psi"] == pytest.approx(6894.757, rel=1e-6)
+
+
+def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    pd.DataFrame({"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}).to_csv(path)
+    command = [sys.executable, "-m", "hydro_diagnosis.listing", str(path)]
+    ended = subprocess.run(command, capture_output=True, text=True, check=True)
+    rows = {line.split()[1]: line.split() for line in ended.stdout.splitlines() if line.startswith("run.csv")}
+    assert rows["Time"][-1] == "time?" and rows["load_force"][-1] == "load_force"
+    assert rows["Piston_Position"][-1] == "piston_position?"
+    assert "foo" in rows
+
+
+def same(table: RawTable, true: dict[str, list[float]]) -> None:
+    assert set(table.columns) | {"time"} == set(true)
+    for name, values in true.items():
+        np.testing.assert_allclose(
+            table.time if name == "time" else table.columns[name], values, rtol=1e-12, atol=1e-15
+        )
