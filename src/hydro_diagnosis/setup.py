@@ -22,6 +22,7 @@ setup(
         "console_scripts": [
             "diagnose = hydro_diagnosis.cli:main",
             "calibrate = hydro_diagnosis.calibrate:main",
+            "prove = hydro_diagnosis.proof.prove:main",
             "inspect = hydro_diagnosis.listing:main",
         ],
     },

@@ -21,7 +21,7 @@ _VERDICTS = {
     "partly_explained": "A cause was named, but something remains that it does not account for.",
     "unknown": "Something is missing, and no known cause accounts for it.",
 }
-_STYLE = """
+STYLE = """
 body{font:15px/1.5 system-ui,sans-serif;color:#1d2129;max-width:60rem;margin:2rem auto;padding:0 1rem}
 h1{font-size:1.5rem;margin-bottom:.2rem}h2{font-size:1.15rem;margin-top:2rem;border-bottom:1px solid #d9dce1}
 h2 code{font-size:.8rem;font-weight:400;color:#5b6068;margin-left:.6rem}
@@ -42,7 +42,7 @@ def write_page(found: Diagnosis, path: Path) -> None:
     report = found.report
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'><title>Diagnosis</title>",
-        f"<style>{_STYLE}</style></head><body><h1>Diagnosis</h1>",
+        f"<style>{STYLE}</style></head><body><h1>Diagnosis</h1>",
         f"<p class='quiet'>Fitted on {_names(found.problem.models)}; checked on {_names(found.holdout)}; "
         f"{report.seconds:.1f} s of computing.</p>",
         f"<p class='verdict'><b>{_title(report.verdict)}.</b> {_VERDICTS[report.verdict]}</p>",

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m hydro_diagnosis.proof.blind FOLDER`: the diagnosis of every case, with recordings and bench.yaml alone.
+
+FOLDER holds bench.yaml and a folder per case with its recordings; each gets answer.json and corrected.yaml. Finished
+cases are left alone, so that it goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+import time
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+import hydro_diagnosis
+from hydro_bridge.console import command, progress
+from hydro_diagnosis import InputError, diagnose
+from hydro_diagnosis.corrected import write_corrected
+from hydro_diagnosis.proof import blindfold
+from hydro_diagnosis.proof.cases import FITTED, HELD
+
+ANSWER = "answer.json"
+
+
+def diagnosed(case: Path) -> None:
+    """Diagnose one case and write its answer.json: report, refused (a sentence or null), wall and cpu [s], engine."""
+    blindfold.put_on(case.parent.parent, case.parent)
+    begun, cpu = time.monotonic(), time.process_time()
+    answer: dict[str, Any] = {"report": None, "refused": None, "engine": engine()}
+    try:
+        found = diagnose([case / name for name in FITTED], holdout=[case / HELD], bench=case.parent / "bench.yaml")
+        answer["report"] = json.loads(found.report.to_json())
+        write_corrected(found.bench, found.assessment.fit.claims, case / "corrected.yaml")
+    except InputError as error:
+        answer["refused"] = str(error)
+    answer |= {"wall": time.monotonic() - begun, "cpu": time.process_time() - cpu}
+    scratch = case / f".{ANSWER}"
+    scratch.write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    os.replace(scratch, case / ANSWER)  # whole or not at all
+
+
+def engine() -> str:
+    """Digest of the diagnosis' sources, the proof's own left out."""
+    package = Path(hydro_diagnosis.__file__).parent
+    digest = sha256()
+    for path in sorted(package.rglob("*.py")):
+        if "proof" not in path.relative_to(package).parts:
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:12]
+
+
+def waiting(folder: Path) -> list[Path]:
+    """Cases whose recordings are whole and that have no answer yet."""
+    cases = sorted(path for path in folder.glob("case-*") if path.is_dir())
+    return [
+        case
+        for case in cases
+        if not (case / ANSWER).exists() and all((case / name / "metadata.yaml").exists() for name in (*FITTED, HELD))
+    ]
+
+
+@command(OSError)
+def main() -> int:
+    """Entry point; 3 when time was up before all cases were finished."""
+    options = argparse.ArgumentParser(prog="blind", description=__doc__)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--workers", type=int, default=1)
+    options.add_argument("--seconds", type=float, default=float("inf"), help="after which no new case begins")
+    chosen = options.parse_args(sys.argv[1:])
+    until = time.monotonic() + chosen.seconds
+    left = waiting(chosen.folder)
+    bar: tqdm[Any] = progress(total=len(left), label="diagnosing", unit="case")
+    with bar:
+        while left and time.monotonic() < until:
+            batch, left = left[: 4 * chosen.workers], left[4 * chosen.workers :]
+            tasks = (delayed(diagnosed)(case) for case in batch)
+            for _ in Parallel(chosen.workers, return_as="generator_unordered")(tasks):
+                bar.update()
+    return 3 if left else 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of the cases by the emulator's command, in processes of their own: no code of the truth plant is needed.
+
+The truth is written into a temporary folder and gone before any diagnosis begins. A run in which the box trips is
+recorded again at lower gains, as an operator would; that decision knows only the recording.
+"""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from hydro_bridge.console import UserError, progress
+from hydro_bridge.recording import read_bag
+from hydro_bridge.signals import Flag
+from hydro_diagnosis.proof.cases import FITTED, HELD, Case, Schedule, calmer
+
+SLICE = 8
+"""Cases that one process of the emulator records."""
+
+
+Run = tuple[Case, str, Schedule]
+"""A case, the name of a recording, and what is played."""
+
+
+def record(cases: Sequence[Case], folder: Path, workers: int, until: float) -> bool:
+    """Record what is missing of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side.
+
+    Returns
+    -------
+    False if `until`, a time of `time.monotonic`, came before the end.
+    """
+    missing = [case for case in cases if not all(whole(folder / case.name / name) for name in (*FITTED, HELD))]
+    slices = [missing[at : at + SLICE] for at in range(0, len(missing), SLICE)]
+    bar: tqdm[Any] = progress(total=len(missing), label="recording", unit="case")
+    with bar:
+        tasks = (delayed(_record)(part, folder, until) for part in slices)
+        done = 0
+        for count in Parallel(workers, prefer="threads", return_as="generator_unordered")(tasks):
+            done += count
+            bar.update(count)
+    return done == len(missing)
+
+
+def _record(cases: Sequence[Case], folder: Path, until: float) -> int:
+    """Record one slice; returns how many cases it was: none once time is up."""
+    if time.monotonic() > until:
+        return 0
+    runs = [(case, name, case.schedules[name]) for case in cases for name in (*FITTED, HELD)]
+    runs = [run for run in runs if not whole(folder / run[0].name / run[1])]
+    _play(runs, folder)
+    _play([(case, name, calmer(one)) for case, name, one in runs if trips(fresh(folder / case.name / name))], folder)
+    for case, name, _ in runs:
+        fresh(folder / case.name / name).rename(folder / case.name / name)
+    return len(cases)
+
+
+def _play(runs: Sequence[Run], folder: Path) -> None:
+    """Record runs, each as `fresh`, in one process."""
+    if not runs:
+        return
+    with tempfile.TemporaryDirectory(prefix="hydro-truth-") as scratch:
+        jobs = []
+        for case, name, schedule in runs:
+            out = clear(folder / case.name / name)
+            paths = written(case, name, schedule, Path(scratch))
+            jobs.append({"out": str(out), "seed": run_seed(case, name), **paths})
+        batch = Path(scratch) / "batch.yaml"
+        batch.write_text(yaml.safe_dump({"jobs": jobs}), encoding="utf-8")
+        run_emulator(["--offline", "--batch", str(batch)])
+
+
+def fresh(bag: Path) -> Path:
+    """Where a recording stands until it is accepted."""
+    return bag.with_name(f"{bag.name}-fresh")
+
+
+def clear(bag: Path) -> Path:
+    """`fresh` with nothing there: what a Ctrl-C or a trip has left is removed."""
+    shutil.rmtree(fresh(bag), ignore_errors=True)
+    bag.parent.mkdir(parents=True, exist_ok=True)
+    return fresh(bag)
+
+
+def written(case: Case, name: str, schedule: dict[str, Any], scratch: Path) -> dict[str, str]:
+    """Write truth and schedule of a run for the emulator; returns their paths by option."""
+    truth, plan = scratch / f"{case.name}.truth.yaml", scratch / f"{case.name}.{name}.yaml"
+    truth.write_text(yaml.safe_dump(truth_of(case)), encoding="utf-8")
+    plan.write_text(yaml.safe_dump({"segments": [dict(schedule)]}), encoding="utf-8")
+    return {"truth": str(truth), "schedule": str(plan)}
+
+
+def truth_of(case: Case) -> dict[str, Any]:
+    """The case as the emulator's truth file: the nominal bench, and what is concealed on top."""
+    effects = {name: dict(values) for name, values in case.effects.items()}
+    outside = {name: dict(values) for name, values in case.outside.items()}
+    return {"profile": "nominal", "sensors": {"noise_scale": case.noise}, "effects": effects, "outside": outside}
+
+
+def run_seed(case: Case, name: str) -> int:
+    """Seed of one run's noise."""
+    return 10 * case.seed + (*FITTED, HELD).index(name)
+
+
+def run_emulator(words: Sequence[str]) -> None:
+    """Run the emulator's command to its end; raises UserError with its last line if it fails."""
+    done = subprocess.run(["ros2", "run", "hydro_sim", "emulator", *words], check=False, capture_output=True, text=True)
+    if done.returncode:
+        raise UserError(f"the emulator could not record: {(done.stderr.strip() or 'it was ended').splitlines()[-1]}")
+
+
+def trips(bag: Path) -> bool:
+    """Whether the box tripped in a recording."""
+    return bool((read_bag(bag).state["flags"] & Flag.TRIPPED).any())
+
+
+def whole(bag: Path) -> bool:
+    """Whether a recording was finished."""
+    return (bag / "metadata.yaml").exists()

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""After the seal is opened: the model with the true structure, its parameters fitted, against the same held-out run.
+
+No diagnosis can be expected to predict better than this; what it lacks against it is what naming has cost.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from joblib import Parallel, delayed
+
+from hydro_bridge.console import progress
+from hydro_diagnosis import InputError
+from hydro_diagnosis.effects import LIBRARY, Claim, Effect
+from hydro_diagnosis.fit import Fit, fit
+from hydro_diagnosis.heldout import HORIZON, WINDOWS, compare
+from hydro_diagnosis.intake import taken
+from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.proof.cases import FITTED, HELD, Case
+from hydro_sim.bench import Bench
+
+KINDS = ("single", "faint", "value", "form", "pair", "triple")
+"""Cases whose true structure is in the library."""
+RULING = "ruling.json"
+
+
+def rule(cases: Sequence[Case], blind: Path, folder: Path, workers: int) -> dict[str, dict[str, Any]]:
+    """Held-out errors of the true structure by case name; kept in `folder`, computed where missing."""
+    folder.mkdir(parents=True, exist_ok=True)
+    judged = [case for case in cases if case.kind in KINDS]
+    missing = [case for case in judged if not (folder / f"{case.name}.json").exists()]
+    tasks = (delayed(_keep)(case, blind / case.name, folder / f"{case.name}.json") for case in missing)
+    finished = Parallel(workers, return_as="generator_unordered")(tasks)
+    for _ in progress(finished, total=len(missing), label="fitting the true structure", unit="case"):
+        pass
+    return {case.name: json.loads((folder / f"{case.name}.json").read_text()) for case in judged}
+
+
+def _keep(case: Case, recordings: Path, path: Path) -> None:
+    scratch = path.with_suffix(".part")
+    scratch.write_text(json.dumps(ruling(case, recordings)), encoding="utf-8")
+    os.replace(scratch, path)
+
+
+def ruling(case: Case, recordings: Path) -> dict[str, Any]:
+    """Held-out error of the true structure by channel; empty if the recordings cannot be used."""
+    bench = Bench.nominal()
+    try:
+        fitted, held, _ = taken([recordings / name for name in FITTED], [recordings / HELD], bench)
+    except InputError:
+        return {}
+    problem = Problem(fitted, bench)
+    claims = true_fit(problem, case.effects, bench).claims
+    models = [SegmentModel(segment, bench) for segment in held]
+    errors = compare(models, (), claims, problem.sensor_noise, seconds=HORIZON, windows=WINDOWS, shooting=True)
+    return {name: asdict(error) for name, error in errors.items()}
+
+
+def true_fit(problem: Problem, effects: Mapping[str, Mapping[str, Any]], bench: Bench) -> Fit:
+    """The concealed causes, each in the library's form that fits best, from the true values."""
+    best = fit(problem, ())
+    for name, truth in effects.items():
+        trials = [fit(problem, (*best.claims, claim)) for claim in _starts(name, truth, bench)]
+        best = min(trials, key=lambda trial: trial.deviance)
+    return best
+
+
+def _starts(name: str, truth: Mapping[str, Any], bench: Bench) -> list[Claim]:
+    places = {key: str(truth[key]) for key in ("chamber", "cell", "sensor") if key in truth}
+    effects = [effect for effect in LIBRARY if effect.id == name and places.items() <= dict(effect.options).items()]
+    return [Claim(effect.adapted(bench), _values(effect.adapted(bench), truth)) for effect in effects]
+
+
+def _values(effect: Effect, truth: Mapping[str, Any]) -> dict[str, float]:
+    return {one.name: float(truth.get(one.name, one.probes[0])) for one in effect.parameters}
