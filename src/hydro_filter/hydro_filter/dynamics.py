@@ -38,6 +38,10 @@ from hydro_filter.state import (
 )
 from hydro_sim.bench import Bench
 from hydro_sim.hydraulics import flow_gains, input_gain, pressure_rates, velocity_term, volumes
+from hydro_sim.timing import SAMPLE
+
+SUBSTEPS = 4
+"""Runge-Kutta steps of a sample's transition."""
 
 SMALLEST_DROP = 1e3
 """Pa; the slope of a square root is taken no nearer to zero pressure drop than this: it is infinite there."""
@@ -54,11 +58,25 @@ class Linearization(NamedTuple):
     """x' = f(x, u), shape (8,)."""
 
 
+class Transition(NamedTuple):
+    """A sample of 1 ms under a held current, and its Jacobians, SI units."""
+
+    state_matrix: FloatArray
+    """A_d = dx_{k+1}/dx_k, shape (8, 8)."""
+    input_vector: FloatArray
+    """B_d = dx_{k+1}/du_k, shape (8,)."""
+    after: FloatArray
+    """x_{k+1}, shape (8,)."""
+
+
 class Dynamics(Protocol):
-    """A differentiable model of the bench: the analytic one here, a learned one later."""
+    """A differentiable model of the bench: the analytic one here, learned ones in `model_dynamics`."""
 
     def linearize(self, state: FloatArray, current: float) -> Linearization:
         """A, B and x' at state x, shape (8,), and valve current [A]."""
+
+    def transition(self, state: FloatArray, current: float) -> Transition:
+        """A_d, B_d and x a sample later, from state x, shape (8,), under a held current [A]."""
 
 
 class AnalyticDynamics:
@@ -73,6 +91,12 @@ class AnalyticDynamics:
         linearize(self.constants, state, current, linear.state_matrix, linear.input_vector)
         state_rate(self.constants, state, current, linear.state_rate)
         return linear
+
+    def transition(self, state: FloatArray, current: float) -> Transition:
+        """See `Dynamics.transition`."""
+        step = Transition(np.empty((STATES, STATES)), np.empty(STATES), np.empty(STATES))
+        transition(self.constants, state, current, *step)
+        return step
 
 
 @njit(cache=True)
@@ -159,6 +183,41 @@ def linearize(constants, state, current, state_matrix, input_vector):
     input_vector[HYDRAULIC_FORCE_RATE] = by_a * input_vector[PRESSURE_A] + by_b * input_vector[PRESSURE_B]
     # ... then how the slopes change, times those four
     _bend(bench, state, current, state_matrix, input_vector)
+
+
+@njit(cache=True)
+def transition(constants, state, current, state_matrix, input_vector, after):
+    """Write x_{k+1}, A_d, B_d: a sample of x' = f(x, u) and of the variational equation d' = A d (+ B), together.
+
+    Classic Runge-Kutta steps of 250 us; the derivative is that of the very steps taken.
+    """
+    columns = STATES + 1
+    step = SAMPLE / SUBSTEPS
+    slopes, rates = np.empty((STATES, STATES)), np.empty(STATES)
+    input_slopes, probe, total = np.empty(STATES), np.empty(STATES), np.empty(STATES)
+    d, nudged, moved, summed = (
+        np.eye(STATES, columns),
+        np.empty((STATES, columns)),
+        np.empty((STATES, columns)),
+        np.empty((STATES, columns)),
+    )
+    after[:] = state
+    for _ in range(SUBSTEPS):
+        probe[:], nudged[:] = after, d
+        for stage in range(4):
+            state_rate(constants, probe, current, rates)
+            linearize(constants, probe, current, slopes, input_slopes)
+            moved[:] = np.dot(slopes, nudged)
+            moved[:, STATES] += input_slopes
+            weight, reach = 1.0 if stage == 0 or stage == 3 else 2.0, step if stage == 2 else 0.5 * step
+            if stage == 0:
+                total[:], summed[:] = 0.0, 0.0
+            total += weight * rates
+            summed += weight * moved
+            probe[:], nudged[:] = after + reach * rates, d + reach * moved
+        after += step / 6.0 * total
+        d += step / 6.0 * summed
+    state_matrix[:], input_vector[:] = d[:, :STATES], d[:, STATES]
 
 
 @njit(cache=True)
