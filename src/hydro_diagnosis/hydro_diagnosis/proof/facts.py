@@ -31,6 +31,12 @@ SHARE = 0.1
 """Of the mismatch: a place with less is not held against the location."""
 
 
+_BY_RATIO = ("valve_gain", "valve_gain_asymmetry", "bulk_modulus", "load_cell_gain", "spring_stiffness",
+             "supply_pressure", "piston_area", "area_ratio", "dead_volume")  # fmt: skip
+_NEUTRAL = {**{(cause, "ratio"): 1.0 for cause in _BY_RATIO}, ("spring_rest", "position"): 0.04}
+"""Where a number does nothing, if that is not 0."""
+
+
 def equations(cause: str) -> set[str]:
     """Equations in which a cause acts."""
     return {equation for equation, ids in _IDS.items() if cause in ids}
@@ -49,8 +55,13 @@ class Estimate:
 
     @property
     def error(self) -> float:
-        """Relative to the truth."""
+        """Relative to the true number."""
         return abs(self.value - self.truth) / abs(self.truth)
+
+    @property
+    def error_of_size(self) -> float:
+        """Relative to how far the true number is from doing nothing: of a ratio of 1.05, to 0.05."""
+        return abs(self.value - self.truth) / abs(self.truth - _NEUTRAL.get((self.cause, self.name), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)

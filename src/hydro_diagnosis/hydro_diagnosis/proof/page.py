@@ -17,7 +17,7 @@ from hydro_diagnosis.page import STYLE
 _CAPTIONS = {
     "confusion": "What was said about each cause that was concealed alone; numbers are cases, blue is their share.",
     "errors": "Error of the size of each cause that was concealed alone, against how large it was. The detection floor "
-    "is the size at which evidence would just be enough.",
+    "is the size at which evidence would just be enough, or from which on it is worth claiming.",
     "coverage": "95 % intervals that hold the truth, by cause (number of parameters), with Wilson's interval.",
     "held_out": "Held-out error: on the line, naming cost nothing against knowing the true structure.",
 }

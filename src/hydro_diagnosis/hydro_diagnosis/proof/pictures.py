@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.proof.cases import FITTED, SECONDS
 from hydro_diagnosis.proof.facts import Result
 from hydro_diagnosis.proof.standards import confusion, wilson
 from hydro_diagnosis.search import SearchSettings
@@ -52,19 +54,26 @@ def draw_confusion(matrix: dict[str, dict[str, int]], path: Path) -> None:
 
 
 def floors(results: Sequence[Result]) -> dict[str, float]:
-    """Detection floor by cause: the size at which evidence would just be enough, median over single cases.
+    """Detection floor by cause: the size at which evidence would just be enough, at least what is worth claiming.
 
-    Evidence grows with the square of the size: floor = size sqrt(threshold / evidence), at the noise of the case.
+    Evidence grows with the square of the size: floor = size sqrt(threshold / evidence), median over the cases in which
+    the cause was concealed alone and named.
     """
-    needed = SearchSettings().threshold + np.log(1e3 * 60.0)
+    needed = SearchSettings().threshold + np.log(1e3 * SECONDS * len(FITTED))
+    worth = {(effect.id, one.name): one.smallest for effect in LIBRARY for one in effect.parameters}
     by_cause: dict[str, list[float]] = defaultdict(list)
+    for result, (name, size) in _alone(results):
+        cause, evidence = result.effects[0]["id"], result.effects[0]["evidence"]["delta_bic"]
+        enough = size * float(np.sqrt(needed / max(evidence, needed)))
+        by_cause[cause].append(max(enough, worth[cause, name]))
+    return {cause: float(np.median(sizes)) for cause, sizes in by_cause.items()}
+
+
+def _alone(results: Sequence[Result]) -> Iterator[tuple[Result, tuple[str, float]]]:
+    """Cases with one cause that was named, and its size."""
     for result in results:
         if result.case.kind in ("single", "value", "faint") and result.case.size and result.exact:
-            evidence = result.effects[0]["evidence"]["delta_bic"]
-            by_cause[result.effects[0]["id"]].append(
-                result.case.size[1] * float(np.sqrt(needed / max(evidence, needed)))
-            )
-    return {cause: float(np.median(sizes)) for cause, sizes in by_cause.items()}
+            yield result, result.case.size
 
 
 def draw_errors(results: Sequence[Result], path: Path) -> None:
@@ -74,11 +83,10 @@ def draw_errors(results: Sequence[Result], path: Path) -> None:
     with figure(path, size=(8.0, 5.0)) as (_, (axis,)):
         for k, cause in enumerate(causes):
             points = [
-                (result.case.size[1] / floor[cause], one.error)
-                for result in results
-                if result.case.size and result.case.kind in ("single", "value", "faint")
+                (size / floor[cause], one.error_of_size)
+                for result, (name, size) in _alone(results)
                 for one in result.estimates
-                if one.cause == cause and one.name == result.case.size[0]
+                if one.cause == cause and one.name == name
             ]
             marker = "osD^vP*X"[k // 7 % 8]
             color = (BLUE, ORANGE, GREEN, RED, GRAY, "#cc79a7", "#56b4e9")[k % 7]
@@ -87,7 +95,7 @@ def draw_errors(results: Sequence[Result], path: Path) -> None:
         axis.axvline(1.0, color=GRAY, linestyle="--", linewidth=1.0)
         axis.axhline(0.005, color=GRAY, linestyle=":", linewidth=1.0)
         axis.set(xscale="log", yscale="log", xlabel="size over the cause's detection floor (dashed: floor)",
-                 ylabel="relative error (dotted: 0.5 %)")  # fmt: skip
+                 ylabel="error of the size, over the size (dotted: 0.5 %)")  # fmt: skip
         axis.legend(fontsize=6, ncols=1, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 
 

@@ -95,6 +95,9 @@ def _numbers(table: Table, results: Sequence[Result]) -> None:
     middle, tail = np.percentile([one.error for one in estimates], [50, 95])
     _figure(table, "parameter error, median", "<= 0.5%", f"{middle:.2%}", len(estimates), middle <= 0.005)
     _figure(table, "parameter error, 95th percentile", "<= 3%", f"{tail:.2%}", len(estimates), tail <= 0.03)
+    middle, tail = np.percentile([one.error_of_size for one in estimates], [50, 95])
+    table.add(standard="the same over the effect's size (of a ratio of 1.05, over 0.05)", goal="", met="", wilson="",
+              reached=f"median {middle:.2%}, p95 {tail:.2%}", count=len(estimates))  # fmt: skip
     hits = sum(one.inside for one in estimates)
     low, high = wilson(hits, len(estimates))
     share = hits / len(estimates)
