@@ -18,6 +18,9 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from hydro_sim.effects import program
+from hydro_sim.effects.record import EFFECTS_DTYPE
+
 LOAD_CELL_DAMPING = sqrt(0.5)
 """Of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
 
@@ -71,7 +74,7 @@ class Bench:
     load_cell_bandwidth: float | None = field(default=None, metadata={"unit": "Hz", "low": 1.0, "high": 1e4})
     """Second-order Butterworth low-pass in the load cell's amplifier; None: ideal."""
     effects: tuple[Mapping[str, Any], ...] = ()
-    """Effects beyond these equations, found by a diagnosis (`corrected.yaml`): kept, not simulated, see `left_out`."""
+    """Effects beyond these equations, found by a diagnosis (`corrected.yaml`), as read: `hydro_sim.effects`."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -81,17 +84,12 @@ class Bench:
             raise ValueError(
                 f"tank_pressure {self.tank_pressure:g} Pa is not below supply_pressure {self.supply_pressure:g} Pa"
             )
+        program.check(self.effects)
 
     @property
     def valve_gain(self) -> float:
         """K_v [m3/s/A/sqrt(Pa)] (eq. q4)."""
         return self.valve_nominal_flow / (self.valve_nominal_current * sqrt(self.valve_nominal_pressure_drop / 2.0))
-
-    @property
-    def left_out(self) -> str:
-        """A sentence that names the effects, which hydro_sim's equations leave out; empty without effects."""
-        names = ", ".join(str(effect["id"]) for effect in self.effects)
-        return f"of the bench file's effects the analytic simulation leaves out {names}" if names else ""
 
     @classmethod
     def nominal(cls) -> Bench:
@@ -145,19 +143,21 @@ class Bench:
 
     def constants(self) -> npt.NDArray[np.void]:
         """What compiled code reads: one record of `BENCH_DTYPE`, shape (1,)."""
-        record = np.zeros(1, BENCH_DTYPE)
+        numbers, record = program.in_numbers(self), np.zeros(1, BENCH_DTYPE)
         for name in record.dtype.names or ():
-            value = getattr(self, name, None)
-            record[name] = 0.0 if value is None else value
-        record["load_cell_omega"] = 2.0 * pi * (self.load_cell_bandwidth or 0.0)
+            value = getattr(numbers, name, None)
+            record[name] = 0.0 if value is None or name == "effects" else value
+        record["load_cell_omega"] = 2.0 * pi * (numbers.load_cell_bandwidth or 0.0)
+        record["effects"] = program.program(self.effects)
         return record
 
 
 BENCH_DTYPE = np.dtype(
     [(entry.name, np.float64) for entry in fields(Bench) if entry.metadata and entry.name != "load_cell_bandwidth"]
-    + [("valve_gain", np.float64), ("load_cell_omega", np.float64)]
+    + [("valve_gain", np.float64), ("load_cell_omega", np.float64), ("effects", EFFECTS_DTYPE)]
 )
-"""The bench for compiled code, SI units; `valve_gain` is K_v, `load_cell_omega` [rad/s] is 0 for an ideal load cell."""
+"""The bench for compiled code, SI units; `valve_gain` is K_v, `load_cell_omega` [rad/s] is 0 for an ideal load cell.
+Effects that are wrong numbers of the bench file are in the numbers, the others in `effects`."""
 
 
 def _required(entry: Any) -> bool:

@@ -8,7 +8,6 @@ learned model predicts all eight at once.
 
 from __future__ import annotations
 
-import warnings
 from typing import Protocol
 
 import numpy as np
@@ -17,6 +16,8 @@ from numba import njit
 from hydro_bridge.signals import FloatArray
 from hydro_sim import hydraulics, sensors
 from hydro_sim.bench import Bench
+from hydro_sim.effects import integration, sensing
+from hydro_sim.effects.record import MEMORY_DTYPE
 from hydro_sim.sensors import CONDITIONING_DTYPE, Noise, Sensors
 
 
@@ -32,8 +33,9 @@ class Plant(Protocol):
 
 PLANT_STATE_DTYPE = np.dtype(
     [("y", np.float64, (hydraulics.STATES,)), ("x", np.float64, (8,)), ("last", CONDITIONING_DTYPE)]
+    + [("memory", MEMORY_DTYPE)]
 )
-"""All that an analytic plant remembers: physical state y, measurement x, the differentiators' last samples."""
+"""All that an analytic plant remembers: physical state y, measurement x, the differentiators' last samples, effects."""
 
 
 class AnalyticPlant:
@@ -42,7 +44,7 @@ class AnalyticPlant:
     Parameters
     ----------
     bench
-        What is simulated, without its `effects`: a UserWarning names those.
+        What is simulated, its `effects` with it.
     noise
         Scale of the sensors' noise and quantisation, 0 or more; 0: ideal sensors.
     settings
@@ -52,8 +54,6 @@ class AnalyticPlant:
     def __init__(self, bench: Bench, *, noise: float = 1.0, settings: Sensors | None = None) -> None:
         if not 0.0 <= noise < np.inf:
             raise ValueError(f"noise scale {noise!r} is not a number of 0 or more")
-        if bench.left_out:
-            warnings.warn(bench.left_out, stacklevel=2)
         self.constants = bench.constants()
         self.sensors = (settings or Sensors()).constants(noise)
         self.state = np.zeros(1, PLANT_STATE_DTYPE)
@@ -84,22 +84,24 @@ class AnalyticPlant:
 @njit(cache=True)
 def begin(constants, sensor_constants, state, noise):
     """First sample: `constants`, `sensor_constants`, `state` of shape (1,), `noise` of shape (5,)."""
-    raw = _readings(constants[0], sensor_constants[0], state[0].y, noise)
+    bench, raw = constants[0], np.empty(5)
+    integration.read(bench, state[0].y, raw)
+    if bench.effects.active:
+        integration.begin(bench, state[0].memory, state[0].y, raw)
+    sensors.sense(sensor_constants[0], noise, raw)
     sensors.restart(state[0].last, raw, state[0].x)
 
 
 @njit(cache=True)
 def advance(constants, sensor_constants, state, noise, valve_current):
     """One sample of 1 ms in place; shapes as in `begin`. What `AnalyticPlant.step` and the offline loop both run."""
-    hydraulics.advance(constants[0], state[0].y, valve_current, hydraulics.SAMPLE, hydraulics.SUBSTEPS)
-    raw = _readings(constants[0], sensor_constants[0], state[0].y, noise)
+    bench, raw = constants[0], np.empty(5)
+    if bench.effects.active:
+        integration.advance(bench, state[0].memory, state[0].y, valve_current)
+    else:
+        hydraulics.advance(bench, state[0].y, valve_current, hydraulics.SAMPLE, hydraulics.SUBSTEPS)
+    integration.read(bench, state[0].y, raw)
+    if bench.effects.active:
+        sensing.show(bench.effects, state[0].memory, raw)
+    sensors.sense(sensor_constants[0], noise, raw)
     sensors.condition(sensor_constants[0], state[0].last, raw, state[0].x)
-
-
-@njit(cache=True)
-def _readings(bench, sensor, y, noise):
-    raw = np.empty(5)
-    raw[0] = hydraulics.hydraulic_force(bench, y[0], y[1])
-    raw[1], raw[2], raw[3], raw[4] = y[4], y[0], y[1], y[2]
-    sensors.sense(sensor, noise, raw)
-    return raw

@@ -41,6 +41,8 @@ class SimSettings:
     """Weights of a learned bench, `shipped` or `analytic`; empty: `analytic` if `bench` is given, `shipped` if not."""
     bench: str = ""
     """Path of a bench.yaml or a diagnosis' corrected.yaml; empty: the one that comes with hydro_sim."""
+    box_bench: str = ""
+    """Path of the bench.yaml that the box's force law believes; empty: the same as `bench`."""
     speed: float = 1.0
     """Simulated seconds per second, [0, 100]; 0: in lock-step with filter and trainer, as fast as they answer."""
     noise: float = 1.0

@@ -10,7 +10,6 @@ import pytest
 import yaml
 
 from hydro_sim.bench import BENCH_DTYPE, Bench
-from hydro_sim.plant import AnalyticPlant
 
 
 def write(path: Path, **changes: object) -> Path:
@@ -49,16 +48,11 @@ def test_optional_key_may_be_absent(tmp_path: Path) -> None:
     assert "load_cell_bandwidth" not in bench.to_mapping()
 
 
-def test_what_is_not_simulated_is_named(bench: Bench) -> None:
-    corrected = replace(bench, effects=({"id": "valve_lag", "parameters": {}}, {"id": "backlash", "parameters": {}}))
-    assert bench.left_out == ""
-    assert corrected.left_out.endswith("leaves out valve_lag, backlash")
-    with pytest.warns(UserWarning, match="leaves out valve_lag, backlash"):
-        AnalyticPlant(corrected)
-
-
 def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
-    effects = [{"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}, {"id": "valve_deadband"}]
+    effects = [
+        {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
+        {"id": "valve_deadband", "form": "soft", "parameters": {"half_width": 1e-3, "softness": 1e-4}},
+    ]
     bench = Bench.load(write(tmp_path / "corrected.yaml", effects=effects))
     assert bench.effects == tuple(effects)
     assert bench.to_mapping()["effects"] == effects
@@ -80,6 +74,20 @@ def test_effects_of_a_diagnosis_are_kept(tmp_path: Path) -> None:
         ),
         ({"effects": "leak"}, "'effects' is a list of mappings, each with an 'id'"),
         ({"effects": [{"parameters": {}}]}, "'effects' is a list of mappings, each with an 'id'"),
+        ({"effects": [{"id": "gremlin"}]}, "effect 'gremlin' is not known"),
+        ({"effects": [{"id": "backlash"}]}, "effect backlash lacks its parameter width [m]"),
+        (
+            {"effects": [{"id": "backlash", "parameters": {"width": "wide"}}]},
+            "effect backlash: width = 'wide' is not a number in [0, 0.1] m",
+        ),
+        (
+            {"effects": [{"id": "valve_offset", "parameters": {"current": 1e-3, "Current": 0}}]},
+            "effect valve_offset has no parameter 'Current'",
+        ),
+        (
+            {"effects": [{"id": "dead_volume", "parameters": {"ratio": 1.1}}]},
+            "effect 'dead_volume' is not known; there is dead_volume chamber=a, dead_volume chamber=b",
+        ),
     ],
 )
 def test_bad_bench_is_refused_in_one_sentence_with_file_and_key(
@@ -108,5 +116,5 @@ def test_missing_file_is_named(tmp_path: Path) -> None:
 def test_compiled_code_reads_the_same_values(bench: Bench) -> None:
     record = replace(bench, load_cell_bandwidth=10.0).constants()[0]
     assert record["load_cell_omega"] == pytest.approx(62.83185307)
-    for name in set(BENCH_DTYPE.names or ()) - {"load_cell_omega"}:
+    for name in set(BENCH_DTYPE.names or ()) - {"load_cell_omega", "effects"}:
         assert record[name] == getattr(bench, name)

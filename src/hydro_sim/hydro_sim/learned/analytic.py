@@ -9,11 +9,22 @@ from numba import njit, prange
 from hydro_bridge.signals import FloatArray
 from hydro_sim import hydraulics
 from hydro_sim.bench import Bench
+from hydro_sim.effects.catalogue import label
 from hydro_sim.learned.integration import STATES
 from hydro_sim.learned.recordings import Run
 from hydro_sim.learned.structured import differentiate, show
 from hydro_sim.learned.structured_model import first_guess
 from hydro_sim.sensors import Sensors
+
+
+def left_out(bench: Bench) -> str:
+    """A sentence that names the bench file's effects, which predictions from the middle of a run leave out.
+
+    What has a past (spool, bristles, a dead time) cannot start there from a measurement. Closed-loop simulations start
+    at rest and leave nothing out: `hydro_sim.plant.AnalyticPlant`.
+    """
+    names = ", ".join(map(label, bench.effects))
+    return f"of the bench file's effects the analytic model's predictions leave out {names}" if names else ""
 
 
 class AnalyticModel:

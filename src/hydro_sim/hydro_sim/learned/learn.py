@@ -33,8 +33,8 @@ def main() -> None:
     settings = _settings(options)
     numba.set_num_threads(min(options.threads or numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS))
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    if bench.left_out:
-        _say(f"{bench.left_out}, from which the learning starts")
+    if bench.effects:
+        _say(f"the learning starts from the bench file's numbers, without its {len(bench.effects)} effects")
     data = recordings.split(recordings.load(options.bags))
     out, began = Path(options.out), time.monotonic()
     threadpool_limits(1, "blas")  # numba's threads call BLAS: its own would only get in their way

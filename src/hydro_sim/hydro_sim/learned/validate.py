@@ -16,7 +16,7 @@ from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray, matrix
 from hydro_sim.bench import Bench
 from hydro_sim.hydraulics import SAMPLE
 from hydro_sim.learned import curves, evaluation, recordings
-from hydro_sim.learned.analytic import AnalyticModel
+from hydro_sim.learned.analytic import AnalyticModel, left_out
 from hydro_sim.learned.evaluation import Errors, Scales, Scored
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.objectives import SETTLED
@@ -46,8 +46,8 @@ def main() -> None:
     learned = Learned.load(options.model)
     scored = _scored(options.bags, options.noise_free)
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    if bench.left_out:
-        print(bench.left_out, file=sys.stderr)
+    if left_out(bench):
+        print(left_out(bench), file=sys.stderr)
     states = [learned.model.estimate(item.run) for item in scored]
     analytic = AnalyticModel(bench)
     same = isinstance(learned.model, StructuredModel)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The simulated bench in the place of emulator and bridge: same topics, types, rates and rules.
 
-ros2 run hydro_sim sim [--model WEIGHTS | shipped | analytic] [--bench FILE] [--speed S] [--noise SCALE] [--seed N]
-                       [--realtime] [--ros-args ...]
+ros2 run hydro_sim sim [--model WEIGHTS | shipped | analytic] [--bench FILE] [--box-bench FILE] [--speed S]
+                       [--noise SCALE] [--seed N] [--realtime] [--ros-args ...]
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ from hydro_bridge.signals import Flag
 from hydro_msgs.msg import Gains
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box, BoxConfig
+from hydro_sim.effects.catalogue import label
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.plant import AnalyticPlant, Plant
 from hydro_sim.simulation import SimSettings, Simulation
@@ -35,8 +36,8 @@ CLOCK_DEPTH = 10
 class SimSide(Simulation):
     """A simulation that can say on /diagnostics how it is doing."""
 
-    left_out = ""
-    """What of the bench file is not simulated, a sentence."""
+    effects = ""
+    """The bench file's effects that are simulated."""
 
     def status(self) -> Status:
         """See `hydro_bridge.nodes.plant_node.PlantSide`."""
@@ -50,7 +51,7 @@ class SimSide(Simulation):
             "late samples": self.pacer.late,
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
-            "not simulated": self.left_out or "none",
+            "effects": self.effects or "none",
             **{f"guard {name}": count for name, count in guard.items()},
         }
         return Status(level=self._level(), message=self._sentence(), values=values)
@@ -77,15 +78,16 @@ class SimNode(PlantNode):
         if not guard.settings.require_filter:
             self.get_logger().warning("guard.require_filter is false: gains reach the valve UNFILTERED")
         bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
-        box = Box(bench, declare_parameters(self, BoxConfig(), "box."))
+        believed = Bench.load(settings.box_bench) if settings.box_bench else bench
+        box = Box(believed, declare_parameters(self, BoxConfig(), "box."))
         plant = _plant(settings, bench)
-        left_out = bench.left_out if isinstance(plant, AnalyticPlant) else ""
-        if left_out:
-            self.get_logger().warning(left_out)
+        effects = ", ".join(map(label, bench.effects)) if isinstance(plant, AnalyticPlant) else ""
+        if effects:
+            self.get_logger().info(f"simulates the bench file's effects: {effects}")
         self._time = Clock()
         self._clock_publisher = None if settings.speed == 1.0 else self.create_publisher(Clock, CLOCK, CLOCK_DEPTH)
         self.simulation = SimSide(box, plant, guard, settings, self._publish, self.get_logger().info)
-        self.simulation.left_out = left_out
+        self.simulation.effects = effects
         self.connect(self.simulation, self.simulation.clock)
         self.get_logger().info(be_prompt(realtime=realtime))
         self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
@@ -112,7 +114,7 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     """The plant that the settings name."""
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
-        return AnalyticPlant(replace(bench, effects=()), noise=settings.noise)  # the node says what that leaves out
+        return AnalyticPlant(bench, noise=settings.noise)
     return LearnedPlant(None if name == "shipped" else name, noise=settings.noise)
 
 
@@ -124,9 +126,9 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
         epilog="Limits and time-outs of guard and box are ROS parameters: --ros-args -p box.load_force_limit:=600.0.",
     )
     texts, defaults = describe(SimSettings), SimSettings()
-    for name in ("model", "bench", "speed", "noise", "seed"):
+    for name in ("model", "bench", "box_bench", "speed", "noise", "seed"):
         default = getattr(defaults, name)
-        parser.add_argument(f"--{name}", type=type(default), default=default, help=texts[name].text)
+        parser.add_argument(f"--{name.replace('_', '-')}", type=type(default), default=default, help=texts[name].text)
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
     options = vars(parser.parse_args(own))
     realtime = options.pop("realtime")

@@ -1,0 +1,309 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects of a corrected.yaml in the analytic plant, against closed forms and against the bench without them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_sim import hydraulics, sensors
+from hydro_sim.bench import Bench
+from hydro_sim.effects import integration, program, record, valve
+from hydro_sim.effects.catalogue import CATALOGUE, form_of
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant
+from hydro_sim.sensors import CONDITIONING_DTYPE, Noise, Sensors
+from hydro_sim.timing import SAMPLE
+
+IDS = {
+    "friction_coulomb", "friction_viscous", "friction_stribeck", "leakage_internal", "leakage_external",
+    "valve_deadband", "valve_lag", "transport_delay", "valve_offset", "valve_gain", "valve_gain_asymmetry",
+    "valve_null_leakage", "supply_droop", "bulk_modulus", "entrained_air", "load_cell_gain", "load_cell_bias",
+    "pressure_sensor_bias", "spring_stiffness", "spring_hardening", "backlash", "moving_mass", "valve_gain_drift",
+    "end_cushion", "force_offset", "sensor_lag", "friction_presliding", "supply_pressure", "piston_area", "area_ratio",
+    "dead_volume", "tank_pressure", "spring_rest",
+}  # fmt: skip
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
+
+
+def effect(name: str, **parameters: float) -> dict[str, Any]:
+    identifier, *options = name.split()
+    return {"id": identifier, **dict(option.split("=") for option in options), "parameters": parameters}
+
+
+def with_effects(bench: Bench, *effects: dict[str, Any]) -> Bench:
+    return replace(bench, effects=effects)
+
+
+def response(bench: Bench, current: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Measurements without noise and physical states under a current, shapes (n, 8) and (n, 6)."""
+    plant = AnalyticPlant(bench, noise=0.0)
+    shown, states = np.empty((len(current), 8)), np.empty((len(current), 6))
+    for k, held in enumerate(current):
+        shown[k], states[k] = plant.step(float(held)), plant.physical_state()
+    return shown, states
+
+
+def wave(samples: int = 600) -> FloatArray:
+    time = SAMPLE * np.arange(samples)
+    return np.asarray(4e-4 * np.sin(2 * np.pi * 3 * time) + 2e-4 * np.sin(2 * np.pi * 17 * time))
+
+
+def test_every_id_of_the_diagnosis_is_simulated() -> None:
+    assert {name.split()[0] for name in CATALOGUE} == IDS
+
+
+def test_a_bench_without_effects_has_the_numbers_of_its_equations_to_the_bit(bench: Bench) -> None:
+    constants, settings = bench.constants(), Sensors().constants()
+    y, noise, x = hydraulics.rest_state(constants[0]), Noise(4), np.zeros(8)
+    last, raw = np.zeros(1, CONDITIONING_DTYPE), np.empty(5)
+
+    def read() -> FloatArray:
+        integration.read(constants[0], y, raw)
+        sensors.sense(settings[0], noise.row(), raw)
+        return raw
+
+    plant = AnalyticPlant(bench)
+    first = plant.reset(4)
+    sensors.restart(last[0], read(), x)
+    np.testing.assert_array_equal(first, x)
+    for current in wave(200):
+        hydraulics.advance(constants[0], y, current, SAMPLE, hydraulics.SUBSTEPS)
+        sensors.condition(settings[0], last[0], read(), x)
+        np.testing.assert_array_equal(plant.step(float(current)), x)
+
+
+def test_effects_of_no_size_change_nothing(bench: Bench) -> None:
+    nothing = with_effects(
+        bench,
+        effect("friction_coulomb", force=0.0),
+        effect("supply_droop", resistance=0.0, time_constant=0.1),
+        effect("leakage_internal", coefficient=0.0),
+        effect("entrained_air", volume_fraction=0.0),
+        effect("valve_deadband", half_width=0.0),
+        effect("spring_hardening", coefficient=0.0),
+        effect("load_cell_gain cell=load_force", ratio=1.0),
+        effect("transport_delay", time=0.0),
+    )
+    assert nothing.constants()["effects"]["active"][0]
+    np.testing.assert_allclose(response(nothing, wave())[1], response(bench, wave())[1], rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("name", "parameters", "field", "value"),
+    [
+        ("friction_viscous", {"coefficient": 40.0}, "viscous_friction", 100.0),
+        ("moving_mass", {"mass": 0.3}, "moving_mass", 1.5),
+        ("spring_stiffness", {"ratio": 0.9}, "spring_stiffness", 18000.0),
+        ("spring_rest", {"position": 0.035}, "spring_rest_position", 0.035),
+        ("supply_pressure", {"ratio": 0.5}, "supply_pressure", 8e6),
+        ("tank_pressure", {"pressure": 3e5}, "tank_pressure", 3e5),
+        ("piston_area", {"ratio": 1.1}, "piston_area", 2.2e-4),
+        ("area_ratio", {"ratio": 0.5}, "area_ratio", 0.3045),
+        ("dead_volume chamber=b", {"ratio": 2.0}, "dead_volume_b", 4e-4),
+        ("friction_viscous", {"coefficient": -100.0}, "viscous_friction", 0.0),
+    ],
+)
+def test_wrong_numbers_are_put_right(
+    name: str, parameters: dict[str, float], field: str, value: float, bench: Bench
+) -> None:
+    corrected = with_effects(bench, effect(name, **parameters)).constants()
+    assert corrected.tobytes() == replace(bench, **{field: pytest.approx(value).expected}).constants().tobytes() or (
+        corrected[field][0] == pytest.approx(value)
+    )
+    assert not corrected["effects"]["active"][0]
+
+
+def test_a_dead_time_of_whole_samples_is_a_shift(bench: Bench) -> None:
+    late = response(with_effects(bench, effect("transport_delay", time=7e-3)), wave())[1]
+    np.testing.assert_allclose(late[7:], response(bench, wave())[1][:-7], rtol=1e-9, atol=1e-9)
+
+
+def test_dead_times_add_up(bench: Bench) -> None:
+    two = with_effects(bench, effect("transport_delay", time=1.3e-3), effect("transport_delay", time=2.45e-3))
+    one = with_effects(bench, effect("transport_delay", time=3.75e-3))
+    np.testing.assert_allclose(response(two, wave())[1], response(one, wave())[1], rtol=1e-12)
+
+
+def mean_spool(current: FloatArray, *effects: dict[str, Any]) -> FloatArray:
+    """Mean of the spool over each Runge-Kutta step [A], shape (samples * 20,)."""
+    constants, memory = program.program(effects), np.zeros(1, record.MEMORY_DTYPE)
+    valve.begin(constants[0], memory[0])
+    spool = []
+    for held in current:
+        valve.hold(constants[0], memory[0], held)
+        spool += [valve.command(constants[0], memory[0], k) for k in range(20)]
+    return np.array(spool)
+
+
+def test_a_dead_time_of_a_fraction_moves_the_edge_within_a_sample() -> None:
+    spool = mean_spool(np.array([0.0, 1.0, 1.0, 0.0]), effect("transport_delay", time=4.2e-4))
+    np.testing.assert_allclose(spool[20:29], [0, 0, 0, 0, 0, 0, 0, 0, 0.6], atol=1e-12)
+    np.testing.assert_allclose(spool[29:60], 1.0)
+
+
+@pytest.mark.parametrize("name", ["valve_lag", "valve_lag form=first_order"])
+def test_the_spool_follows_a_step_as_its_closed_form_says(name: str) -> None:
+    numbers = {"bandwidth": 90.0} | ({"damping": 0.7} if "form" not in name else {})
+    spool = mean_spool(np.ones(10), effect(name, **numbers))
+    omega, middle = 2.0 * np.pi * 90.0, (np.arange(200) + 0.5) * SAMPLE / 20
+    fast = omega * np.sqrt(1.0 - 0.49)
+    second = 1.0 - np.exp(-0.7 * omega * middle) * (np.cos(fast * middle) + 0.7 * omega / fast * np.sin(fast * middle))
+    expected = second if "damping" in numbers else 1.0 - np.exp(-omega * middle)
+    np.testing.assert_allclose(spool, expected, atol=2e-4)
+
+
+def test_overlap_comes_after_the_spool_whatever_the_order() -> None:
+    lag, overlap = effect("valve_lag", bandwidth=50.0, damping=1.0), effect("valve_deadband", half_width=0.05)
+    np.testing.assert_array_equal(
+        mean_spool(np.full(10, 0.1), lag, overlap), mean_spool(np.full(10, 0.1), overlap, lag)
+    )
+
+
+@pytest.mark.parametrize("form", ["", " form=lopsided", " form=soft"])
+def test_nothing_flows_within_the_overlap(form: str, bench: Bench) -> None:
+    sides = {"half_width_negative": 1e-3} if "lopsided" in form else {"softness": 2e-5} if "soft" in form else {}
+    overlapped = with_effects(bench, effect("valve_deadband" + form, half_width=1e-3, **sides))
+    still = response(overlapped, np.zeros(200))[1]
+    np.testing.assert_allclose(response(overlapped, wave(200) / 2)[1], still, rtol=1e-5, atol=1e-5)
+
+
+def test_a_leak_evens_the_chambers_out_exponentially(bench: Bench) -> None:
+    """At a fixed piston p_a - p_b fades with c beta (1/V_a + 1/V_b)."""
+    heavy = replace(bench, moving_mass=1e4, spring_stiffness=1e8, viscous_friction=1e6)
+    leaking = with_effects(heavy, effect("leakage_internal", coefficient=1e-12))
+    states = response(leaking, np.zeros(300))[1]
+    volume_a, volume_b = hydraulics.volumes(bench.constants()[0], 0.04)
+    rest = hydraulics.rest_state(bench.constants()[0])
+    rate = 1e-12 * bench.bulk_modulus * (1.0 / volume_a + 1.0 / volume_b)
+    expected = (rest[0] - rest[1]) * np.exp(-rate * SAMPLE * np.arange(1, 301))
+    np.testing.assert_allclose(states[:, 0] - states[:, 1], expected, atol=1e4)
+
+
+def test_dry_friction_holds_up_to_its_level_and_not_beyond(bench: Bench) -> None:
+    rough = effect("friction_coulomb", force=50.0)
+    held = response(with_effects(bench, rough, effect("force_offset", force=49.0)), np.zeros(50))[1]
+    gone = response(with_effects(bench, rough, effect("force_offset", force=51.0)), np.zeros(50))[1]
+    assert (held[:, 3] == 0.0).all() and (held[:, 2] == 0.04).all()
+    assert gone[0, 3] > 0.0
+
+
+def test_friction_that_slides_takes_its_level_from_the_force(bench: Bench) -> None:
+    """Retracting against friction, f_h - b v - f_l is minus the level once the mass no longer accelerates."""
+    rough = with_effects(bench, effect("friction_coulomb form=directional", force_positive=12.0, force_negative=30.0))
+    y = response(rough, np.full(400, -2e-3))[1][-1]
+    constants = bench.constants()[0]
+    left = hydraulics.hydraulic_force(constants, y[0], y[1]) - 60.0 * y[3] - hydraulics.load_force(constants, y[2])
+    assert y[3] < -1e-3
+    assert left == pytest.approx(-30.0, abs=0.2)
+
+
+def test_much_friction_on_a_light_mass_stays_quiet(bench: Bench) -> None:
+    light = with_effects(replace(bench, moving_mass=0.02), effect("friction_coulomb", force=500.0))
+    states = response(light, 100 * wave(300))[1]
+    assert np.isfinite(states).all()
+    assert np.count_nonzero(np.diff(np.sign(states[:, 3]))) < 100  # of 300; chatter would change sign every sample
+
+
+def test_bristles_are_a_spring_before_they_slide(bench: Bench) -> None:
+    """Of a force too small to slide, the bristles take sigma / (sigma + k_s) where the hydraulics hold no pressure."""
+    soft = replace(bench, bulk_modulus=1e7, dead_volume_a=0.1, dead_volume_b=0.1, viscous_friction=500.0)
+    stuck = with_effects(soft, effect("friction_coulomb", force=50.0), effect("friction_presliding", stiffness=3e5),
+                         effect("force_offset", force=1.0))  # fmt: skip
+    states = response(stuck, np.zeros(400))[1]
+    assert states[-1, 2] - 0.04 == pytest.approx(1.0 / (3e5 + 2e4), rel=0.03)
+
+
+def test_play_loses_its_width_at_each_reversal_and_the_gap_at_rest(bench: Bench) -> None:
+    width = 2e-3
+    current = 3e-3 * np.sin(2 * np.pi * 2 * SAMPLE * np.arange(450))
+    ideal = replace(bench, load_cell_bandwidth=None)
+    x, force = response(with_effects(ideal, effect("backlash", width=width)), current)[1][:, [2, 4]].T
+    lost = np.clip(x - 0.04, -width / 2, width / 2)
+    assert np.ptp(lost) == pytest.approx(width / 2) and np.max(x) > 0.04 + width
+    np.testing.assert_allclose(force, 2e4 * (x - 0.04 - lost), atol=1e-6)
+    x, force = response(with_effects(ideal, effect("backlash form=play", width=width)), current)[1][:, [2, 4]].T
+    top = int(np.argmax(x))
+    assert force[top] == pytest.approx(2e4 * (x[top] - 0.04 - width / 2), rel=1e-3)
+    returning = np.flatnonzero((np.arange(450) > top) & (x < x[top] - width))
+    assert len(returning) > 50
+    np.testing.assert_allclose(force[returning], 2e4 * (x[returning] - 0.04 + width / 2), atol=1e-6)
+
+
+def test_sensors_scale_shift_and_lag_in_the_order_of_the_file(bench: Bench) -> None:
+    chain = [effect("load_cell_gain cell=load_force", ratio=1.1), effect("load_cell_bias cell=load_force", force=5.0),
+             effect("pressure_sensor_bias chamber=b", pressure=1e5)]  # fmt: skip
+    plain = response(bench, wave())[0]
+    shown, turned = (
+        response(with_effects(bench, *chain), wave())[0],
+        response(with_effects(bench, *chain[::-1]), wave())[0],
+    )
+    np.testing.assert_allclose(shown[:, 2], 1.1 * plain[:, 2] + 5.0, atol=1e-9)
+    np.testing.assert_allclose(turned[:, 2], 1.1 * (plain[:, 2] + 5.0), atol=1e-9)
+    np.testing.assert_allclose(shown[:, 5] - plain[:, 5], 1e5, atol=1e-3)
+
+
+def test_a_lag_on_the_load_cell_takes_the_place_of_the_bench_files(bench: Bench) -> None:
+    lag = effect("sensor_lag sensor=load_force", bandwidth=25.0, damping=np.sqrt(0.5))
+    np.testing.assert_allclose(
+        response(with_effects(bench, lag), wave())[0], response(bench, wave())[0], rtol=1e-4, atol=2e-2
+    )
+
+
+def test_a_drooping_supply_stalls_lower(bench: Bench) -> None:
+    """In a blocked cylinder with an outer leak the supply falls by resistance times the flow that it feeds."""
+    leak, resistance = 1e-12, 2e11
+    blocked = replace(bench, moving_mass=1e4, spring_stiffness=1e8, viscous_friction=1e6)
+    drooping = with_effects(blocked, effect("leakage_external chamber=a", coefficient=leak),
+                            effect("supply_droop", resistance=resistance, time_constant=0.01))  # fmt: skip
+    states = response(drooping, np.full(3000, 0.05))[1]
+    pressure = states[-1, 0]
+    through = (leak * pressure / (bench.valve_gain * 0.05)) ** 2
+    assert bench.supply_pressure - pressure == pytest.approx(resistance * leak * pressure + through, rel=1e-3)
+
+
+def test_a_second_of_what_there_can_be_but_one_is_refused(bench: Bench) -> None:
+    droop = effect("supply_droop", resistance=1e9, time_constant=0.1)
+    with pytest.raises(ValueError, match="effect supply_droop is given twice"):
+        with_effects(bench, droop, droop)
+    with pytest.raises(ValueError, match="25 effects are more than the 24"):
+        with_effects(bench, *[effect("valve_offset", current=0.0)] * 25)
+    with pytest.raises(ValueError, match="dead times add up to more than 62 ms"):
+        with_effects(bench, *[effect("transport_delay", time=0.03)] * 3)
+
+
+def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:
+    """No form is a dead branch: each changes a run by more than rounding, and none is left behind by reset."""
+    schedule = Schedule(reference=SINE, gains=(60.0, 10.0), seconds=0.6)
+    nominal = simulate(AnalyticPlant(bench, noise=0.0), bench, schedule)
+    for name in CATALOGUE:
+        form = CATALOGUE[name]
+        sizes = SIZES | {"coefficient": COEFFICIENTS.get(name.split()[0], 0.0)}
+        numbers = {quantity.name: sizes[quantity.name] for quantity in form.quantities}
+        changed = with_effects(bench, *NEEDS.get(name, ()), effect(name, **numbers))
+        assert form_of(changed.effects[-1])[0] is form
+        plant = AnalyticPlant(changed, noise=0.0)
+        run = simulate(plant, bench, schedule)
+        assert np.isfinite(run["load_force"]).all(), name
+        shown = max(np.ptp(run[field] - nominal[field]) + abs(np.mean(run[field] - nominal[field])) for field in SEEN)
+        assert shown > 1e-2, name
+        assert simulate(plant, bench, schedule).tobytes() == run.tobytes(), name
+
+
+SEEN = ("load_force", "hydraulic_force", "pressure_a", "pressure_b")
+SIZES = {
+    "ratio": 0.95, "current": 2e-4, "time": 2e-3, "bandwidth": 80.0, "damping": 0.8, "half_width": 2e-4,
+    "half_width_negative": 1e-4, "softness": 5e-5, "rate": 0.02, "resistance": 5e9, "time_constant": 0.02,
+    "volume_fraction": 0.01, "force": 10.0, "force_positive": 12.0, "force_negative": 8.0, "breakaway_force": 5.0,
+    "velocity": 0.01, "stiffness": 3e4, "position": 0.041, "width": 5e-4, "pressure": 5e4, "mass": 0.3,
+    "coefficient_positive": 50.0, "coefficient_negative": -20.0,
+}  # fmt: skip
+COEFFICIENTS = {
+    "leakage_internal": 1e-12, "leakage_external": 1e-12, "spring_hardening": 5e6, "friction_viscous": 40.0,
+    "valve_null_leakage": 3e-10,
+}  # fmt: skip
+NEEDS = {"friction_presliding": (effect("friction_coulomb", force=10.0),)}
