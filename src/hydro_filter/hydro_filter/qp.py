@@ -62,12 +62,13 @@ def closed_form(a: float, b: float, low: float, high: float) -> Correction:
         within reach removes a share of `LEAST_IMPROVEMENT` of the violation; du = 0. NAN: an argument is not finite,
         or zero is not within the bounds; du = 0.
     """
-    delta_u, status = _closed_form(a, b, low, high)
+    delta_u, status = closed_form_kernel(a, b, low, high)
     return Correction(delta_u, CorrectionStatus(status))
 
 
 @njit(cache=True)
-def _closed_form(a, b, low, high):
+def closed_form_kernel(a, b, low, high):
+    """`closed_form` for compiled code: du [A] and the status' number."""
     if not (math.isfinite(a) and math.isfinite(b) and -math.inf < low <= 0.0 <= high < math.inf):
         return 0.0, NAN
     if b >= 0.0:
