@@ -33,6 +33,13 @@ def parser() -> argparse.ArgumentParser:
         help="of .csv, .parquet and .mat files: FIELD=COLUMN,... with units, scales and offsets, for instance "
         "time=t,piston_position=pos[mm]-40,pressure_a=pa*1e5 or a YAML file of the same; `inspect FILE` lists columns",
     )
+    options.add_argument(
+        "--without",
+        nargs="+",
+        default=[],
+        metavar="ID",
+        help="causes that it cannot be, for instance backlash or friction_viscous:directional: they are not tried",
+    )
     options.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")
     return options
@@ -51,6 +58,7 @@ def run(arguments: Sequence[str]) -> int:
             holdout=chosen.holdout,
             bench=chosen.bench,
             columns=chosen.columns,
+            without=chosen.without,
             progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
         )
     except DiagnosisInterrupted as interrupted:

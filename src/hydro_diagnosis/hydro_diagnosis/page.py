@@ -150,7 +150,7 @@ def _held_out(report: Report) -> str:
         rows += f"<tr><td>{UNITS[name][0]}</td><td>{unit}</td>{numbers}</tr>"
     if not rows:
         why = escape(report.fit.get("why", "no held-out stretch was long enough"))
-        return f"<section><h2>Held-out error</h2><p>Not computed: {why}.</p></section>"
+        return f"<section><h2>Held-out error</h2><p>Not simulated: {why}.</p>{_equations(report)}</section>"
     columns = ("70 ms, before", "70 ms, after", "free run, before", "free run, after", "noise floor")
     head = "".join(f"<th class='n'>{title}</th>" for title in columns)
     seconds = report.fit["free_run"].get("seconds", 0.0)
@@ -158,6 +158,20 @@ def _held_out(report: Report) -> str:
         f"<section><h2>Held-out error</h2><table><tr><th>channel</th><th>unit</th>{head}</tr>{rows}</table>"
         "<p class='quiet'>Root mean square error of simulations from the recorded valve current, on recordings that "
         f"nothing was fitted to: 70 ms, and free runs of {seconds:g} s.</p></section>"
+    )
+
+
+def _equations(report: Report) -> str:
+    """Held-out residuals of the equations, where nothing can be simulated."""
+    rows = ""
+    for name, error in report.fit.get("equations", {}).items():
+        unit, factor = _SHOWN[error["unit"]]
+        numbers = [error[key] for key in ("rmse_before", "rmse_after", "noise_floor", "signal")]
+        rows += f"<tr><td>{name}</td><td>{unit}</td>{''.join(_number(number, factor) for number in numbers)}</tr>"
+    head = "".join(f"<th class='n'>{title}</th>" for title in ("before", "after", "noise floor", "signal"))
+    return (
+        f"<table><tr><th>equation</th><th>unit</th>{head}</tr>{rows}</table><p class='quiet'>Root mean square of what "
+        "each equation leaves unexplained on recordings that nothing was fitted to, and of the measured signal.</p>"
     )
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
 from hydro_diagnosis.corrected import claims_of
 from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
+from hydro_diagnosis.equations import equation_errors
 from hydro_diagnosis.heldout import FREE_RUN, HORIZON, WINDOWS, compare
 from hydro_diagnosis.intake import taken
 from hydro_diagnosis.model import SegmentModel
@@ -48,6 +50,7 @@ def diagnose(
     holdout: Sequence[str | Path] = (),
     bench: Bench | str | Path | None = None,
     columns: ColumnMap | Mapping[str, Any] | str | Path | None = None,
+    without: Sequence[str] = (),
     settings: SearchSettings | None = None,
     progress: Progress = lambda text: None,
 ) -> Diagnosis:
@@ -64,6 +67,8 @@ def diagnose(
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml, or None for the nominal one.
     columns
         Which column of a .csv, .parquet or .mat file is what: see `columns`.
+    without
+        Causes that it cannot be, by id or by id and options (`friction_viscous:directional`): they are not tried.
     settings
         Of the search.
     progress
@@ -84,7 +89,7 @@ def diagnose(
     problem = Problem(fitted, believed, baseline)
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
-    search = Search(problem, [effect.adapted(believed) for effect in LIBRARY], settings, progress)
+    search = Search(problem, [effect.adapted(believed) for effect in _candidates(without)], settings, progress)
     facts: dict[str, Any] = {
         "checked": [name for block, name in _EQUATIONS.items() if block in problem.blocks],
         "not_checked": [name for block, name in _EQUATIONS.items() if block not in problem.blocks],
@@ -114,7 +119,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         location=[location_of(place, problem) for place in assessment.places],
         effects=effects,
         remainder=_remainder(assessment, problem),
-        fit=_fit(problem, assessment, models),
+        fit={**_fit(problem, assessment, models), "equations": _equations(unseen, assessment)},
         next_recording=next_recording(problem, outcome, assessment),
         seconds=time.monotonic() - begun,
         steps=_steps(search),
@@ -188,6 +193,20 @@ def _fit(problem: Problem, assessment: Assessment, models: list[SegmentModel]) -
         "horizon_s": HORIZON,
         "free_run": {"seconds": FREE_RUN, **channel_errors(free)},
     }
+
+
+def _equations(unseen: Problem, assessment: Assessment) -> dict[str, Any]:
+    return {name: asdict(error) for name, error in equation_errors(unseen, assessment.fit.claims).items()}
+
+
+def _candidates(without: Sequence[str]) -> list[Effect]:
+    """The library but for what was ruled out."""
+    names = {name for effect in LIBRARY for name in (effect.id, effect.label)}
+    for name in without:
+        if name not in names:
+            close = get_close_matches(name, names, 1)
+            raise InputError(f"without: {name!r} is no effect" + (f", did you mean {close[0]!r}?" if close else ""))
+    return [effect for effect in LIBRARY if not {effect.id, effect.label} & set(without)]
 
 
 def _version() -> str:

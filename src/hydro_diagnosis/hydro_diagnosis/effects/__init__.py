@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from hydro_diagnosis.effects import (
     bench_values,
+    direction,
     fluid,
     friction,
     leakage,
@@ -19,7 +20,7 @@ from hydro_diagnosis.effects import (
 )
 from hydro_diagnosis.effects.base import Claim, Effect, Parameter
 
-_MODULES = (friction, leakage, valve, valve_dynamics, supply, fluid, sensors, load, bench_values)
+_MODULES = (friction, direction, leakage, valve, valve_dynamics, supply, fluid, sensors, load, bench_values)
 
 LIBRARY: tuple[Effect, ...] = tuple(effect for module in _MODULES for effect in module.EFFECTS)
 """All candidates; several may share an id (chambers, sensors, forms of one cause)."""

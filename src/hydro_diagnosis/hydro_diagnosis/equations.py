@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Held-out error equation by equation: what each leaves of the recordings, without simulating forward.
+
+For rigs whose recordings cannot be simulated (no pressures, no current) this is the proof; the number to compare with
+the relative errors that the literature on inverse models gives is `rmse_after` over `signal`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.problem import CHANNELS, Problem
+from hydro_diagnosis.smoothing import smooth
+
+_MEASURED = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hydraulic_force"}
+_UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "hydraulic": "N"}
+
+
+@dataclass(frozen=True)
+class EquationError:
+    """Root mean square of one equation's residual."""
+
+    unit: str
+    rmse_before: float
+    rmse_after: float
+    noise_floor: float
+    signal: float
+    """Root mean square of the measured signal that the equation explains."""
+
+
+def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, EquationError]:
+    """Errors on the recordings of `problem`, by channel of residuals, before and after the claims are added."""
+    before, after = _squares(problem, ()), _squares(problem, claims)
+    return {
+        name: EquationError(
+            unit=_UNITS[name],
+            rmse_before=float(np.sqrt(np.mean(before[name]))),
+            rmse_after=float(np.sqrt(np.mean(after[name]))),
+            noise_floor=problem.noise[name],
+            signal=_signal(problem, name),
+        )
+        for name in before
+    }
+
+
+def _squares(problem: Problem, claims: Sequence[Claim]) -> dict[str, FloatArray]:
+    """Squared residuals in physical units."""
+    layout, residual = problem.layout, problem.residual(claims)
+    squares: dict[str, FloatArray] = {}
+    for index in np.unique(layout.channel):
+        name, parts = CHANNELS[index], []
+        for k in range(len(problem.models)):
+            at = (layout.channel == index) & (layout.segment == k)
+            parts.append(np.square(residual[at] * problem.deviation(name, k)))
+        squares[name] = np.concatenate(parts)
+    return squares
+
+
+def _signal(problem: Problem, name: str) -> float:
+    measured = _MEASURED.get(name, name)
+    parts = [smooth(model.channels[measured]) for model in problem.models if measured in model.channels]
+    return float(np.sqrt(np.mean(np.square(np.concatenate(parts))))) if parts else float("nan")
