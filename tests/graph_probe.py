@@ -22,9 +22,12 @@ from hydro_bridge.signals import Flag
 
 
 class Probe:
-    """Hears states, gains and training status; arms, and publishes what it is told."""
+    """Hears states, gains and training status; arms, and publishes what it is told.
 
-    def __init__(self) -> None:
+    `gains`: publish these, too. A plant beside a trainer is not armed while another node does.
+    """
+
+    def __init__(self, *, gains: bool = False) -> None:
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node("probe", context=self.context)
@@ -34,7 +37,8 @@ class Probe:
             self.node.create_subscription(
                 kind, topic, lambda m, heard=messages: heard.append((time.monotonic(), m)), qos
             )
-        self.senders = {t: self.node.create_publisher(GRAPH[t][0], t, GRAPH[t][1]) for t in (GAINS, REFERENCE)}
+        sent = (GAINS, REFERENCE) if gains else (REFERENCE,)
+        self.senders = {t: self.node.create_publisher(GRAPH[t][0], t, GRAPH[t][1]) for t in sent}
         self.arming = self.node.create_client(SetBool, ARM_SERVICE)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)

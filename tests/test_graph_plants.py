@@ -30,7 +30,7 @@ def probe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         stack.enter_context(own_domain())
         folder = Path(tmp_path_factory.mktemp("graph"))
         start_companions(stack, PlantOptions(plant=request.param), GainRange(), folder, None)
-        watcher = Probe()
+        watcher = Probe(gains=True)
         stack.callback(watcher.close)
         watcher.wait(lambda: len(watcher.heard[STATE]) > 100)
         watcher.wait(lambda: watcher.node.count_publishers(CORRECTION) == 1)  # the filter compiles first

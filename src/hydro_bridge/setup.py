@@ -24,6 +24,7 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
+            "arm = hydro_bridge.nodes.arm:main",
             "bridge = hydro_bridge.nodes.bridge:main",
             "recorder = hydro_bridge.nodes.recorder:main",
             "replayer = hydro_bridge.nodes.replayer:main",

@@ -7,6 +7,7 @@ import contextlib
 import errno
 import os
 import select
+import stat
 from dataclasses import dataclass
 
 import serial
@@ -115,6 +116,28 @@ class Port:
         if self._serial is None:
             raise PortLostError(f"{self.settings.path} is closed")
         return self._serial.fileno()
+
+
+def no_port(path: str) -> str | None:
+    """What there is at `path` instead of a serial port; None if it is one, cannot be told, or is not there."""
+    try:
+        mode = os.stat(path).st_mode
+    except OSError:
+        return None
+    if stat.S_ISCHR(mode):
+        return None if _is_terminal(path) else "another device"
+    return "a folder" if stat.S_ISDIR(mode) else "a file"
+
+
+def _is_terminal(path: str) -> bool:
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    except OSError:
+        return True  # taken, or not ours to open: opening it in earnest says why
+    try:
+        return os.isatty(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def _text(error: Exception) -> str:

@@ -18,6 +18,7 @@ import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 
@@ -25,6 +26,8 @@ from hydro_bridge.recording import STATE_TOPIC, BagWriter, continuity, read_bag 
 from hydro_bridge.ros import (  # noqa: E402
     ARM_SERVICE,
     CORRECTION,
+    DIAGNOSTICS,
+    DIAGNOSTICS_QOS,
     GAINS,
     GRAPH,
     REFERENCE,
@@ -139,6 +142,43 @@ def test_bridge_arms_disarms_and_is_disarmed_after_replugging(cable, small_box, 
     assert probe.arm(False).message == "disarmed" and not box.flags & Flag.ARMED
 
 
+def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box, probe, start):
+    small_box()
+    start("bridge", "--port", cable.path)
+    told: list[DiagnosticStatus] = []
+    listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
+    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
+    probe.wait(lambda: len(probe.states) > 20)
+    rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
+    probe.wait(lambda: told and "2 nodes publish /hydro/gains (probe, probe)" in told[-1].message)
+    assert told[-1].level == DiagnosticStatus.ERROR
+    refused = probe.arm(True)
+    assert not refused.success and "end all but one" in refused.message
+    assert probe.arm(False).success
+    probe.node.destroy_publisher(rival)
+    told.clear()
+    probe.wait(lambda: told and "nodes publish" not in told[-1].message)
+    assert probe.arm(True).success
+
+
+def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, start):
+    box = small_box()
+    alone = start("arm", "--timeout", "0.5")
+    assert alone.process.wait(20.0) == 2 and "no plant runs here" in alone.last_words
+    start("bridge", "--port", cable.path)
+    probe.wait(lambda: len(probe.states) > 20)
+    output = io.StringIO()
+    assert start("arm", output=output).process.wait(20.0) == 0
+    assert box.flags & Flag.ARMED
+    probe.wait(lambda: "armed" in output.getvalue())
+    assert start("arm", "--off").process.wait(20.0) == 0
+    assert not box.flags & Flag.ARMED
+    cable.unplug()
+    time.sleep(0.3)
+    refused = start("arm")
+    assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_words
+
+
 def test_bridge_says_once_that_the_box_tripped_and_why(cable, small_box, probe, start):
     box, output = small_box(), io.StringIO()
     start("bridge", "--port", cable.path, output=output)
@@ -233,6 +273,8 @@ def test_recorder_refuses_to_overwrite(start, tmp_path):
         ),
         (["bridge", "--ros-args", "--params-file", "/nowhere"], "ROS refuses its arguments"),
         (["bridge", "--ros-args", "--nonsense"], "--nonsense"),
+        (["bridge", "--port", __file__], f"{__file__} is a file, not a serial port"),
+        (["bridge", "--port", "/dev/null"], "/dev/null is another device, not a serial port"),
         (["recorder", "--out", "OUT", "--topics", "/bad name"], "Invalid topic name"),
     ],
 )

@@ -17,9 +17,11 @@ _SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridg
 _RETRY = 1.0  # s
 
 _HINT_AFTER = 8.0  # s
+_FILTER_WITHIN = 10.0  # s after arming, to compile and connect
 
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
-HOW_TO_ARM = "press Enter here, or with a full ROS 2: ros2 service call /hydro/arm std_srvs/srv/SetBool '{data: true}'"
+NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
+HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
 
 
 class PlantWatch:
@@ -41,6 +43,8 @@ class PlantWatch:
         self._asked = -math.inf
         self._told: str | None = None
         self._hint_at = math.inf  # when to say that nobody publishes
+        self._armed_at = math.inf
+        self._filter_missed = False
 
     @property
     def lost(self) -> bool:
@@ -67,6 +71,20 @@ class PlantWatch:
     def on_sample(self, flags: int, now: float) -> None:
         """Take a sample's flags."""
         self._seen, self._flags = now, flags
+        if not flags & Flag.ARMED:
+            self._armed_at = math.inf
+        elif self._armed_at == math.inf:
+            self._armed_at = now
+
+    def may_begin(self, now: float) -> bool:
+        """Whether an episode or a run may begin: armed, and the filter answers or has been waited for."""
+        if not self.armed or not self._flags & Flag.FILTER_STALE:
+            return self.armed
+        waited = now - self._armed_at > _FILTER_WITHIN
+        if waited and not self._filter_missed:
+            self._filter_missed = True
+            self._outputs.say(NO_FILTER, warning=True)
+        return waited
 
     def on_tick(self, now: float) -> None:
         """Call some twenty times a second: notices a loss, asks for arming."""

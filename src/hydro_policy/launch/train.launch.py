@@ -2,8 +2,8 @@
 """The whole graph: a plant, the filter, the recorder, the trainer.
 
 `ros2 launch hydro_policy train.launch.py plant:=sim|emulator|bench [port:=/dev/ttyUSB0] [out:=runs/launched]`. When the
-trainer ends, so does everything else. On the bench it waits until somebody arms: `ros2 service call /hydro/arm
-std_srvs/srv/SetBool '{data: true}'`.
+trainer ends, so does everything else. On the bench it waits until somebody arms: `ros2 run hydro_bridge
+arm`.
 """
 
 from pathlib import Path

@@ -16,7 +16,7 @@ from hydro_bridge.console import UserError, command
 from hydro_bridge.guard import CommandGuard, GuardSettings
 from hydro_bridge.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.port import Port, PortLostError, PortSettings, PortTakenError
+from hydro_bridge.port import Port, PortLostError, PortSettings, PortTakenError, no_port
 from hydro_bridge.protocol import State
 from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
 from hydro_bridge.settings import describe
@@ -92,8 +92,7 @@ def arguments(own: Sequence[str]) -> tuple[PortSettings, bool]:
         prog="bridge",
         description="The box on a serial line as topics: /hydro/state; gains, correction, reference, /hydro/arm.",
         epilog="Limits, ages and time-outs are ROS parameters: --ros-args -p guard.delta_kp_max:=50.0. The plant is "
-        "armed by the trainer, or with a full ROS 2 by `ros2 service call /hydro/arm std_srvs/srv/SetBool "
-        "'{data: true}'`.",
+        "armed by the trainer, or by `ros2 run hydro_bridge arm`.",
     )
     texts, defaults = describe(PortSettings), PortSettings()
     parser.add_argument("--port", default=defaults.path, help=f"{texts['path'].text} Default %(default)s.")
@@ -103,11 +102,13 @@ def arguments(own: Sequence[str]) -> tuple[PortSettings, bool]:
     return replace(defaults, path=options.port, baud=options.baud), options.realtime
 
 
-def refuse_taken_port(settings: PortSettings, patience: float = 2.0) -> None:
-    """End if another program has the port for `patience` [s]: a second bridge would answer /hydro/arm beside the first.
+def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:
+    """End if the path is no serial port, or if another program has the port for `patience` [s].
 
-    A port that is not there may still come: the link waits for it.
+    A second bridge would answer /hydro/arm beside the first. A port that is not there may still come: the link waits.
     """
+    if (kind := no_port(settings.path)) is not None:
+        raise UserError(f"{settings.path} is {kind}, not a serial port")
     port, end = Port(settings), time.monotonic() + patience
     while True:
         try:
@@ -128,5 +129,5 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     settings, realtime = arguments(own)
-    refuse_taken_port(settings)
+    refuse_unusable_port(settings)
     run_node(lambda: BridgeNode(settings, realtime=realtime), ros)

@@ -6,6 +6,8 @@
     /hydro/gains, /hydro/correction, /hydro/reference ──> guard ─┐
     /hydro/arm ───────────────────────────────────────> arm      ├─ PlantSide (a serial line, a simulation)
     /hydro/state <────────────────────────────────── publish_state ┘
+
+Gains from two nodes would alternate, and so would states of two plants: neither is armed, and both are an ERROR.
 """
 
 from __future__ import annotations
@@ -34,6 +36,8 @@ from hydro_bridge.ros import (
     StateMessage,
     Status,
     reference_from_message,
+    rivals,
+    with_rivals,
 )
 from hydro_bridge.signals import Flag, flag_names
 from hydro_msgs.msg import BenchState, Correction, Gains, ReferenceSignal
@@ -78,7 +82,7 @@ class PlantNode(Node):
         self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)
         self.create_service(SetBool, ARM_SERVICE, self._on_arm)
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.diagnostics = DiagnosticsPublisher(self, side.status)
+        self.diagnostics = DiagnosticsPublisher(self, self._status)
 
     def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
         """Publish one sample; `values` in STATE_FIELDS order. Called from one thread only, the plant's."""
@@ -103,10 +107,14 @@ class PlantNode(Node):
             self.side.guard.set_reference(signal)
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        trouble = self.side.arm(request.data)
+        trouble = rivals(self, GAINS, STATE) if request.data else ""
+        trouble = trouble or self.side.arm(request.data)
         response.success, response.message = not trouble, trouble or ("armed" if request.data else "disarmed")
         self.get_logger().info(response.message)
         return response
+
+    def _status(self) -> Status:
+        return with_rivals(self.side.status(), rivals(self, GAINS, STATE))
 
     def _tell_events(self) -> None:
         with self.side.lock:

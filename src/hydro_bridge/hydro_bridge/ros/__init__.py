@@ -13,7 +13,8 @@ from hydro_bridge.ros.messages import (
     state_from_message,
 )
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
-from hydro_bridge.ros.scheduling import be_prompt
+from hydro_bridge.ros.rivals import rivals, with_rivals
+from hydro_bridge.ros.scheduling import be_ordinary, be_prompt
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
@@ -24,6 +25,7 @@ from hydro_bridge.ros.topics import (
     GAINS,
     GAINS_QOS,
     GRAPH,
+    OVERRIDE_SERVICE,
     REFERENCE,
     REFERENCE_QOS,
     STATE,
@@ -41,6 +43,7 @@ __all__ = [
     "GAINS",
     "GAINS_QOS",
     "GRAPH",
+    "OVERRIDE_SERVICE",
     "REFERENCE",
     "REFERENCE_QOS",
     "STATE",
@@ -53,16 +56,19 @@ __all__ = [
     "Level",
     "StateMessage",
     "Status",
+    "be_ordinary",
     "be_prompt",
     "declare_parameters",
     "executable_path",
     "reference_from_message",
     "reference_to_message",
     "refuse_unknown_parameters",
+    "rivals",
     "ros_arguments",
     "run_node",
     "seconds",
     "spin",
     "start_ros",
     "state_from_message",
+    "with_rivals",
 ]

@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Arms the plant that runs, or disarms it, and says what the plant answered.
+
+ros2 run hydro_bridge arm            # exit status 0 once the box confirms, 2 with the plant's reason if it refuses
+ros2 run hydro_bridge arm --off
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import rclpy
+from rclpy.node import Node
+from std_srvs.srv import SetBool
+
+from hydro_bridge.console import UserError, command
+from hydro_bridge.ros import ARM_SERVICE, ros_arguments, start_ros
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(prog="arm", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    result.add_argument("--off", action="store_true", help="disarm: the valve closes")
+    result.add_argument("--timeout", type=float, default=5.0, metavar="S", help="for each step, default 5 s")
+    return result
+
+
+@command()
+def main() -> None:
+    """Entry point."""
+    own, ros = ros_arguments()
+    asked = parser().parse_args(own)
+    start_ros(ros)
+    node = Node("arm")
+    try:
+        print(ask(node, arm=not asked.off, timeout=asked.timeout))
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def ask(node: Node, *, arm: bool, timeout: float) -> str:
+    """Ask the plant; what it says.
+
+    Raises
+    ------
+    UserError
+        There is no plant, or none that answers within `timeout` [s], or it refuses.
+    """
+    client = node.create_client(SetBool, ARM_SERVICE)
+    if not client.wait_for_service(timeout_sec=timeout):
+        raise UserError("no plant runs here: start a bridge or a simulation first")
+    answer = client.call_async(SetBool.Request(data=arm))
+    rclpy.spin_until_future_complete(node, answer, timeout_sec=timeout)
+    if not answer.done():
+        raise UserError(f"the plant did not answer within {timeout:g} s")
+    if not answer.result().success:
+        raise UserError(f"the plant refuses: {answer.result().message}")
+    return str(answer.result().message)
+
+
+if __name__ == "__main__":
+    main()
