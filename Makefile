@@ -14,7 +14,7 @@ CORES := setup $(wildcard src/hydro_*/hydro_*)
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
 
-.PHONY: help setup build train test check lint fast-tests colcon-test bench fuzz format clean
+.PHONY: help setup build train prove test check lint fast-tests colcon-test bench fuzz format clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -26,6 +26,9 @@ build: setup  ## the same: rebuilds after a change of messages, executables, lau
 
 train: setup  ## a short training on the emulated bench over the serial line, recorded and evaluated
 	@$(SOURCED) ros2 run hydro_policy trainer --demo $(ARGS)
+
+prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261120" repeats docs/proof.md)
+	@$(SOURCED) ros2 run hydro_diagnosis prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
 
 test: lint  ## all checks and all tests
 	@$(SOURCED) .venv/bin/python -m pytest $(ARGS)

@@ -48,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--workers", type=int, default=2, help="cases side by side (default: 2)")
     options.add_argument("--minutes", type=float, default=float("inf"),
                          help="begin no new case after so long; the same command goes on later")  # fmt: skip
+    options.add_argument("--only-record", action="store_true", help="seal and record; the same words without it go on")
     options.add_argument("--kinds", nargs="+", choices=list(PARTS), metavar="KIND",
                          help=f"score these kinds alone: {', '.join(PARTS)}")  # fmt: skip
     add_json_argument(options)
@@ -65,6 +66,8 @@ def run(arguments: Sequence[str]) -> int:
     digest = seal.close(cases, folder / SEALED)
     print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
     recorded = _record(cases, folder / BLIND, chosen, until)
+    if recorded and chosen.only_record:
+        return 0
     if not (recorded and _diagnose(folder / BLIND, chosen.workers, until - time.monotonic())):
         print(f"time is up: {_count(cases, folder)} of {len(cases)} cases are diagnosed; the same command goes on")
         return 3

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The diagnosis beside its peers on the same sealed cases: what each names, its held-out error, its time.
+
+    ros2 run hydro_diagnosis prove --cases 224 --seed S      # first: makes the recordings, diagnoses, opens the seal
+    python -m venv .venv-bench && .venv-bench/bin/pip install -r requirements-bench.txt    # PySINDy, on its own
+    python -m benchmarks.diagnosis_peers --proof runs/proof-S-224
+
+All get the same three recordings and bench.yaml, none the answers; how each is set up stands in `benchmarks.peers`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from joblib import Parallel, delayed
+
+from benchmarks import _report
+from hydro_bridge.console import Table, progress
+from hydro_diagnosis.proof.blind import ANSWER
+from hydro_diagnosis.proof.cases import Case
+from hydro_diagnosis.proof.facts import Result
+from hydro_diagnosis.proof.prove import BLIND, OPENED, SEALED
+from hydro_diagnosis.proof.seal import DIGEST, opened
+
+PARTS = {"single": 8, "value": 3, "form": 3, "pair": 4, "triple": 2, "clean": 2, "outside": 2}
+"""Cases of each kind: the first ones of the proof."""
+COLUMNS = {
+    "method": "",
+    "named": "cases in which exactly what is concealed is named (clean and outside: nothing is)",
+    "found": "cases in which what is concealed is among what is named",
+    "extra": "causes named that are not concealed, mean per case",
+    "held_out": "held-out error over the noise floor, median",
+    "held_out_p90": "the same, 90th percentile",
+    "seconds": "median per case",
+}
+
+
+def main() -> None:
+    """Run the peers on the cases of a proof."""
+    options = _report.parser("diagnosis_peers", __doc__)
+    options.add_argument("--proof", type=Path, metavar="DIR", help="folder of `prove` (default: the newest in runs/)")
+    options.add_argument("--python", type=Path, default=Path(".venv-bench/bin/python"), help="that has PySINDy")
+    options.add_argument("--workers", type=int, default=1)
+    options.add_argument("--minutes", type=float, default=float("inf"), help="run again to go on")
+    chosen = options.parse_args()
+    folder = chosen.proof or max(Path("runs").glob("proof-*"), key=lambda path: path.stat().st_mtime, default=None)
+    if folder is None or not chosen.python.exists():
+        print("skipped: needs the folder of a proof (--proof) and an environment with PySINDy (--python)")
+        return
+    cases = _picked(opened(folder / SEALED, (folder / SEALED / DIGEST).read_text().split()[0]))
+    methods: dict[str, Callable[..., Any]] = {
+        "PySINDy": partial(_sindy, chosen.python.absolute()), "neural residual": _neural, "parameter fit": _plain,
+    }  # fmt: skip
+    (folder / OPENED / "peers").mkdir(parents=True, exist_ok=True)
+    until = time.monotonic() + 60.0 * chosen.minutes
+    jobs = [(case, name, solve) for case in cases for name, solve in methods.items()]
+    tasks = (delayed(_run)(folder, case, name, solve, until) for case, name, solve in jobs)
+    finished = Parallel(chosen.workers, return_as="generator_unordered")(tasks)
+    if not all(progress(finished, total=len(jobs), label="peers", unit="run")):
+        raise SystemExit(3)
+    rows = [_row(folder, case, name) for name in ("diagnosis", *methods) for case in cases]
+    table = _table(rows)
+    print(table.text())
+    _report.finish({"table": table.rows, "cases": rows}, chosen.json)
+
+
+def _picked(cases: Sequence[Case]) -> list[Case]:
+    left = Counter(PARTS)
+    picked = []
+    for case in cases:
+        if left[case.kind] > 0:
+            left[case.kind] -= 1
+            picked.append(case)
+    return picked
+
+
+def _sindy(python: Path, case: Any) -> Any:
+    from benchmarks.peers import sindy  # each in its own process: imported where it runs
+
+    return sindy.solve(case, python)
+
+
+def _neural(case: Any) -> Any:
+    from benchmarks.peers import neural
+
+    return neural.solve(case)
+
+
+def _plain(case: Any) -> Any:
+    from benchmarks.peers import plain
+
+    return plain.solve(case)
+
+
+def _run(folder: Path, case: Case, name: str, solve: Callable[..., Any], until: float) -> bool:
+    """Run one method on one case and keep what it says; False if time was up before."""
+    path = _kept(folder, case, name)
+    if path.exists():
+        return True
+    if time.monotonic() > until:
+        return False
+    from benchmarks.peers.run import load
+
+    begun = time.monotonic()
+    named, held_out = solve(load(folder / BLIND / case.name))
+    content = {"named": named, "held_out": held_out, "seconds": time.monotonic() - begun}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return True
+
+
+def _kept(folder: Path, case: Case, name: str) -> Path:
+    return folder / OPENED / "peers" / f"{case.name}.{name.replace(' ', '-')}.json"
+
+
+def _row(folder: Path, case: Case, method: str) -> dict[str, Any]:
+    """What a method said about a case."""
+    about = {"method": method, "case": case.name, "kind": case.kind, "label": case.label}
+    if method == "diagnosis":
+        answer = json.loads((folder / BLIND / case.name / ANSWER).read_text())
+        result = Result(case=case, answer=answer, ruling={})
+        truth, claimed = set(case.effects), set(result.claimed)
+        return {**about, "named": result.exact if case.kind != "outside" else not claimed, "said": sorted(claimed),
+                "found": truth <= claimed, "extra": len(result.spurious), "held_out": result.held_out,
+                "seconds": answer["wall"]}  # fmt: skip
+    content = json.loads(_kept(folder, case, method).read_text())
+    terms = {term for names in content["named"].values() for term in names}
+    causes = [set(re.sub(r"@.*", "", term).split("|")) for term in sorted(terms)]
+    truth = set(case.effects)
+    extra = {min(cause) for cause in causes if not cause & truth}
+    found = bool(truth) and all(any(name in cause for cause in causes) for name in truth)
+    return {**about, "named": not extra and (found or not truth), "said": sorted(terms), "found": found or not truth,
+            "extra": len(extra), "held_out": content["held_out"], "seconds": content["seconds"]}  # fmt: skip
+
+
+def _table(rows: Sequence[dict[str, Any]]) -> Table:
+    table = Table(COLUMNS, title=f"{len({row['case'] for row in rows})} sealed cases")
+    for method in dict.fromkeys(row["method"] for row in rows):
+        own = [row for row in rows if row["method"] == method]
+        truthful = [row for row in own if row["kind"] not in ("clean", "outside")]
+        errors = [np.inf if row["held_out"] is None else row["held_out"] for row in own]
+        names = method != "neural residual"
+        table.add(
+            method=method,
+            named=f"{sum(row['named'] for row in own)}/{len(own)}" if names else "names nothing",
+            found=f"{sum(row['found'] for row in truthful)}/{len(truthful)}" if names else "",
+            extra=float(np.mean([row["extra"] for row in own])),
+            held_out=float(np.median(errors)),
+            held_out_p90=float(np.percentile(errors, 90, method="higher")),
+            seconds=float(np.median([row["seconds"] for row in own])),
+        )
+    return table
+
+
+if __name__ == "__main__":
+    main()
