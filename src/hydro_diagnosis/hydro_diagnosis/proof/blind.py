@@ -2,7 +2,7 @@
 """`python -m hydro_diagnosis.proof.blind FOLDER`: the diagnosis of every case, with recordings and bench.yaml alone.
 
 FOLDER holds bench.yaml and a folder per case with its recordings; each gets answer.json and corrected.yaml. Finished
-cases are left alone, so that it goes on where it was stopped.
+cases are left alone, so that it goes on where it was stopped; several can run side by side.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import random
 import sys
 import time
 from hashlib import sha256
@@ -31,6 +32,8 @@ ANSWER = "answer.json"
 
 def diagnosed(case: Path) -> None:
     """Diagnose one case and write its answer.json: report, refused (a sentence or null), wall and cpu [s], engine."""
+    if (case / ANSWER).exists():  # another one was here in the meantime
+        return
     blindfold.put_on(case.parent.parent, case.parent)
     begun, cpu = time.monotonic(), time.process_time()
     answer: dict[str, Any] = {"report": None, "refused": None, "engine": engine()}
@@ -76,6 +79,7 @@ def main() -> int:
     chosen = options.parse_args(sys.argv[1:])
     until = time.monotonic() + chosen.seconds
     left = waiting(chosen.folder)
+    random.shuffle(left)  # those who run side by side seldom meet
     bar: tqdm[Any] = progress(total=len(left), label="diagnosing", unit="case")
     with bar:
         while left and time.monotonic() < until:
