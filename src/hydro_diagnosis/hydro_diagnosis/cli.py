@@ -28,6 +28,11 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
     options.add_argument("--bench", metavar="FILE", help="bench.yaml or corrected.yaml (default: the nominal bench)")
     options.add_argument(
+        "--model",
+        metavar="WEIGHTS",
+        help="learned weights (structured) as the baseline in place of a bench file: names what has changed since",
+    )
+    options.add_argument(
         "--columns",
         metavar="MAP",
         help="of .csv, .parquet and .mat files: FIELD=COLUMN,... with units, scales and offsets, for instance "
@@ -57,6 +62,7 @@ def run(arguments: Sequence[str]) -> int:
             chosen.recordings,
             holdout=chosen.holdout,
             bench=chosen.bench,
+            model=chosen.model,
             columns=chosen.columns,
             without=chosen.without,
             progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),

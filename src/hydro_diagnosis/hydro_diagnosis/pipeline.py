@@ -11,6 +11,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from hydro_diagnosis.baseline import baseline
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
 from hydro_diagnosis.corrected import claims_of
@@ -49,6 +50,7 @@ def diagnose(
     *,
     holdout: Sequence[str | Path] = (),
     bench: Bench | str | Path | None = None,
+    model: str | Path | None = None,
     columns: ColumnMap | Mapping[str, Any] | str | Path | None = None,
     without: Sequence[str] = (),
     settings: SearchSettings | None = None,
@@ -65,6 +67,8 @@ def diagnose(
         number of jobs); without, the last recording, or the last third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml, or None for the nominal one.
+    model
+        Learned weights as the baseline, in place of `bench` (structured ones: see `baseline`).
     columns
         Which column of a .csv, .parquet or .mat file is what: see `columns`.
     without
@@ -82,19 +86,19 @@ def diagnose(
         On Ctrl-C once the recordings are read; its `report` holds what was finished.
     """
     begun = time.monotonic()
-    believed = bench if isinstance(bench, Bench) else _bench(bench)
+    base = baseline(bench, model)
+    believed = base.bench
     progress("reading")
     fitted, held, quality = taken(recordings, holdout, believed, ColumnMap.load(columns))
-    baseline = claims_of(believed)
-    problem = Problem(fitted, believed, baseline)
+    problem = Problem(fitted, believed, claims_of(believed))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
     search = Search(problem, [effect.adapted(believed) for effect in _candidates(without)], settings, progress)
     facts: dict[str, Any] = {
         "checked": [name for block, name in _EQUATIONS.items() if block in problem.blocks],
         "not_checked": [name for block, name in _EQUATIONS.items() if block not in problem.blocks],
-        "data_quality": quality,
-        "baseline": {"bench": believed.to_mapping(), "model": "analytic"},
+        "data_quality": [*base.notes, *quality],
+        "baseline": {"bench": believed.to_mapping(), "model": base.model},
         "versions": {"hydro_diagnosis": _version()},
     }
     try:
@@ -153,13 +157,6 @@ _EQUATIONS = {
     LOAD: "load",
     HYDRAULIC: "hydraulic force against pressures (sensors)",
 }
-
-
-def _bench(path: str | Path | None) -> Bench:
-    try:
-        return Bench.nominal() if path is None else Bench.load(path)
-    except ValueError as error:
-        raise InputError(str(error)) from None
 
 
 def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | None:

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Learned weights as the baseline: a model of the healthy bench, which then wears."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from hydro_diagnosis import InputError, Report, diagnose
+from hydro_diagnosis.baseline import baseline
+from hydro_diagnosis.cli import run
+from hydro_diagnosis.corrected import claims_of
+from hydro_sim.bench import Bench
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.network_model import NetworkModel
+from hydro_sim.learned.recordings import Run
+from hydro_sim.learned.weights import shipped
+
+DRIVES = (
+    {"seconds": 15, "waveform": "multisine", "amplitude": 260, "frequency": 0.7, "kp": 60, "ki": 10},
+    {"seconds": 15, "waveform": "smooth_step", "amplitude": 240, "frequency": 0.8, "kp": 45, "ki": 8},
+    {"seconds": 15, "waveform": "sine", "amplitude": 250, "offset": 20, "frequency": 1.1, "kp": 70, "ki": 12},
+)
+HEALTHY_FRICTION = 12.0
+HEALTHY_LEAK = 1e-13
+
+
+def test_learned_constants_become_the_bench_and_its_effects() -> None:
+    believed = baseline(None, shipped())
+    assert believed.model == "learned default_weights.safetensors" and believed.notes == ()
+    assert believed.bench.moving_mass == pytest.approx(1.2, rel=5e-3)
+    assert believed.bench.load_cell_bandwidth is None
+    assert believed.bench.valve_gain == pytest.approx(Bench.nominal().valve_gain, rel=1e-3)
+    claims = {claim.effect.id: dict(claim.values) for claim in claims_of(believed.bench)}
+    assert claims["valve_lag"]["bandwidth"] == pytest.approx(109.2, rel=1e-2)
+    assert claims["friction_coulomb"]["force"] == pytest.approx(HEALTHY_FRICTION, rel=1e-2)
+    assert claims["sensor_lag"] == pytest.approx({"bandwidth": 25.0, "damping": 0.55}, rel=5e-3)
+
+
+def test_bench_and_weights_together_are_refused() -> None:
+    with pytest.raises(InputError, match="not both"):
+        baseline(Bench.nominal(), shipped())
+
+
+def test_missing_weights_are_one_sentence(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="there is no such file"):
+        baseline(None, tmp_path / "none.safetensors")
+
+
+def test_network_alone_is_refused_with_the_reason(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    run_ = Run(name="x", first=0, x=rng.normal(size=(50, 8)), u=rng.normal(size=50))
+    region = Learned.load(None).region
+    path = tmp_path / "network.safetensors"
+    Learned(model=NetworkModel.untrained([run_], (4, 4), 0), region=region).save(path)
+    with pytest.raises(InputError, match="no equations in which something could be missing"):
+        baseline(None, path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("wear", "named", "changes"),
+    [
+        ({}, None, {}),
+        ({"leakage_internal": {"coefficient": 3e-13}}, "leakage_internal", {"coefficient": 3e-13 - HEALTHY_LEAK}),
+        (
+            {"friction_coulomb": {"force": 18.0, "form": "lugre"}},
+            "friction_coulomb",
+            {"force": 18.0 - HEALTHY_FRICTION},
+        ),
+        ({"valve_deadband": {"half_width": 3e-4}}, "valve_deadband", {"half_width": 3e-4}),
+        ({"entrained_air": {"volume_fraction": 5e-3}}, "entrained_air", {"volume_fraction": 5e-3}),
+    ],
+    ids=["healthy", "leak", "friction", "deadband", "air"],
+)
+def test_wear_is_named_relative_to_the_learned_model(
+    wear: Mapping[str, Any], named: str | None, changes: Mapping[str, float], tmp_path: Path
+) -> None:
+    report = worn(wear, tmp_path)
+    assert [effect.id for effect in report.effects] == ([named] if named else [])
+    assert report.verdict == ("explained" if named else "no_mismatch")
+    for name, value in changes.items():
+        assert report.effects[0].parameters[name].value == pytest.approx(value, rel=0.03)
+    assert report.baseline["model"] == "learned default_weights.safetensors"
+
+
+@pytest.mark.slow
+def test_corrected_bench_holds_what_was_learned_and_what_wore(tmp_path: Path) -> None:
+    """The command's corrected.yaml is a baseline by itself: of the worn bench."""
+    bags = recorded({"leakage_internal": {"coefficient": 1e-12}}, tmp_path)
+    out = tmp_path / "report"
+    assert run([*map(str, bags), "--model", str(shipped()), "--out", str(out), "--quiet"]) == 0
+    corrected = Bench.load(out / "corrected.yaml")
+    leaks = [effect["parameters"]["coefficient"] for effect in corrected.effects if effect["id"] == "leakage_internal"]
+    assert sum(leaks) == pytest.approx(1e-12, rel=0.01)
+    assert diagnose([bags[2]], bench=corrected).report.verdict == "no_mismatch"
+
+
+def worn(wear: Mapping[str, Any], folder: Path) -> Report:
+    bags = recorded(wear, folder)
+    return diagnose(bags[:2], holdout=bags[2:], model=shipped()).report
+
+
+def recorded(wear: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Three runs of the emulator's default bench with wear, by its command: the diagnosis knows no truth plant."""
+    truth, jobs = folder / "truth.yaml", []
+    truth.write_text(yaml.safe_dump({"profile": "default", "effects": dict(wear)}))
+    for k, segment in enumerate(DRIVES):
+        schedule = folder / f"schedule{k}.yaml"
+        schedule.write_text(yaml.safe_dump({"segments": [segment]}))
+        jobs.append({"out": str(folder / f"run{k}"), "truth": str(truth), "schedule": str(schedule), "seed": 50 + k})
+    (folder / "batch.yaml").write_text(yaml.safe_dump({"jobs": jobs}))
+    batch = ["ros2", "run", "hydro_sim", "emulator", "--offline", "--batch", str(folder / "batch.yaml")]
+    subprocess.run(batch, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return [folder / f"run{k}" for k in range(len(DRIVES))]
