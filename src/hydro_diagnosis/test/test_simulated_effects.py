@@ -22,9 +22,9 @@ from hydro_sim.plant import AnalyticPlant
 BENCH = Bench.nominal()
 EFFECTS = [effect.adapted(BENCH) for effect in LIBRARY]
 BEGINS = np.arange(300, 1100, 100)
-LENGTH = 25
+LENGTH = 40
 TOLERANCE = 2e-4
-"""RMS of the difference after up to 25 ms, over the signal's range."""
+"""RMS of the difference after up to 40 ms, over the signal's range."""
 
 
 def claims_with(effect: Effect) -> list[Claim]:
