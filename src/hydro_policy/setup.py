@@ -9,7 +9,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed"]},
+    package_data={name: ["py.typed", "data/*/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -24,8 +24,10 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
+            "pretrain = hydro_policy.pretrain:main",
             "trainer = hydro_policy.nodes.trainer:main",
             "evaluate = hydro_policy.nodes.evaluate:main",
+            "override = hydro_policy.nodes.override:main",
         ],
     },
 )

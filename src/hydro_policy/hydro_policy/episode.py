@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -39,6 +40,7 @@ class EpisodeRecord:
     square_error: float = 0.0
     square_rate: float = 0.0
     samples: int = 0
+    overridden_steps: int = 0
 
     def add(self, step: Step, reward: float) -> None:
         """Count one step in."""
@@ -60,6 +62,19 @@ class EpisodeRecord:
         """RMSE over the RMS of f_r', in s: comparable between references, since the error is mostly a lag."""
         return math.sqrt(self.square_error / self.square_rate) if self.square_rate else math.inf
 
+    def summary(self) -> dict[str, float]:
+        """What is kept of it."""
+        return {
+            "episode": self.episode,
+            "amplitude": self.amplitude,
+            "frequency": self.frequency,
+            "return": self.episode_return,
+            "force_rmse": self.force_rmse,
+            "lag": self.lag,
+            "whole_steps": self.whole_steps,
+            "overridden_steps": self.overridden_steps,
+        }
+
 
 @dataclass
 class Progress:
@@ -72,4 +87,14 @@ class Progress:
     last_return: float = math.nan
     last_rmse: float = math.nan
     best_lag: float = math.inf
+    rollbacks: int = 0
+    examined: int = -1
+    """Episodes finished at the last examination; -1: none yet."""
+    reference_rmse: list[float] = field(default_factory=list)
+    """N, of the fixed gains that scores are relative to, one for each sine; empty until they are examined."""
+    best_score: float = math.inf
+    """Of the best policy so far: mean over the sines of its RMSE over the reference's."""
+    passed_at: int = -1
+    """Episodes finished when a policy first beat the reference at every sine; -1: not yet."""
+    exams: list[dict[str, Any]] = field(default_factory=list)
     history: list[dict[str, float]] = field(default_factory=list)

@@ -1,92 +1,41 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force RMSE of controllers on sines, run by run on a live plant; knows no ROS.
+"""Force RMSE of controllers, run by run on a live plant; knows no ROS.
 
 run       a new reference, 2 s to settle, then whole periods of at least 3 s in all over which e = f_r - f_l counts
-order     repeat, frequency, controller: controllers follow each other closely, so a drifting bench treats them alike
-failure   the box trips: the run counts as tripped. The plant is lost: the run is begun anew
+order     repeat, case, controller: controllers follow each other closely, so a drifting bench treats them alike
+failure   the box trips, or the monitor asks for a stop: the run counts as stopped. The plant is lost, or a person takes
+          the gains: the run is begun anew
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_bridge.settings import check
-from hydro_bridge.signals import STATE_DTYPE, Flag, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Flag, FloatArray
+from hydro_policy.cases import Case, EvaluationSettings
 from hydro_policy.controllers import Controller
+from hydro_policy.monitor import SafetyMonitor
 from hydro_policy.outputs import Outputs
-from hydro_policy.steps import HELD
+from hydro_policy.override import GainOverride
+from hydro_policy.scoring import Score, Trace, score
+from hydro_policy.steps import HELD, StepClock
 from hydro_policy.task import SAMPLES_PER_STEP
 from hydro_policy.watch import PlantWatch
 
-SAMPLE_RATE = 1000.0  # Hz
-
-
-@dataclass(frozen=True, kw_only=True)
-class EvaluationSettings:
-    """The paper's Table rmse by default."""
-
-    frequencies: tuple[float, ...] = (0.5, 1.0, 1.5, 2.0)
-    """Hz, each within 0.05 to 10."""
-    amplitude: float = 300.0
-    """N. [0, 1000]."""
-    settle: float = 2.0
-    """s left out at the start of each run. [0.5, 60]: the cross-fade takes 0.3 s."""
-    measure: float = 3.0
-    """s measured at least; rounded up to whole periods. [0.1, 600]."""
-    repeats: int = 1
-    """Runs of each controller at each frequency. [1, 1000]."""
-
-    def __post_init__(self) -> None:
-        check(self)
-        if not self.frequencies or not all(0.05 <= f <= 10.0 for f in self.frequencies):
-            raise ValueError(f"an evaluation needs frequencies between 0.05 and 10 Hz, not {self.frequencies}")
-
-    def measured(self, frequency: float) -> float:
-        """s measured at this frequency, whole periods."""
-        return math.ceil(self.measure * frequency - 1e-9) / frequency
-
-
-@dataclass(frozen=True, kw_only=True)
-class Score:
-    """One run."""
-
-    controller: str
-    frequency: float
-    repeat: int
-    rmse: float
-    """N; NaN if it tripped."""
-    peak: float
-    """N, largest |e|; NaN if it tripped."""
-    chatter: float
-    """A/s, RMS of u'; NaN if it tripped."""
-    proportional_gain: float
-    """1/s, mean that the box applied."""
-    integral_gain: float
-    """1/s^2, mean that the box applied."""
-    lost: int
-    """Samples that never arrived."""
-    held: int
-    """Samples for which the box held base gains (stale correction or command)."""
-    tripped: bool
-
-
-@dataclass
-class Trace:
-    """The measured part of one run; time from 0."""
-
-    controller: str
-    frequency: float
-    states: StateArray  # shape (n,)
+__all__ = ["EvaluationSession", "EvaluationSettings", "Score", "Trace"]
 
 
 @dataclass
 class _Run:
     """What has been seen of the present run."""
 
-    first: int = -1
+    repeat: int
+    case: Case
+    controller: Controller
+    first: int
     rows: list[tuple[float, ...]] = field(default_factory=list)
 
 
@@ -96,26 +45,40 @@ class EvaluationSession:
     Parameters
     ----------
     settings
-        Which sines, how long.
+        Which references, how long.
     controllers
         At least one.
     outputs
         The graph.
-    rearm
-        See `watch.PlantWatch`.
+    watch, rearm
+        Of a session that this one is part of; else one of its own, with `rearm` (see `watch.PlantWatch`).
+    override
+        Gains that a person holds.
+    monitor
+        Stops a run that goes wrong before the box has to; None: only the box does.
     """
 
     def __init__(
-        self, settings: EvaluationSettings, controllers: list[Controller], outputs: Outputs, *, rearm: bool = True
+        self,
+        settings: EvaluationSettings,
+        controllers: Sequence[Controller],
+        outputs: Outputs,
+        *,
+        rearm: bool = True,
+        watch: PlantWatch | None = None,
+        override: GainOverride | None = None,
+        monitor: SafetyMonitor | None = None,
     ) -> None:
         if not controllers:
             raise ValueError("an evaluation needs a controller")
-        self.settings, self.watch = settings, PlantWatch(outputs, rearm)
-        self.plan = [(r, f, c) for r in range(settings.repeats) for f in settings.frequencies for c in controllers]
+        self.settings, self.watch = settings, watch or PlantWatch(outputs, rearm)
+        self.override = override or GainOverride()
+        self.plan = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
-        self._outputs = outputs
+        self._outputs, self.monitor = outputs, monitor
+        self._clock = StepClock()
         self._run: _Run | None = None
         self._steps = 0
 
@@ -127,33 +90,32 @@ class EvaluationSession:
     @property
     def seconds(self) -> float:
         """Bench time of the whole plan."""
-        return sum(self.settings.settle + self.settings.measured(f) for _, f, _ in self.plan)
+        return sum(self.settings.length(case) for _, case, _ in self.plan)
 
     @property
     def seconds_done(self) -> float:
         """Bench time of the runs scored."""
-        return sum(self.settings.settle + self.settings.measured(f) for _, f, _ in self.plan[: len(self.scores)])
+        return sum(self.settings.length(case) for _, case, _ in self.plan[: len(self.scores)])
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
-        """Take a sample [14]; True if it made a step."""
+        """Take a sample [14]; True if gains went out."""
         self.watch.on_sample(flags, now)
         if self.finished:
             return False
         if not flags & Flag.ARMED:
             if self._run is not None and flags & Flag.TRIPPED:
-                self._score_trip()
+                self._stop(self._run, self.watch.condition)
             self._run = None
             return False
+        held = self.override.gains(now)
+        if held is not None:
+            self._run = None
+            return self._publish(held) if sequence % SAMPLES_PER_STEP == 0 else False
         if self._run is None:
+            if not self.watch.may_begin(now):
+                return False
             self._run = self._begin(sequence)
-        self._collect(self._run, sequence, sample, flags)
-        _, _, controller = self.plan[len(self.scores)]
-        if sequence % SAMPLES_PER_STEP:
-            return self._end_if_due(self._run, sequence)
-        self._outputs.gains(*controller.gains(sample), self._steps)
-        self._steps += 1
-        self._end_if_due(self._run, sequence)
-        return True
+        return self._advance(self._run, sequence, sample, flags)
 
     def on_tick(self, now: float) -> None:
         """Some twenty times a second."""
@@ -162,47 +124,65 @@ class EvaluationSession:
             self._run = None
             self._outputs.say("no samples: this run is begun anew", warning=True)
 
+    def on_correction(self, before: float, status: int) -> None:
+        """Take what the filter says of a sample: M_c [1/s] before its correction, and the status."""
+        if self.monitor is not None:
+            self.monitor.on_correction(before, status)
+
     def _begin(self, sequence: int) -> _Run:
-        _, frequency, controller = self.plan[len(self.scores)]
+        repeat, case, controller = self.plan[len(self.scores)]
         controller.reset()
-        self._outputs.reference(
-            ReferenceSignal(waveform=Waveform.SINE, amplitude=self.settings.amplitude, frequency=frequency)
-        )
-        return _Run(first=sequence)
+        if self.monitor is not None:
+            self.monitor.reset()
+        self._outputs.reference(case.signal)
+        return _Run(repeat, case, controller, sequence)
 
-    def _collect(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> None:
-        if sequence - run.first >= self.settings.settle * SAMPLE_RATE:
-            time = (sequence - run.first) / SAMPLE_RATE - self.settings.settle
+    def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> bool:
+        time = (sequence - run.first) * SAMPLE_PERIOD - self.settings.settle
+        if time >= 0.0:
             run.rows.append((time, sequence, *sample, flags))
+        step = self._clock.add(sequence, sample, flags)
+        reason = self.monitor.add(step) if step is not None and self.monitor is not None else None
+        if reason is not None:
+            self._publish((0.0, 0.0))  # base gains, until the next run begins with its own
+            self._stop(run, reason)
+        elif sequence % SAMPLES_PER_STEP == 0:
+            self._publish(run.controller.gains(sample))
+        if (
+            self._run is run
+            and run.rows
+            and time + SAMPLE_PERIOD >= self.settings.measured(run.case.signal.frequency) - 1e-9
+        ):
+            self._end(run)
+        return sequence % SAMPLES_PER_STEP == 0
 
-    def _end_if_due(self, run: _Run, sequence: int) -> bool:
-        """End the run when its time is over; always False (no policy step was made here)."""
-        repeat, frequency, controller = self.plan[len(self.scores)]
-        length = self.settings.settle + self.settings.measured(frequency)
-        if sequence - run.first + 1 >= round(length * SAMPLE_RATE) and run.rows:
-            trace = Trace(controller.name, frequency, np.array(run.rows, STATE_DTYPE))
-            self._check_gains(controller, trace)
-            self._check_held(trace)
-            self.scores.append(_score(trace, repeat))
-            self.traces.append(trace)
-            self._run = None
-        return False
+    def _publish(self, gains: tuple[float, float]) -> bool:
+        self._outputs.gains(*gains, self._steps)
+        self._steps += 1
+        return True
 
-    def _score_trip(self) -> None:
-        repeat, frequency, controller = self.plan[len(self.scores)]
-        nothing = dict.fromkeys(("rmse", "peak", "chatter", "proportional_gain", "integral_gain"), math.nan)
+    def _end(self, run: _Run) -> None:
+        trace = Trace(run.controller.name, run.case.name, run.case.signal.frequency, np.array(run.rows, STATE_DTYPE))
+        self._check_gains(run.controller, trace)
+        self._check_held(trace)
+        self.scores.append(score(trace, run.repeat))
+        self.traces.append(trace)
+        self._run = None
+
+    def _stop(self, run: _Run, reason: str) -> None:
+        name, case = run.controller.name, run.case
+        frequency = case.signal.frequency
         self.scores.append(
-            Score(
-                controller=controller.name, frequency=frequency, repeat=repeat, lost=0, held=0, tripped=True, **nothing
-            )
+            Score(controller=name, case=case.name, frequency=frequency, repeat=run.repeat, stopped=reason)
         )
-        self._outputs.say(f"{controller.name} at {frequency:g} Hz: {self.watch.condition}", warning=True)
+        self._outputs.say(f"{name} at {case.name}: {reason}", warning=True)
+        self._run = None
 
     def _check_held(self, trace: Trace) -> None:
         """Base gains instead of the controller's, for more than one sample in a hundred, is no fair comparison."""
         held = float(np.mean((trace.states["flags"] & HELD) != 0))
         if held > 0.01:
-            sentence = f"{trace.controller} at {trace.frequency:g} Hz: base gains in {100 * held:.0f} % of the samples"
+            sentence = f"{trace.controller} at {trace.case}: base gains in {100 * held:.0f} % of the samples"
             self._warn(f"{sentence}, corrections came late (machine too busy?)")
 
     def _check_gains(self, controller: Controller, trace: Trace) -> None:
@@ -219,23 +199,3 @@ class EvaluationSession:
         if sentence not in self.warnings:
             self.warnings.append(sentence)
             self._outputs.say(sentence, warning=True)
-
-
-def _score(trace: Trace, repeat: int) -> Score:
-    states = trace.states
-    error = states["reference_force"] - states["load_force"]
-    steps = np.diff(states["sequence"].astype(np.int64))
-    current_rate = np.diff(states["valve_current"]) / steps * SAMPLE_RATE
-    return Score(
-        controller=trace.controller,
-        frequency=trace.frequency,
-        repeat=repeat,
-        rmse=float(np.sqrt(np.mean(error**2))),
-        peak=float(np.abs(error).max()),
-        chatter=float(np.sqrt(np.mean(current_rate**2))),
-        proportional_gain=float(states["proportional_gain"].mean()),
-        integral_gain=float(states["integral_gain"].mean()),
-        lost=int((steps - 1).sum()),
-        held=int(np.count_nonzero(states["flags"] & HELD)),
-        tripped=False,
-    )

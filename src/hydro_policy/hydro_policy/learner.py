@@ -1,11 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """The learning process: draws from the shared replay buffer, updates, publishes weights, writes checkpoints.
 
-It shares with the acting process four pieces of memory, and a pipe for requests:
+It shares with the acting process five pieces of memory, and a pipe for requests:
 
     replay     transitions              acting appends, learning draws
     weights    the actor's parameters   learning publishes some fifty times a second, acting reads before each step
     snapshot   all of `Sac` (bytes)     learning publishes twice a second; a successor starts from it
+    good       the same bytes           acting leaves here what learning goes back to when it is told to roll back
     status     a few float64            updates, temperature, ...
 """
 
@@ -23,7 +24,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from hydro_bridge.signals import FloatArray
 from hydro_policy.checkpoint import save_checkpoint
@@ -32,12 +32,12 @@ from hydro_policy.replay import ReplayBuffer
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import Sac
 from hydro_policy.shared import SharedBlob
-from hydro_policy.snapshot import dump, restore
+from hydro_policy.snapshot import actor_parameters, dump, restore
 from hydro_policy.task import ACTIONS, OBSERVATIONS
 
 SNAPSHOT_PERIOD = 0.5  # s
 _CONTEXT = multiprocessing.get_context("spawn")
-CHUNK = 8  # updates between looks at the pipe and publications, some 5 to 10 ms
+CHUNK = 8  # updates between looks at the pipe and publications, some 1 to 2 ms
 
 
 class LearnerMemory:
@@ -53,6 +53,7 @@ class LearnerMemory:
         self._replay = self._block(ReplayBuffer.memory_size(OBSERVATIONS, ACTIONS, self.capacity))
         self._weights = self._block(SharedBlob.memory_size(parameters))
         self._snapshot = self._block(SharedBlob.memory_size(16 * parameters + 16384))
+        self._good = self._block(SharedBlob.memory_size(16 * parameters + 16384))
         self._status = self._block(64)
 
     def _block(self, size: int) -> Any:
@@ -70,17 +71,26 @@ class LearnerMemory:
         """All of `Sac`, as `snapshot.dump` gives it."""
         return SharedBlob(self._snapshot)
 
+    def good(self) -> SharedBlob:
+        """The last good state of `Sac`, as `snapshot.dump` gives it."""
+        return SharedBlob(self._good)
+
     def status(self) -> FloatArray:
-        """[updates, entropy coefficient, checkpoints written, 1 when ready]."""
+        """[updates, entropy coefficient, checkpoints written, 1 when ready, rollbacks done]."""
         return np.frombuffer(self._status, np.float64)
 
 
-UPDATES, ENTROPY, CHECKPOINTS, READY = range(4)  # places in status
+UPDATES, ENTROPY, CHECKPOINTS, READY, ROLLBACKS = range(5)  # places in status
+
+
+@dataclass(frozen=True)
+class RollBack:
+    """Go back to the last good state."""
 
 
 @dataclass(frozen=True)
 class SaveRequest:
-    """Write a checkpoint and the policy; with `best`, the policy also as the best so far."""
+    """Write a checkpoint; with `best`, the last good state also as the best so far."""
 
     run: Path
     trainer: dict[str, Any]
@@ -95,6 +105,7 @@ class Learner:
         self.sac = Sac(OBSERVATIONS, ACTIONS, settings.sac)
         self.replay = memory.replay()
         self._weights, self._snapshot, self._status = memory.weights(), memory.snapshot(), memory.status()
+        self._good = memory.good()
         start = self._snapshot.latest()  # of a predecessor, or of a checkpoint
         if start is not None:
             restore(self.sac, start)
@@ -110,8 +121,8 @@ class Learner:
     def work(self) -> int:
         """Up to `CHUNK` of the updates owed; returns how many were done."""
         count = min(self.owed, CHUNK)
-        for _ in range(count):
-            self.sac.update(self.replay.sample(self.settings.sac.batch_size, self.sac.generator))
+        if count > 0:
+            self.sac.learn(self.replay, count)
         return max(count, 0)
 
     def publish(self, now: float) -> None:
@@ -131,28 +142,42 @@ class Learner:
             self._published = now
         self._status[READY] = 1.0
 
+    def roll_back(self) -> None:
+        """Go on from the last good state; the updates done stay counted, or they would be owed again.
+
+        What the replay buffer holds of the policy that failed stays: it is what there is to learn from.
+        """
+        good = self._good.latest()
+        if good is not None:
+            updates = self.sac.updates
+            restore(self.sac, good)
+            self.sac.updates = updates
+        self._published = 0.0  # a successor, too, shall start from here
+        self.publish(time.monotonic())
+        self._status[ROLLBACKS] += 1  # last: whoever sees the count finds the weights
+
     def save(self, request: SaveRequest) -> None:
-        """Write the checkpoint and the policy's file."""
-        write_run(request, dump(self.sac), self.replay, self.sac.actor_network.parameters.numpy(), self.settings)
+        """Write the checkpoint and, where there is news, the policy's file."""
+        write_run(request, dump(self.sac), self._good.latest(), self.replay, self.settings)
         self._status[CHECKPOINTS] += 1
 
 
 def write_run(
-    request: SaveRequest,
-    learner: bytes,
-    replay: ReplayBuffer,
-    parameters: NDArray[np.float32],
-    settings: TrainingSettings,
+    request: SaveRequest, learner: bytes, good: bytes | None, replay: ReplayBuffer, settings: TrainingSettings
 ) -> None:
-    """Checkpoint, policy.safetensors, and checkpoints/best if asked for."""
+    """Checkpoint; policy.safetensors is the best policy so far, and before there is one, the latest."""
     run = RunDirectory(request.run)
     save_checkpoint(run.latest, learner, replay, request.trainer)
+    best = good if request.best else None
+    if best is not None:
+        run.best.mkdir(parents=True, exist_ok=True)
+        (run.best / "learner.safetensors").write_bytes(best)
+    if best is None and (run.best / "learner.safetensors").exists():
+        return
     policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
-    policy.load_flat(parameters.astype(np.float64))
+    policy.load_flat(actor_parameters(best or learner))
     notes = {key: request.trainer.get(key) for key in ("episode", "total_steps", "last_rmse")}
-    run.best.mkdir(parents=True, exist_ok=True)
-    for path in (run.policy, *([run.best / "policy.safetensors"] if request.best else [])):
-        policy.save(path, settings.task.gains, notes)
+    policy.save(run.policy, settings.task.gains, notes)
 
 
 def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection) -> None:
@@ -174,8 +199,11 @@ def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Con
                 request = requests.recv()
                 if request is None:
                     return
-                last = request
-                learner.save(request)
+                if isinstance(request, RollBack):
+                    learner.roll_back()
+                else:
+                    last = request
+                    learner.save(request)
         except EOFError:  # the acting process died without a word: keep what was learnt
             if last is not None:
                 learner.save(last)

@@ -18,6 +18,7 @@ from hydro_policy.learner import CHUNK, Learner, LearnerMemory, SaveRequest
 from hydro_policy.outputs import Outputs
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.session import Session
+from hydro_policy.snapshot import dump
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box, BoxConfig
 from hydro_sim.plant import Plant
@@ -31,8 +32,10 @@ class InlineLearner:
     Have `torch.set_num_threads(1)`: at these sizes more threads only wait for each other.
     """
 
-    def __init__(self, settings: TrainingSettings, run: RunDirectory | None = None) -> None:
+    def __init__(self, settings: TrainingSettings, run: RunDirectory | None = None, start: bytes | None = None) -> None:
         self._memory = _PrivateMemory(settings)
+        if start is not None:
+            self._memory.snapshot().publish(start)
         self._learner = Learner(self._memory, settings)
         self._run, self._weights = run, self._memory.weights()
         self.replay = self._learner.replay
@@ -62,6 +65,18 @@ class InlineLearner:
 
     def revive(self) -> None:
         """Nothing to revive."""
+
+    def snapshot(self) -> bytes:
+        """See `LearnerSupervisor.snapshot`; of this moment."""
+        return dump(self._learner.sac)
+
+    def keep(self, good: bytes) -> None:
+        """See `LearnerSupervisor.keep`."""
+        self._memory.good().publish(good)
+
+    def roll_back(self) -> None:
+        """See `LearnerSupervisor.roll_back`; done at once."""
+        self._learner.roll_back()
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Write a checkpoint if there is a run directory."""

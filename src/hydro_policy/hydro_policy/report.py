@@ -18,26 +18,25 @@ from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 
 def table(session: EvaluationSession) -> Table:
-    """Force RMSE, one row for each controller, one column for each frequency; mean, and spread where runs repeat."""
-    columns = {"controller": ""}
-    columns |= {f"{f:g} Hz": "" for f in session.settings.frequencies}
+    """Force RMSE, one row for each controller, one column for each case; mean, and spread where runs repeat."""
+    cases = [case.name for case in session.settings.cases]
+    columns = {"controller": "", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
     result = Table(columns, title=f"Force RMSE [N], sines of {session.settings.amplitude:g} N{spread}")
     for name in dict.fromkeys(score.controller for score in session.scores):
-        cells = {f"{f:g} Hz": _cell(runs(session.scores, name, f)) for f in session.settings.frequencies}
-        result.add(controller=name, **cells)
+        result.add(controller=name, **{case: _cell(runs(session.scores, name, case)) for case in cases})
     return result
 
 
-def runs(scores: list[Score], controller: str, frequency: float) -> list[Score]:
-    """The runs of one controller at one frequency [Hz]."""
-    return [score for score in scores if score.controller == controller and score.frequency == frequency]
+def runs(scores: list[Score], controller: str, case: str) -> list[Score]:
+    """The runs of one controller on one reference."""
+    return [score for score in scores if score.controller == controller and score.case == case]
 
 
 def _cell(scores: list[Score]) -> float | str:
-    tripped = sum(score.tripped for score in scores)
-    if tripped:
-        return f"tripped {tripped}/{len(scores)}"
+    stopped = sum(score.tripped for score in scores)
+    if stopped:
+        return f"stopped {stopped}/{len(scores)}"
     values = [score.rmse for score in scores]
     if len(values) == 1:
         return float(f"{values[0]:.2f}")
@@ -63,15 +62,16 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
 
 def plot(session: EvaluationSession, path: Path) -> None:
     """The paper's two figures at the fastest sine: tracking and error of the controllers, gains of the first one."""
-    frequency = max(session.settings.frequencies)
-    traces = {t.controller: t for t in session.traces if t.frequency == frequency}
+    sines = session.settings.frequencies
+    case = f"{max(sines):g} Hz" if sines else session.settings.cases[0].name
+    traces = {t.controller: t for t in session.traces if t.case == case}
     if not traces:
         return
     first = next(iter(traces.values()))
     with figure(path, 3, size=(8.0, 6.5), sharex=True, height_ratios=(3, 2, 1.5)) as (drawing, (force, error, gain)):
-        drawing.suptitle(f"Force tracking, {session.settings.amplitude:g} N at {frequency:g} Hz", x=0.01, ha="left")
+        drawing.suptitle(f"Force tracking, {session.settings.amplitude:g} N, {case}", x=0.01, ha="left")
         force.plot(first.states["time"], first.states["reference_force"], color=GRAY, linestyle="--", label="reference")
-        for color, trace in zip((BLUE, ORANGE, RED), traces.values(), strict=False):
+        for color, trace in zip((BLUE, ORANGE, RED, GREEN), traces.values(), strict=False):
             states = trace.states
             e = states["reference_force"] - states["load_force"]
             force.plot(states["time"], states["load_force"], color=color, label=trace.controller)

@@ -3,11 +3,12 @@
 
 runs/NAME/
     config.yaml            settings; `--resume` reads them back
-    policy.safetensors     the policy as it acts, rewritten after each episode (`policy` module)
+    policy.safetensors     the best policy so far (`policy` module); before an examination: the latest
     checkpoints/latest/    learner.safetensors, replay.npy, trainer.json (`checkpoint` module)
-    checkpoints/best/      the policy of the episode with the lowest force RMSE so far
+    checkpoints/best/      learner.safetensors of the best policy so far: all of the agent, to start others from
+    run.json               what happened: episodes, examinations, rollbacks, overrides (`record` module)
     bag/                   the recording
-    evaluation.json, tracking.png, gains.png, log.txt
+    evaluation.json, tracking.png, log.txt
 """
 
 from __future__ import annotations
@@ -20,6 +21,8 @@ from typing import Any
 import yaml
 
 from hydro_bridge.settings import check
+from hydro_policy.cases import ExamSettings
+from hydro_policy.monitor import MonitorSettings
 from hydro_policy.sac import SacSettings
 from hydro_policy.task import GainRange, TaskSettings
 
@@ -40,9 +43,11 @@ class TrainingSettings:
     """Seed of references and of exploration in the actor. [0, 9e15]."""
     sac: SacSettings = field(default_factory=SacSettings)
     task: TaskSettings = field(default_factory=TaskSettings)
+    exam: ExamSettings = field(default_factory=ExamSettings)
+    monitor: MonitorSettings = field(default_factory=MonitorSettings)
 
     def __post_init__(self) -> None:
-        for part in (self, self.sac, self.task, self.task.gains):
+        for part in (self, self.sac, self.task, self.task.gains, self.exam, self.monitor):
             check(part)
 
 
@@ -56,6 +61,7 @@ class RunDirectory:
     policy = property(lambda self: self.path / "policy.safetensors")
     latest = property(lambda self: self.path / "checkpoints" / "latest")
     best = property(lambda self: self.path / "checkpoints" / "best")
+    record = property(lambda self: self.path / "run.json")
     bag = property(lambda self: self.path / "bag")
     evaluation = property(lambda self: self.path / "evaluation.json")
     tracking_plot = property(lambda self: self.path / "tracking.png")
@@ -93,9 +99,13 @@ class RunDirectory:
             values: dict[str, Any] = yaml.safe_load(self.config.read_text())
             task, sac = values.pop("task"), values.pop("sac")
             gains = GainRange(**_numbers(task.pop("gains")))
-            return TrainingSettings(
-                **_numbers(values), sac=SacSettings(**_numbers(sac)), task=TaskSettings(**_numbers(task), gains=gains)
-            )
+            parts: dict[str, Any] = {
+                "sac": SacSettings(**_numbers(sac)),
+                "task": TaskSettings(**_numbers(task), gains=gains),
+                "exam": ExamSettings(**_numbers(values.pop("exam", {}))),  # runs of the first version had neither
+                "monitor": MonitorSettings(**_numbers(values.pop("monitor", {}))),
+            }
+            return TrainingSettings(**_numbers(values), **parts)
         except (OSError, KeyError, TypeError, AttributeError, ValueError, yaml.YAMLError) as error:
             raise ValueError(f"{self.path} holds no run to resume: {error}") from error
 

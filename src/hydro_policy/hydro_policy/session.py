@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Protocol
 
 from hydro_bridge.signals import FloatArray
+from hydro_policy.override import GainOverride
 from hydro_policy.watch import PlantWatch
 
 
@@ -13,13 +14,17 @@ class Session(Protocol):
     """What drives a plant: a `TrainingSession` or an `EvaluationSession`."""
 
     watch: PlantWatch
+    override: GainOverride
 
     @property
     def finished(self) -> bool:
         """Whether it wants no more samples."""
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
-        """Take a sample; True if it made a policy step."""
+        """Take a sample; True if gains went out."""
+
+    def on_correction(self, before: float, status: int) -> None:
+        """Take what the filter says of a sample: M_c [1/s] before its correction, and the status."""
 
     def on_tick(self, now: float) -> None:
         """Take a moment, some twenty times a second."""

@@ -10,9 +10,11 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 
+import numpy as np
 from safetensors.torch import load, save
 from torch import Tensor
 
+from hydro_bridge.signals import FloatArray
 from hydro_policy.mlp import FlatAdam
 from hydro_policy.sac import Sac, SacSettings
 
@@ -44,6 +46,11 @@ def restore(sac: Sac, blob: bytes) -> None:
         for key, tensor in _tensors(optimizer).items():
             _copy(f"{name}.{key}", tensor, tensors)
         optimizer.steps = counters[f"{name}.steps"]
+
+
+def actor_parameters(blob: bytes) -> FloatArray:
+    """The actor's flat parameters in a dump, float64: what `Policy.load_flat` takes."""
+    return np.asarray(load(blob)["actor.parameters"].numpy(), np.float64)
 
 
 def settings_of(blob: bytes) -> SacSettings:

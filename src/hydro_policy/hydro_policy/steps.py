@@ -11,11 +11,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.signals import Flag, FloatArray
+from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray
 from hydro_policy.task import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE, SAMPLES_PER_STEP
 
 HELD = int(Flag.WATCHDOG | Flag.FILTER_STALE)
 """With one of these the box held base gains: what followed was not the action's doing."""
+
+VALVE_CURRENT = STATE_FIELDS.index("valve_current")
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,7 @@ class Step:
     sample: FloatArray  # the step's own sample, order of STATE_FIELDS, shape (14,)
     error: FloatArray  # e [N] of the samples since the last step, this one included, shape (n,)
     error_rate: FloatArray  # e' [N/s], shape (n,)
+    current: FloatArray  # u [A] that the valve got, shape (n,)
     whole: bool  # every sample arrived, armed, and the box applied the gains it was given
     held: int  # bits of HELD seen since the last step
 
@@ -38,6 +41,7 @@ class StepClock:
     def __init__(self) -> None:
         self._errors: list[float] = []
         self._rates: list[float] = []
+        self._currents: list[float] = []
         self._last = -1
         self._flags = 0
         self._common = ~0
@@ -56,6 +60,7 @@ class StepClock:
         self._last = sequence
         self._errors.append(float(sample[REFERENCE] - sample[LOAD_FORCE]))
         self._rates.append(float(sample[REFERENCE_RATE] - sample[LOAD_FORCE_RATE]))
+        self._currents.append(float(sample[VALVE_CURRENT]))
         self._flags |= flags
         self._common &= flags
         return self._complete(sample) if block_changed else None
@@ -63,8 +68,9 @@ class StepClock:
     def _complete(self, sample: FloatArray) -> Step:
         held = self._flags & HELD
         whole = not self._gap and len(self._errors) == SAMPLES_PER_STEP and not held and bool(self._common & Flag.ARMED)
-        step = Step(sample, np.array(self._errors), np.array(self._rates), whole, held)
-        self._errors.clear()
-        self._rates.clear()
+        error, rate, current = (np.array(values) for values in (self._errors, self._rates, self._currents))
+        step = Step(sample, error, rate, current, whole, held)
+        for values in (self._errors, self._rates, self._currents):
+            values.clear()
         self._flags, self._common, self._gap = 0, ~0, False
         return step

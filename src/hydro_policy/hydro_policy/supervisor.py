@@ -6,6 +6,7 @@ from __future__ import annotations
 import multiprocessing
 import time
 from collections import deque
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -18,8 +19,10 @@ from hydro_policy.learner import (
     CHECKPOINTS,
     ENTROPY,
     READY,
+    ROLLBACKS,
     UPDATES,
     LearnerMemory,
+    RollBack,
     SaveRequest,
     run_learner,
     write_run,
@@ -45,9 +48,17 @@ class LearnerSupervisor:
         Where checkpoints go.
     resumed
         Checkpoint to go on from, or None.
+    start
+        An agent to start from, as `snapshot.dump` gives it, or None: networks as they are initialised.
     """
 
-    def __init__(self, settings: TrainingSettings, run: RunDirectory, resumed: Checkpoint | None = None) -> None:
+    def __init__(
+        self,
+        settings: TrainingSettings,
+        run: RunDirectory,
+        resumed: Checkpoint | None = None,
+        start: bytes | None = None,
+    ) -> None:
         self._context = multiprocessing.get_context("spawn")  # fork would copy the middleware's threads half alive
         self._settings, self._run = settings, run
         self._memory = LearnerMemory(settings)
@@ -57,9 +68,13 @@ class LearnerSupervisor:
             self._memory.snapshot(),
             self._memory.status(),
         )
+        self._good = self._memory.good()
+        self._rollbacks = 0  # asked for
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
-            self._snapshot.publish(resumed.learner)
+            start = resumed.learner
+        if start is not None:
+            self._snapshot.publish(start)
         self._deaths: deque[float] = deque()
         self.restarts = 0
         self._start()
@@ -95,7 +110,12 @@ class LearnerSupervisor:
         return int(self._status[CHECKPOINTS])
 
     def new_weights(self) -> FloatArray | None:
-        """The actor's flat parameters if there are newer ones than at the last call, else None."""
+        """The actor's flat parameters if there are newer ones than at the last call, else None.
+
+        None, too, until a rollback that was asked for is done: what comes before it is not to act.
+        """
+        if self._status[ROLLBACKS] < self._rollbacks:
+            return None
         blob = self._weights.read()
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
@@ -120,8 +140,27 @@ class LearnerSupervisor:
         self.restarts += 1
         self._requests.close()
         self._start()
+        if self._status[ROLLBACKS] < self._rollbacks:  # it died before it had gone back
+            self._ask_to_roll_back()
         how = f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
         return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
+
+    def snapshot(self) -> bytes | None:
+        """The learner's whole state, half a second old at most; None before the first."""
+        return self._snapshot.latest()
+
+    def keep(self, good: bytes) -> None:
+        """Take this state for the last good one."""
+        self._good.publish(good)
+
+    def roll_back(self) -> None:
+        """Let the learner go back to the last good state."""
+        self._rollbacks = int(self._status[ROLLBACKS]) + 1
+        self._ask_to_roll_back()
+
+    def _ask_to_roll_back(self) -> None:
+        with suppress(OSError):  # dead: `revive` asks its successor
+            self._requests.send(RollBack())
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Ask for a checkpoint; False if the learner is not there to hear it."""
@@ -143,10 +182,9 @@ class LearnerSupervisor:
             self._process.kill()
             self._process.join()
         if self.checkpoints == before:
-            snapshot, weights = self._snapshot.latest(), self._weights.latest()
-            if snapshot is not None and weights is not None:
-                request = SaveRequest(self._run.path, trainer, False)
-                write_run(request, snapshot, self.replay, np.frombuffer(weights, np.float32), self._settings)
+            snapshot = self._snapshot.latest()
+            if snapshot is not None:
+                write_run(SaveRequest(self._run.path, trainer, False), snapshot, None, self.replay, self._settings)
 
     def _start(self) -> None:
         self._status[READY] = 0.0

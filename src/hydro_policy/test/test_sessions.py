@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
+from hydro_policy.cases import ExamSettings
 from hydro_policy.controllers import FixedGains
 from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
@@ -33,6 +34,7 @@ def short(episodes: int = 2, steps: int = 150, **task: float) -> TrainingSetting
         warmup_steps=100,
         replay_capacity=4000,
         sac=SacSettings(batch_size=32),
+        exam=ExamSettings(every=0),
         task=TaskSettings(steps_per_episode=steps, **task),  # type: ignore[arg-type]
     )
 

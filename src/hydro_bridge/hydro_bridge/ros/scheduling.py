@@ -5,24 +5,42 @@ from __future__ import annotations
 
 import gc
 import os
+from contextlib import suppress
 
 PRIORITY = 20
 """Of SCHED_FIFO, [1, 99]: above all ordinary processes, below the kernel's own threads."""
 
 
-def be_prompt(*, realtime: bool) -> str:
+def be_prompt(*, realtime: bool, priority: int = PRIORITY, inherited: bool = True) -> str:
     """Take the garbage collector out of the way and, if asked, run this process by SCHED_FIFO; says what came of it.
 
     Call it after everything long-lived is made: the collector no longer walks it. Without the right to SCHED_FIFO
     (CAP_SYS_NICE, or rtprio in limits.conf) the process stays an ordinary one.
+
+    Parameters
+    ----------
+    realtime
+        Ask for SCHED_FIFO.
+    priority
+        Of SCHED_FIFO.
+    inherited
+        False: processes and threads that are started later are ordinary ones (SCHED_RESET_ON_FORK).
     """
     gc.collect()
     gc.freeze()
     if not realtime:
         return "ordinary scheduling"
+    policy = os.SCHED_FIFO if inherited else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
-        for thread in os.listdir("/proc/self/task"):  # those of the middleware too; later ones inherit it
-            os.sched_setscheduler(int(thread), os.SCHED_FIFO, os.sched_param(PRIORITY))
+        for thread in os.listdir("/proc/self/task"):  # those of the middleware too
+            os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
     except OSError as error:
         return f"ordinary scheduling, SCHED_FIFO was refused: {error.strerror}"
-    return f"SCHED_FIFO, priority {PRIORITY}"
+    return f"SCHED_FIFO, priority {priority}"
+
+
+def be_ordinary() -> None:
+    """Leave SCHED_FIFO: what comes now (plots, files) shall hold up nobody."""
+    with suppress(OSError):
+        for thread in os.listdir("/proc/self/task"):
+            os.sched_setscheduler(int(thread), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))

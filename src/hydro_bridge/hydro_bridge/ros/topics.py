@@ -17,6 +17,7 @@ REFERENCE = "/hydro/reference"
 TRAINING = "/hydro/training"
 DIAGNOSTICS = "/diagnostics"
 ARM_SERVICE = "/hydro/arm"
+OVERRIDE_SERVICE = "/hydro/override"
 
 
 def _qos(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:

@@ -14,7 +14,7 @@ import re
 import sys
 import time
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO
 
@@ -162,15 +162,20 @@ def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     return ["--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]
 
 
+def guard_range(gains: GainRange) -> GainRange:
+    """What the plant's guard lets through: its defaults, opened as wide as the policy's gains where they are wider."""
+    default = GuardSettings()
+    return GainRange(
+        delta_kp_min=min(gains.delta_kp_min, default.delta_kp_min),
+        delta_kp_max=max(gains.delta_kp_max, default.delta_kp_max),
+        delta_ki_min=min(gains.delta_ki_min, default.delta_ki_min),
+        delta_ki_max=max(gains.delta_ki_max, default.delta_ki_max),
+    )
+
+
 def guard_parameters(gains: GainRange) -> list[str]:
     """ROS parameters that open the plant's guard as wide as the policy's gains, where its defaults are narrower."""
-    default = GuardSettings()
-    wanted = {
-        "delta_kp_min": min(gains.delta_kp_min, default.delta_kp_min),
-        "delta_kp_max": max(gains.delta_kp_max, default.delta_kp_max),
-        "delta_ki_min": min(gains.delta_ki_min, default.delta_ki_min),
-        "delta_ki_max": max(gains.delta_ki_max, default.delta_ki_max),
-    }
+    default, wanted = GuardSettings(), asdict(guard_range(gains))
     changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
     words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
     return ["--ros-args", *words] if words else []

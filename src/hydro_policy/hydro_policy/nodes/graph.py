@@ -22,13 +22,17 @@ from tqdm import tqdm
 from hydro_bridge.latency import Latency
 from hydro_bridge.ros import (
     ARM_SERVICE,
+    CORRECTION,
+    CORRECTION_QOS,
     GAINS,
     GAINS_QOS,
+    OVERRIDE_SERVICE,
     REFERENCE,
     REFERENCE_QOS,
     STATE,
     STATE_QOS,
     CompanionError,
+    be_ordinary,
     be_prompt,
     reference_to_message,
     seconds,
@@ -36,12 +40,16 @@ from hydro_bridge.ros import (
     state_from_message,
 )
 from hydro_bridge.signals import ReferenceSignal
-from hydro_msgs.msg import BenchState, Gains
+from hydro_msgs.msg import BenchState, Correction, Gains
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+from hydro_msgs.srv import OverrideGains
 from hydro_policy.nodes.companions import CompanionWatch
+from hydro_policy.override import GainOverride
 from hydro_policy.session import Session
 
 TICK = 0.05  # s
+PRIORITY = 10
+"""Of SCHED_FIFO: below bridge and filter, which have a millisecond where gains have ten."""
 DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 _PERIOD = 0.01  # s, of a policy step
 
@@ -55,15 +63,19 @@ class GraphNode(Node):
         Of the node.
     log
         Where sentences go besides the terminal, or None.
+    realtime
+        Ask for SCHED_FIFO while a session is driven; what it starts then (a learner anew) stays ordinary.
     """
 
-    def __init__(self, name: str, log: IO[str] | None = None) -> None:
+    def __init__(self, name: str, log: IO[str] | None = None, *, realtime: bool = True) -> None:
         super().__init__(name)
         self.log = log
+        self._realtime = realtime
         self.companions = CompanionWatch([])
         self.response = Latency()  # state taken -> gains published, in this process
         self.age = Latency()  # state's stamp -> gains published, the whole way
         self.jitter = Latency()  # |interval between gains - 10 ms|
+        self.override = GainOverride(say=lambda sentence: self.say(sentence, warning=True))
         self._session: Session | None = None
         self._each_tick: Callable[[], None] = lambda: None
         self._done = Future()
@@ -74,6 +86,7 @@ class GraphNode(Node):
         self._arm_client = self.create_client(SetBool, ARM_SERVICE)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+        self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def drive(self, session: Session, each_tick: Callable[[], None]) -> bool:
@@ -85,7 +98,8 @@ class GraphNode(Node):
             A companion cannot use what it was given.
         """
         self._session, self._each_tick, self._done = session, each_tick, Future()
-        be_prompt(realtime=False)
+        scheduling = be_prompt(realtime=self._realtime, priority=PRIORITY, inherited=False)
+        self.say(f"gains leave by {scheduling}")
         try:
             broken = spin(self, self._done)
             if self.companions.refused:
@@ -93,6 +107,7 @@ class GraphNode(Node):
             return not broken
         finally:
             self._session = None
+            be_ordinary()
 
     def disarm(self) -> None:
         """Ask the plant to disarm and wait for its answer, at most 2 s."""
@@ -107,6 +122,10 @@ class GraphNode(Node):
         executor.shutdown()
         if not answer.done() or not answer.result().success:
             self.say("the plant did not confirm that it is disarmed; its own watchdog remains", warning=True)
+
+    def listen_to_corrections(self) -> None:
+        """From now on the session hears what the filter says, a thousand times a second."""
+        self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
 
     def listen_for_enter(self) -> None:
         """From now on Enter on the terminal arms the plant."""
@@ -145,6 +164,23 @@ class GraphNode(Node):
             self._measure(begin, message)
         if self._session.finished:
             self._finish()
+
+    def _on_correction(self, message: Correction) -> None:
+        if self._session is not None:
+            self._session.on_correction(message.certificate_before, message.status)
+
+    def _on_override(self, request: OverrideGains.Request, answer: OverrideGains.Response) -> OverrideGains.Response:
+        try:
+            if request.active:
+                gains = (request.proportional_gain, request.integral_gain)
+                answer.message = self.override.hold(*gains, request.seconds, time.monotonic())
+            else:
+                answer.message = self.override.release()
+            answer.success = True
+        except ValueError as error:
+            answer.success, answer.message = False, str(error)
+            self.say(f"override refused: {error}", warning=True)
+        return answer
 
     def _on_tick(self) -> None:
         if self._session is None:

@@ -52,4 +52,6 @@ def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings
     gains = declare_parameters(node, settings.task.gains, "task.gains.")
     task = replace(declare_parameters(node, settings.task, "task."), gains=gains)
     sac = declare_parameters(node, settings.sac, "sac.")
-    return replace(declare_parameters(node, settings), task=task, sac=sac)
+    exam = declare_parameters(node, settings.exam, "exam.")
+    monitor = declare_parameters(node, settings.monitor, "monitor.")
+    return replace(declare_parameters(node, settings), task=task, sac=sac, exam=exam, monitor=monitor)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 from rclpy.clock import Clock, ClockType
 from tqdm import tqdm
@@ -30,6 +31,7 @@ class TrainingProgress:
         steps = session.settings.task.steps_per_episode
         self._bar: tqdm[None] = progress(total=session.settings.episodes * steps, label="waiting", unit="step")
         self._ticks, self._told = 0, session.progress.episode
+        self._examined = len(session.progress.exams)
         self._message = TrainingStatus()
         self._publisher = node.create_publisher(TrainingStatus, TRAINING, TRAINING_QOS)
         node.create_timer(0.5, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -41,6 +43,9 @@ class TrainingProgress:
         while self._told < progress.episode:
             self._node.say(_episode_line(progress.history[self._told], self._session.settings.episodes))
             self._told += 1
+        while self._examined < len(progress.exams):
+            self._node.say(_exam_line(progress.exams[self._examined], self._session))
+            self._examined += 1
         self._ticks += 1
         if self._ticks % _REDRAW == 0:
             self._redraw()
@@ -78,28 +83,39 @@ class TrainingProgress:
         now, done = self._session.current, self._session.progress
         rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
         learner = f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"
+        held = f"OVERRIDDEN {self._session.override.description}, " if self._session.override.active else ""
         return (
-            f"return {now.episode_return:.0f}, RMSE {rmse:.1f} N, alpha {self._learner.entropy_coefficient:.4f}, "
+            f"{held}return {now.episode_return:.0f}, RMSE {rmse:.1f} N, alpha {self._learner.entropy_coefficient:.4f}, "
             f"{learner}, latency p99 {1e3 * self._node.age.percentile(99):.1f} ms"
         )
 
     def _status(self) -> Status:
         session, node, learner = self._session, self._node, self._learner
         phase = self.phase()
-        fine = phase not in (Phase.PAUSED, Phase.WAITING) and learner.alive
+        overridden = session.override.active
+        fine = phase not in (Phase.PAUSED, Phase.WAITING) and learner.alive and not overridden
         values = {
             "episode": session.current.episode,
             "lost samples": session.clock.lost,
             "interruptions": session.progress.interruptions,
+            "rollbacks": session.progress.rollbacks,
+            "last stop": session.last_stop or "none",
+            "override": session.override.description,
+            "best score": session.progress.best_score,
+            "error peak [N]": session.monitor.peak,
+            "chatter [A/s]": session.monitor.chatter,
+            "certificate violations": session.monitor.violations,
             "learner restarts": learner.restarts,
             "updates": learner.updates,
             "transitions": learner.replay.produced,
+            "inference": session.explorer.inference.sentence(),
             "response": node.response.sentence(),
             "state to gains": node.age.sentence(),
             "jitter": node.jitter.sentence(),
         }
         message = f"{phase.name.lower()}, plant {session.watch.condition}"
         message += "" if learner.alive else ", learner down"
+        message += f", OVERRIDDEN by hand: {session.override.description}" if overridden else ""
         return Status(level=Level.OK if fine else Level.WARN, message=message, values=values)
 
 
@@ -115,16 +131,28 @@ class EvaluationProgress:
         session = self._session
         self._bar.n = round(session.seconds_done)
         if not session.finished:
-            _, frequency, controller = session.plan[len(session.scores)]
+            _, case, controller = session.plan[len(session.scores)]
             state = "" if session.watch.armed else f" ({session.watch.condition})"
+            held = f"OVERRIDDEN {session.override.description}, " if session.override.active else ""
             self._bar.set_description_str(f"evaluating{state}", refresh=False)
-            self._bar.set_postfix_str(f"{controller.name} at {frequency:g} Hz", refresh=False)
+            self._bar.set_postfix_str(f"{held}{controller.name} at {case.name}", refresh=False)
         self._bar.refresh()
 
     def close(self) -> None:
         """Take the bar away."""
         self.tick()
         self._bar.close()
+
+
+def _exam_line(result: dict[str, Any], session: TrainingSession) -> str:
+    """What an examination said: RMSE at each sine, and what that is worth beside the fixed gains."""
+    settings = session.settings.exam
+    rmse = " ".join(f"{value:.1f}" for value in result["rmse"])
+    fixed = f"({settings.reference_kp:g}, {settings.reference_ki:g})"
+    return (
+        f"examined after episode {result['episode']}: RMSE {rmse} N, {result['score']:.3f} of fixed {fixed}, "
+        f"better at {result['beaten']} of {len(result['rmse'])} sines{'; the best so far' if result['best'] else ''}"
+    )
 
 
 def _episode_line(record: dict[str, float], episodes: int) -> str:

@@ -7,6 +7,7 @@ ros2 run hydro_policy trainer --plant emulator --episodes 8 --evaluate
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -21,17 +22,24 @@ from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameter
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.episode import Phase
-from hydro_policy.nodes.companions import CompanionWatch, start_companions
+from hydro_policy.nodes.companions import CompanionWatch, guard_range, start_companions
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import add_plant_options, declare_settings, plant_options, rearms
 from hydro_policy.nodes.progress import TrainingProgress
+from hydro_policy.override import GainOverride
+from hydro_policy.policy import Policy
+from hydro_policy.record import RunRecord
 from hydro_policy.run import RunDirectory, TrainingSettings, new_run
+from hydro_policy.snapshot import actor_parameters
+from hydro_policy.start import AGENT, Start, load_start, shipped_start
 from hydro_policy.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.training import TrainingSession
 
 DEMO = {"plant": "emulator", "episodes": 12, "updates_per_step": 2.0, "evaluate": True}
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
+
+SCRATCH = "scratch"
 
 EPILOG = """\
 examples:
@@ -51,6 +59,13 @@ class Prepared:
     run: RunDirectory
     settings: TrainingSettings
     checkpoint: Checkpoint | None
+    start: Start | None
+
+    @property
+    def best(self) -> bytes | None:
+        """The best agent of the run that is continued, if it had one."""
+        path = self.run.best / AGENT
+        return path.read_bytes() if self.checkpoint is not None and path.is_file() else None
 
 
 def parser() -> argparse.ArgumentParser:
@@ -61,6 +76,13 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--demo", action="store_true", help="the main job: see the examples")
     add_plant_options(result)
     run = result.add_argument_group("run")
+    run.add_argument(
+        "--from",
+        dest="start",
+        type=Path,
+        metavar="RUN",
+        help=f"an agent to start from: a run's folder, or {SCRATCH} (default: the one pretrained in simulation)",
+    )
     run.add_argument("--episodes", type=int, metavar="N", help="episodes of 18 s in all (default 160, the paper's)")
     run.add_argument("--updates-per-step", type=float, metavar="N", help="gradient updates per policy step (default 1)")
     run.add_argument("--wide", action="store_true", help="wide authority: K_p up to 300 instead of the paper's 90")
@@ -104,22 +126,63 @@ def train(options: argparse.Namespace) -> int:
         log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.log = log
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
-        learner = LearnerSupervisor(settings, run, prepared.checkpoint)
+        record = begin_record(node, prepared, options)
+        learner = LearnerSupervisor(
+            settings, run, prepared.checkpoint, prepared.start.agent if prepared.start else None
+        )
         recording, companions = _start_plant(stack, options, prepared, log)
         node.companions = CompanionWatch(companions)
         state = prepared.checkpoint.trainer if prepared.checkpoint else None
-        session = TrainingSession(settings, learner, node, rearm=rearms(options), state=state)
+        session = TrainingSession(
+            settings,
+            learner,
+            node,
+            rearm=rearms(options),
+            state=state,
+            best=prepared.best,
+            override=node.override,
+            record=record,
+        )
+        node.listen_to_corrections()
         stack.callback(lambda: learner.stop(session.state()))
         stack.callback(node.disarm)
-        finished, results = drive(options, node, session, learner)
+        finished, results = drive(options, node, session, learner, prepared.start)
+        record.add("end", session.gave_up, **timing(node, session), complete=finished)
         if results is not None:
             show_results(results, run.evaluation, run.tracking_plot, {"run": str(run.path), "plant": options.plant})
     tell_files(run, recording, finished, options, time.monotonic() - began)
+    if session.gave_up:
+        print(f"Training was given up: {session.gave_up}; {run.record} has what happened.", file=sys.stderr)
+        return 1
     return 0 if finished else 130
 
 
+def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespace) -> RunRecord:
+    """run.json, with the run's beginning in it; overrides go there, too."""
+    record = RunRecord(prepared.run.record)
+
+    def tell(sentence: str) -> None:
+        node.say(sentence, warning=True)
+        record.add("override", sentence)
+
+    node.override = GainOverride(guard_range(prepared.settings.task.gains), tell)
+    source = str(prepared.start.source) if prepared.start else None
+    record.add("start", plant=options.plant, start=source, resumed=prepared.checkpoint is not None)
+    return record
+
+
+def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:
+    """Percentiles [s] that docs/training.md promises something about."""
+    measured = {"jitter": node.jitter, "inference": session.explorer.inference, "response": node.response}
+    return {f"{name}_p99": latency.percentile(99) for name, latency in measured.items()}
+
+
 def drive(
-    options: argparse.Namespace, node: GraphNode, session: TrainingSession, learner: LearnerSupervisor
+    options: argparse.Namespace,
+    node: GraphNode,
+    session: TrainingSession,
+    learner: LearnerSupervisor,
+    start: Start | None,
 ) -> tuple[bool, Any]:
     """Train, then evaluate if asked for: (whether all came to its end, the evaluation or None)."""
     if not rearms(options):
@@ -129,37 +192,51 @@ def drive(
         finished = session.progress.episode >= session.settings.episodes or node.drive(session, bar.tick)
     finally:
         bar.close()
-    node.say(f"gains at 100 Hz: response {node.response.sentence()}; jitter {node.jitter.sentence()}")
-    if not finished or not options.evaluate:
-        return finished, None
+    inference = session.explorer.inference.sentence()
+    node.say(f"gains at 100 Hz: jitter {node.jitter.sentence()}; of which inference {inference}")
+    if not finished or session.gave_up or not options.evaluate:
+        return finished and not session.gave_up, None
     while not learner.ready and learner.alive:  # a finished run that was resumed: nobody has waited for it yet
         time.sleep(0.05)
-    session.refresh_policy()
+    session.keeper.start()
     bar.phase = lambda: Phase.EVALUATING
-    controllers: list[Controller] = [
-        PolicyController(session.policy, session.settings.task.gains, "policy"),
-        FixedGains(90.0, 15.0),
-        FixedGains(15.0, 5.0),
-    ]
-    results = evaluate_on(node, controllers, rearm=rearms(options))
+    results = evaluate_on(node, compared(session, start), rearm=rearms(options))
     node.disarm()  # now, not after the plots
     bar.phase = lambda: Phase.FINISHED
     bar.publish()
     return results.finished, results
 
 
+def compared(session: TrainingSession, start: Start | None) -> list[Controller]:
+    """The paper's three controllers: I trained here, II as it came, III fixed; without II the base gains."""
+    gains = session.settings.task.gains
+    best = session.keeper.best
+    if best is not None:
+        session.policy.load_flat(best)
+    controllers: list[Controller] = [PolicyController(session.policy, gains, "I: policy, trained here")]
+    if start is not None:
+        before = Policy(start.sac.hidden_size)
+        before.load_flat(actor_parameters(start.agent))
+        controllers.append(PolicyController(before, gains, "II: policy it started from"))
+    controllers.append(FixedGains(90.0, 15.0))
+    return controllers if start is not None else [*controllers, FixedGains(15.0, 5.0)]
+
+
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     """A new run with its folder, or one to continue."""
+    start = None
     if options.resume is not None:
         run = RunDirectory(options.resume)
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
     else:
         run, settings, checkpoint = new_run(options.runs, options.name), TrainingSettings(), None
+        start = find_start(options)
+        settings = start.adopted(settings) if start else settings
     given = {name: getattr(options, name) for name in ("episodes", "updates_per_step", "seed")}
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
     if options.seed is not None:
         settings = replace(settings, sac=replace(settings.sac, seed=options.seed))
-    if options.wide:
+    if options.wide and start is None:
         wide = replace(settings.task.gains, delta_kp_max=285.0)
         settings = replace(settings, task=replace(settings.task, gains=wide))
     settings = declare_settings(node, settings)
@@ -170,7 +247,14 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         except (NotADirectoryError, PermissionError) as error:
             raise UserError(f"{run.path} cannot be made: {error.strerror}") from None
     run.save_settings(settings)
-    return Prepared(run, settings, checkpoint)
+    return Prepared(run, settings, checkpoint, start)
+
+
+def find_start(options: argparse.Namespace) -> Start | None:
+    """The agent named by --from; without it the one that is shipped for this authority, if there is one."""
+    if options.start is not None:
+        return None if str(options.start) == SCRATCH else load_start(options.start)
+    return shipped_start("wide" if options.wide else "paper")
 
 
 def _start_plant(
@@ -198,7 +282,8 @@ def tell_files(
     listed = [
         ("policy", run.policy),
         ("checkpoint", run.latest),
-        ("best episode's policy", run.best / "policy.safetensors"),
+        ("best agent", run.best / AGENT),
+        ("what happened", run.record),
         ("recording", recording),
         ("evaluation", run.evaluation),
         ("tracking plot", run.tracking_plot),

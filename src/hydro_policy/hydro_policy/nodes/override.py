@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Takes the gains away from the policy of a running trainer or evaluate, or gives them back. Ctrl-C is not needed.
+
+ros2 run hydro_policy override --kp 60 --ki 10 --seconds 30
+ros2 run hydro_policy override --kp 60 --ki 10      # until --off, or until the trainer ends
+ros2 run hydro_policy override --off
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import rclpy
+from rclpy.node import Node
+
+from hydro_bridge.console import UserError, command
+from hydro_bridge.ros import OVERRIDE_SERVICE, ros_arguments, start_ros
+from hydro_msgs.srv import OverrideGains
+
+TIMEOUT = 3.0  # s, to find the service, and again for its answer
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(
+        prog="override", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    result.add_argument("--kp", type=float, metavar="1/s", help="K_p in all, the box's base gain included")
+    result.add_argument("--ki", type=float, metavar="1/s^2", help="K_i in all")
+    result.add_argument("--seconds", type=float, default=0.0, metavar="S", help="give back after so long")
+    result.add_argument("--off", action="store_true", help="give back now")
+    return result
+
+
+def request(options: argparse.Namespace) -> OverrideGains.Request:
+    """What is asked for.
+
+    Raises
+    ------
+    UserError
+        Neither both gains nor --off.
+    """
+    given = (options.kp is not None) + (options.ki is not None)
+    if given != (0 if options.off else 2):
+        raise UserError("override needs --kp and --ki, or --off")
+    if options.off:
+        return OverrideGains.Request(active=False)
+    return OverrideGains.Request(
+        active=True, proportional_gain=options.kp, integral_gain=options.ki, seconds=options.seconds
+    )
+
+
+@command()
+def main() -> None:
+    """Entry point."""
+    own, ros = ros_arguments()
+    wanted = request(parser().parse_args(own))
+    start_ros(ros)
+    node = Node("override")
+    try:
+        print(ask(node, wanted))
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def ask(node: Node, wanted: OverrideGains.Request) -> str:
+    """Ask whoever chooses the gains; what it says.
+
+    Raises
+    ------
+    UserError
+        Nobody is there, or it refuses.
+    """
+    client = node.create_client(OverrideGains, OVERRIDE_SERVICE)
+    if not client.wait_for_service(timeout_sec=TIMEOUT):
+        raise UserError("no trainer or evaluate runs here: nobody to take the gains from")
+    answer = client.call_async(wanted)
+    rclpy.spin_until_future_complete(node, answer, timeout_sec=TIMEOUT)
+    if not answer.done():
+        raise UserError(f"no answer within {TIMEOUT:g} s")
+    if not answer.result().success:
+        raise UserError(answer.result().message)
+    return str(answer.result().message)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training on the bench starts from: an agent that was trained before, critics, temperature and all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+
+from hydro_policy.policy import load_policy
+from hydro_policy.run import RunDirectory, TrainingSettings
+from hydro_policy.sac import SacSettings
+from hydro_policy.snapshot import settings_of
+from hydro_policy.task import GainRange
+
+AGENT = "learner.safetensors"
+
+
+@dataclass(frozen=True)
+class Start:
+    """An agent to start from."""
+
+    agent: bytes
+    """As `snapshot.dump` gives it."""
+    sac: SacSettings
+    """What it was trained with."""
+    gains: GainRange
+    """What its actions mean."""
+    source: Path
+
+    def adopted(self, settings: TrainingSettings) -> TrainingSettings:
+        """The settings, with the networks' size and the range of gains that this agent needs."""
+        sac = replace(
+            settings.sac,
+            hidden_size=self.sac.hidden_size,
+            log_std_min=self.sac.log_std_min,
+            log_std_max=self.sac.log_std_max,
+            reward_scale=self.sac.reward_scale,
+        )
+        return replace(settings, sac=sac, task=replace(settings.task, gains=self.gains))
+
+
+def shipped_start(authority: str) -> Start | None:
+    """The agent that comes with the package for an authority, made by `pretrain`; None if none does."""
+    folder = Path(str(resources.files("hydro_policy") / "data" / f"pretrained_{authority}"))
+    return load_start(folder) if folder.is_dir() else None
+
+
+def load_start(path: Path) -> Start:
+    """The agent of a run's folder (its best, else its latest), or of any folder with agent and policy in it.
+
+    Raises
+    ------
+    ValueError
+        There is none, or only a policy without critics: nothing to go on learning with.
+    """
+    run = RunDirectory(path)
+    folders = (path, run.best, run.latest)
+    found = next((folder / AGENT for folder in folders if (folder / AGENT).is_file()), None)
+    if found is None:
+        raise ValueError(f"{path} holds no {AGENT}: an agent to start from is a run's folder, or one made by pretrain")
+    try:
+        agent = found.read_bytes()
+        sac = settings_of(agent)
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{found} is not an agent: {error}") from error
+    _, gains, _ = load_policy(run.policy)
+    return Start(agent, sac, gains, path)

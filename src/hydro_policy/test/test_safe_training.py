@@ -1,0 +1,206 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What keeps a training safe: examinations, the monitor, rollbacks, a person's override; on the real box and plant."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydro_bridge.guard import GuardSettings
+from hydro_bridge.signals import Waveform
+from hydro_policy.cases import ExamSettings
+from hydro_policy.controllers import PolicyController
+from hydro_policy.episode import Phase
+from hydro_policy.evaluation import EvaluationSession
+from hydro_policy.monitor import MonitorSettings, SafetyMonitor
+from hydro_policy.offline import InlineLearner, OfflineGraph
+from hydro_policy.override import GainOverride
+from hydro_policy.policy import Policy
+from hydro_policy.record import RunRecord
+from hydro_policy.run import TrainingSettings
+from hydro_policy.sac import SacSettings
+from hydro_policy.snapshot import actor_parameters
+from hydro_policy.steps import Step
+from hydro_policy.task import GainRange, TaskSettings
+from hydro_policy.training import TrainingSession
+from hydro_sim.bench import Bench
+from hydro_sim.plant import AnalyticPlant
+
+BENCH = replace(Bench.nominal(), load_cell_bandwidth=25.0)  # with which K_p beyond about 100 1/s is unstable
+EXAM = ExamSettings(every=1, settle=0.5, measure=0.5)
+
+
+def settings(*, episodes: int = 2, top: float = 75.0, **more: object) -> TrainingSettings:
+    task = TaskSettings(steps_per_episode=150, gains=GainRange(delta_kp_max=top))
+    values = {"exam": EXAM, "sac": SacSettings(batch_size=32), "task": task} | more
+    return TrainingSettings(episodes=episodes, warmup_steps=50, replay_capacity=4000, **values)  # type: ignore[arg-type]
+
+
+def start(chosen: TrainingSettings) -> tuple[OfflineGraph, InlineLearner, TrainingSession]:
+    guard = GuardSettings(delta_kp_max=chosen.task.gains.delta_kp_max)
+    graph, learner = OfflineGraph(AnalyticPlant(BENCH), BENCH, guard=guard), InlineLearner(chosen)
+    return graph, learner, TrainingSession(chosen, learner, graph)
+
+
+def step(error: float = 0.0, current: np.ndarray | None = None) -> Step:
+    values = np.zeros(10) if current is None else current
+    return Step(np.zeros(14), np.full(10, error), np.zeros(10), values, True, 0)
+
+
+def assert_acts_by(session: TrainingSession, parameters: np.ndarray) -> None:
+    wanted = Policy(32)
+    wanted.load_flat(parameters)
+    for own, other in zip(session.policy.weights, wanted.weights, strict=True):
+        np.testing.assert_array_equal(own, other)
+
+
+def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_from_it() -> None:
+    graph, learner, session = start(settings())
+    graph.run(session, 60.0, learner)
+    assert session.finished and not session.gave_up
+    exams = session.record.of("exam")
+    assert [exam["episode"] for exam in exams] == [0, 1, 2]
+    assert learner.replay.produced == session.progress.total_steps == 300
+    assert len(session.progress.reference_rmse) == 4, "the fixed gains are examined once"
+    for exam in exams:
+        ratios = np.array(exam["rmse"]) / session.progress.reference_rmse
+        assert exam["score"] == pytest.approx(ratios.mean()) and exam["beaten"] == (ratios < 1).sum()
+    assert session.progress.best_score == min(exam["score"] for exam in exams)
+    assert exams[0]["best"]
+
+
+def test_an_examined_policy_is_the_one_that_learning_had_reached_and_acts_by_its_mean() -> None:
+    graph, learner, session = start(settings(episodes=1))
+    graph.run(session, 60.0, learner)
+    # With the weights that were last accepted the same sines give the same error but for the noise.
+    again = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    session.policy.load_flat(session.keeper.good)
+    repeat = EvaluationSession(EXAM.evaluation, [PolicyController(session.policy, GainRange(), "policy")], again)
+    again.run(repeat, 30.0)
+    np.testing.assert_allclose([s.rmse for s in repeat.scores], session.record.of("exam")[-1]["rmse"], rtol=0.1)
+
+
+def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_policy_acts_again() -> None:
+    """With K_p up to 300 the middle of the range, where training starts, is unstable."""
+    graph, learner, session = start(settings(top=285.0, exam=ExamSettings(every=0)))
+    started = session.learner.snapshot()
+    graph.run(session, 12.0, learner)
+    stops = session.record.of("stop")
+    assert session.finished and len(stops) == 4, "three rollbacks in a row are allowed"
+    assert "4 rollbacks in a row" in session.gave_up
+    assert all("error of" in stop["reason"] or "chattering" in stop["reason"] for stop in stops), "not the box"
+    assert graph.references[-1].waveform is Waveform.HOLD and graph.gains_published[-1][:2] == (0.0, 0.0)
+    rows, _ = learner.replay.stored()
+    assert (rows[:, -1] == 1).sum() == 4 and (rows[rows[:, -1] == 1, -2] == -1000.0).all()
+    assert_acts_by(session, actor_parameters(started))
+
+
+def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well() -> None:
+    chosen = settings(episodes=3, monitor=MonitorSettings(rollbacks_max=50))
+    graph, learner, session = start(chosen)
+    graph.run(session, 13.5, learner)
+    assert session.phase is Phase.TRAINING
+    good = session.keeper.good
+    sample = np.zeros(14)
+    session._stop("a test says so", sample, graph.time)
+    assert session.phase is Phase.PAUSED
+    assert_acts_by(session, good)
+    np.testing.assert_array_equal(actor_parameters(learner.snapshot()), good)
+    updates = learner.updates
+    graph.run(session, 0.9, learner)
+    assert session.phase is Phase.PAUSED, "calm first"
+    assert {g[:2] for g in graph.gains_published[-80:]} == {(0.0, 0.0)}
+    graph.run(session, 60.0, learner)
+    assert session.finished and not session.gave_up and session.progress.rollbacks >= 1
+    assert learner.updates >= updates, "the updates stay counted"
+    assert session.keeper.in_a_row == 0, "an accepted policy ends the row"
+
+
+def test_monitor_tells_chatter_from_noise_and_a_cycle_from_one_sick_sample() -> None:
+    monitor = SafetyMonitor(MonitorSettings())
+    noise = np.random.default_rng(0).normal(0.0, 5e-5, 10)  # A: u' of 0.07 A/s
+    assert all(monitor.add(step(50.0, noise)) is None for _ in range(100))
+    assert 0.0 < monitor.chatter < 0.2
+    cycling = 5e-3 * np.sin(2 * math.pi * 20.0 * np.arange(10) * 1e-3)  # 20 Hz, 5 mA: u' of 0.5 A/s and more
+    reasons = [monitor.add(step(0.0, cycling)) for _ in range(10)]
+    assert reasons[0] is None and "chattering" in str(reasons[-1])
+    monitor.reset()
+    error = np.zeros(10)
+    error[3] = 2000.0
+    assert monitor.add(Step(np.zeros(14), error, np.zeros(10), np.zeros(10), True, 0)) is None
+    assert monitor.add(step(301.0)) == "error of 301 N, limit 300 N"
+    sick = Step(np.full(14, math.nan), np.zeros(10), np.zeros(10), np.zeros(10), True, 0)
+    assert monitor.add(sick) == "a measurement is not finite"
+    assert "nan" in str(monitor.add(step(math.nan)))
+
+
+def test_monitor_counts_failed_certificates_as_they_were_before_the_filter_s_correction() -> None:
+    monitor = SafetyMonitor(MonitorSettings(violations_window=0.05))
+    for share, stops in ((4, False), (6, True)):
+        monitor.reset()
+        said = None
+        for _ in range(5):
+            for k in range(10):
+                monitor.on_correction(1.0 if k < share else -1.0, 1)
+            monitor.on_correction(math.nan, 4)  # NAN: not evaluated, not counted
+            said = monitor.add(step())
+        assert monitor.violations == share / 10
+        assert (said is not None) == stops
+
+
+def test_an_override_acts_within_a_step_ends_in_time_and_is_neither_learnt_from_nor_kept() -> None:
+    graph, learner, session = start(settings(episodes=3, exam=ExamSettings(every=0)))
+    graph.run(session, 1.5, learner)
+    assert session.phase is Phase.TRAINING
+    began, produced = len(graph.gains_published), learner.replay.produced
+    said = session.override.hold(40.0, 7.0, 0.5, graph.time)
+    assert "(40, 7) for 0.5 s" in said
+    graph.run(session, 0.5, learner)
+    assert {g[:2] for g in graph.gains_published[began:]} == {(25.0, 2.0)} and len(graph.gains_published) > began + 45
+    assert learner.replay.produced == produced + 1, "the step that it interrupted was still the policy's"
+    assert session.current.overridden_steps >= 45 and session.override.description == "K_p 40, K_i 7"
+    graph.run(session, 0.1, learner)
+    assert session.override.description == "no"
+    assert (25.0, 2.0) not in {g[:2] for g in graph.gains_published[-8:]}
+    rows, _ = learner.replay.stored()
+    after = rows[produced + 1]
+    np.testing.assert_allclose(after[11:13], GainRange().action(25.0, 2.0), atol=1e-6)  # what acted before it
+    assert "override" not in json.dumps(session.state())
+
+
+def test_an_override_holds_while_the_policy_waits_or_is_examined_and_the_examination_begins_anew() -> None:
+    graph, learner, session = start(settings(episodes=1))
+    graph.run(session, 2.0, learner)
+    assert session.phase is Phase.EVALUATING
+    done = len(session.exam.scores)
+    session.override.hold(20.0, 5.0, 0.0, graph.time)
+    graph.run(session, 4.0, learner)
+    assert session.phase is Phase.EVALUATING and len(session.exam.scores) <= done
+    assert {g[:2] for g in graph.gains_published[-300:]} == {(5.0, 0.0)}
+    session.override.release()
+    graph.run(session, 60.0, learner)
+    assert session.finished
+
+
+@pytest.mark.parametrize(
+    "kp, ki, seconds", [(200.0, 10.0, 0.0), (math.nan, 10.0, 0.0), (60.0, -1.0, 0.0), (60.0, 10.0, -1.0)]
+)
+def test_an_override_out_of_reach_is_refused_and_changes_nothing(kp: float, ki: float, seconds: float) -> None:
+    override = GainOverride()
+    override.hold(60.0, 10.0, 0.0, 0.0)
+    with pytest.raises(ValueError, match=r"cannot be held|lasts"):
+        override.hold(kp, ki, seconds, 1.0)
+    assert override.gains(2.0) == (45.0, 5.0)
+
+
+def test_what_happened_is_on_disk_after_each_event_and_a_resumed_run_goes_on_in_the_same_file(tmp_path) -> None:
+    path = tmp_path / "run.json"
+    RunRecord(path).add("stop", "too loud", reason="noise", chatter=math.nan)
+    RunRecord(path).add("end")
+    events = json.loads(path.read_text())["events"]
+    assert [event["kind"] for event in events] == ["stop", "end"]
+    assert events[0]["sentence"] == "too loud" and events[0]["chatter"] is None
