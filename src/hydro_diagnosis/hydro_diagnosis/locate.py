@@ -48,6 +48,11 @@ def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
     return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
 
 
+def noticeable(problem: Problem, residual: FloatArray) -> bool:
+    """Whether any channel holds more than noise."""
+    return any(square > NOTICEABLE for square in mean_squares(problem, residual).values())
+
+
 def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm]) -> list[Place]:
     """Equations that hold more than noise, the largest share first; empty if there is none."""
     squares = mean_squares(problem, residual)

@@ -23,15 +23,18 @@ from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Clai
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.memory import RecordMemory
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.smoothing import STRIDE, finish, kinematics, smooth
+from hydro_diagnosis.smoothing import KINEMATIC_WIDTH, STRIDE, finish, kinematics, smooth
 from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 
 OBSERVER_MEMORY = 0.12
 """s. A shorter memory forgets the slow drift that a small leak builds up."""
 BLOCK = 100
 """Samples per mean of the hydraulic balance."""
+VELOCITY_DOUBT = 1e-3
+"""m/s, to which the velocity's zero is known."""
 TIMING_DOUBT = 3e-6
 """s, to which the equations, integrated sample by sample, and the sensors agree on when something happened."""
+_GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))
 SETTLE = 0.3
 """s at the start of a segment that are not judged: filters and observer settle."""
 
@@ -130,11 +133,25 @@ class SegmentModel:
             force = claim.effect.load(force, motion, bench, self.memory, claim.values)
         return force
 
+    def dry_friction(self, claims: Sequence[Claim]) -> FloatArray:
+        """Dry friction [N] without bristles, as the first Gaussian sees it: a mean over velocities where they change.
+
+        Friction is no straight line in the velocity. Taken at the smoothed velocity alone, a Stribeck rise that the
+        piston passes within milliseconds would read a quarter too small.
+        """
+        force = np.zeros_like(self.x)
+        if any(claim.effect.bristles for claim in claims):
+            return force
+        for node, weight in _GAUSS_HERMITE:
+            velocity = self.v + node * KINEMATIC_WIDTH * self.step * self.a
+            force += weight * self.dry_friction_level(claims, velocity) * np.tanh(velocity / SLIP_VELOCITY)
+        return force
+
     def force_on_rod(self, claims: Sequence[Claim]) -> FloatArray:
         """Hydraulic force [N] that the recorded motion needs, at the total width."""
         bench = self.bench(claims)
         level = self.dry_friction_level(claims)
-        force = level * np.tanh(self.v / SLIP_VELOCITY)
+        force = self.dry_friction(claims)
         for claim in claims:
             force = claim.effect.resistance(force, level, self.kinematics, self.memory, claim.values)
         inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
@@ -142,10 +159,10 @@ class SegmentModel:
 
     def friction_doubt(self, claims: Sequence[Claim]) -> FloatArray:
         """Standard deviation [N] of the dry friction, because the velocity's zero is only known so well."""
-        doubt = SLIP_VELOCITY + 0.5 * np.abs(self.a) * self.step
+        doubt = VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.step
         sides = []
         for velocity in (self.v - doubt, self.v + doubt):
-            sides.append(self.dry_friction_level(claims, velocity) * np.tanh(velocity / SLIP_VELOCITY))
+            sides.append(self.dry_friction_level(claims, velocity) * np.tanh(velocity / VELOCITY_DOUBT))
         late = [claim for claim in claims if claim.effect.rounds == "hydraulic_force"]
         return smooth(np.abs(self.reading("hydraulic_force", np.abs(sides[1] - sides[0]) / 2.0, late)))
 

@@ -51,6 +51,8 @@ class Problem:
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
         self._doubt: list[FloatArray] = []
+        self.doubted: tuple[float, ...] = ()
+        """Tells one doubt from another: its sum per segment; nothing but zeros without any."""
         self._timing = [model.timing_doubt() for model in self.models] if PRESSURE in self.blocks else []
         self.set_doubt(())
         self.layout = self._layout()
@@ -74,7 +76,7 @@ class Problem:
         if MOTION not in self.blocks:
             return
         self._doubt = [model._kept(model.friction_doubt((*self.baseline, *claims))) for model in self.models]
-        self._cache = {key: value for key, value in self._cache.items() if key[0] != "white-motion"}
+        self.doubted = tuple(float(np.sum(doubt)) for doubt in self._doubt)
 
     def deviation(self, channel: str, segment: int) -> FloatArray | float:
         """Standard deviation of a channel's residuals if nothing is missing, physical unit."""

@@ -14,9 +14,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect
-from hydro_diagnosis.fit import Fit, fit
+from hydro_diagnosis.fit import Fit, fit, pack
+from hydro_diagnosis.locate import noticeable
 from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.screen import Prospect, cause, screen
+from hydro_diagnosis.screen import cause, screen
+
+RIPENING = 6
+"""Rounds of weighing and fitting at most."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,6 +38,8 @@ class SearchSettings:
     """Prospects that are fitted in full at each step."""
     form_error: float = 0.035
     """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
+    openings: int = 3
+    """First claims that are tried, one search each, as long as something remains unexplained, [1, 10]."""
 
 
 @dataclass(frozen=True)
@@ -77,56 +83,83 @@ class Search:
         self.progress = progress
         self.steps: list[Step] = []
         """What was accepted and dropped so far; those of the outcome."""
+        self._looked: dict[frozenset[str], tuple[tuple[float, ...], list[Fit]]] = {}
+        """By the labels of a base: the doubt under which it was looked at, and the fits with one claim more."""
 
     def run(self) -> Outcome:
-        """Forward until nothing more pays, then swaps and drops until nothing changes."""
+        """Search; where something remains, search again from other first claims, and keep the best outcome."""
         nothing = fit(self.problem, ())
-        outcome = Outcome(nothing, nothing, self.steps)
-        for _ in range(3):
-            self._forward(outcome)
-            if not (self._swap(outcome) | self._backward(outcome)):
+        openings = self._ranked(nothing)
+        best = self._from(nothing, openings[:1])
+        for opening in openings[1 : self.settings.openings]:
+            if not noticeable(self.problem, best.fit.residual):
                 break
+            self.progress(f"again from {opening.claims[0].effect.label}")
+            best = self._better(best, self._from(nothing, [opening]))
+        self.steps[:] = best.steps
+        return best
+
+    def _from(self, nothing: Fit, opening: Sequence[Fit]) -> Outcome:
+        """Add what pays most, exchange what others do better, until nothing pays; then drop what is not needed."""
+        self.problem.set_doubt(())
+        self.steps.clear()
+        outcome = Outcome(nothing, nothing)
+        ranked = list(opening)
+        for _ in range(2 * self.settings.most):
+            if not ranked:
+                if not self._backward(outcome):
+                    break
+            else:
+                self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
+            self._swap(outcome)
+            ranked = self._ranked(outcome.fit) if len(outcome.fit.claims) < self.settings.most else []
         return outcome
 
-    def _forward(self, outcome: Outcome) -> None:
-        while len(outcome.fit.claims) < self.settings.most:
-            best = self._best(outcome.fit, screen(self.problem, outcome.fit, self.library))
-            if best is None:
-                return
-            gain = score(self.problem, outcome.fit) - score(self.problem, best)
-            if gain < self.settings.threshold or not self._worth(best) or self._form_error(outcome.fit, best):
-                return
-            self._accept(outcome, best, "add", best.claims[-1].effect.label)
+    def _better(self, one: Outcome, other: Outcome) -> Outcome:
+        """The outcome with more evidence, both weighed with the doubt that either of them brings."""
+        self.problem.set_doubt((*one.fit.claims, *other.fit.claims))
+        first, second = (score(self.problem, fit(self.problem, found.fit.claims)) for found in (one, other))
+        winner = one if first <= second else other
+        self.problem.set_doubt(winner.fit.claims)
+        return winner
 
-    def _best(self, base: Fit, prospects: Sequence[Prospect]) -> Fit | None:
-        fits = []
-        for prospect in prospects[: self.settings.shortlist]:
-            if prospect.gain <= 0.5 * self.settings.threshold:
-                break
-            fits.append(fit(self.problem, (*base.claims, prospect.claim)))
-        return min(fits, key=lambda one: score(self.problem, one), default=None)
+    def _ranked(self, base: Fit) -> list[Fit]:
+        """Fits with one claim more that pay, the best first.
 
-    def _swap(self, outcome: Outcome) -> bool:
-        """Try another cause in each claim's place; remember the fits as rivals."""
-        changed = False
+        None at all where the best only mends the form of its kin: what others explain of that is mimicry.
+        """
+        enough = score(self.problem, base) - self.settings.threshold
+        worth = [one for one in self._extended(base) if score(self.problem, one) <= enough and self._worth(one)]
+        return [] if worth and self._form_error(base, worth[0]) else worth
+
+    def _extended(self, base: Fit) -> list[Fit]:
+        """Fits with one claim more, the best first; those of a base that was looked at before are only refined."""
+        key, doubt = frozenset(claim.effect.label for claim in base.claims), self.problem.doubted
+        seen, fits = self._looked.get(key, ((), []))
+        if key not in self._looked:
+            prospects = screen(self.problem, base, self.library)[: self.settings.shortlist]
+            hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self.settings.threshold]
+            fits = [fit(self.problem, (*base.claims, prospect.claim)) for prospect in hopeful]
+        elif seen != doubt:
+            fits = [fit(self.problem, one.claims) for one in fits]
+        fits = sorted(fits, key=lambda one: score(self.problem, one))
+        self._looked[key] = doubt, fits
+        return fits
+
+    def _swap(self, outcome: Outcome) -> None:
+        """Try other causes in each claim's place; remember the fits as rivals."""
         for claim in outcome.fit.claims:
             if claim not in outcome.fit.claims:
                 continue
             others = tuple(one for one in outcome.fit.claims if one is not claim)
             if any(claim.effect.id in one.effect.needs for one in others):
                 continue
-            without = fit(self.problem, others)
-            prospects = [
-                p for p in screen(self.problem, without, self.library) if p.claim.effect.label != claim.effect.label
-            ]
-            fits = [fit(self.problem, (*without.claims, p.claim)) for p in prospects[:4] if p.gain > 0.0]
-            fits.sort(key=lambda one: score(self.problem, one))
-            outcome.rivals[claim.effect.label] = fits
+            label = claim.effect.label
+            fits = [one for one in self._extended(fit(self.problem, others)) if one.claims[-1].effect.label != label]
+            outcome.rivals[label] = fits[:4]
             better = [one for one in fits if score(self.problem, one) < score(self.problem, outcome.fit) - 2.0]
             if better and self._worth(better[0]):
-                self._accept(outcome, better[0], "swap", f"{claim.effect.label} -> {better[0].claims[-1].effect.label}")
-                changed = True
-        return changed
+                self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
@@ -146,13 +179,22 @@ class Search:
         return changed
 
     def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
-        self.problem.set_doubt(found.claims)
+        outcome.fit = self._weighed(found)
         outcome.nothing = fit(self.problem, ())
-        outcome.fit = fit(self.problem, found.claims)
-        outcome.steps.append(
-            Step(action, label, score(self.problem, outcome.fit) - score(self.problem, outcome.nothing))
-        )
+        gained = score(self.problem, outcome.fit) - score(self.problem, outcome.nothing)
+        outcome.steps.append(Step(action, label, gained))
+        self.steps[:] = outcome.steps
         self.progress(f"{action} {label}")
+
+    def _weighed(self, found: Fit) -> Fit:
+        """The fit under the doubt that its own claims bring, which moves with them, until both stand still."""
+        for _ in range(RIPENING):
+            before = pack(found.claims)[1]
+            self.problem.set_doubt(found.claims)
+            found = fit(self.problem, found.claims)
+            if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(self.problem.doubted):
+                break
+        return found
 
     def _form_error(self, base: Fit, found: Fit) -> bool:
         """Whether the newest claim explains no more than a small error in the form of its kin would."""

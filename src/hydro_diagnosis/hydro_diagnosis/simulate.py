@@ -15,16 +15,34 @@ import numpy.typing as npt
 
 from hydro_diagnosis import chambers
 from hydro_diagnosis.chambers import Oil
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
-from hydro_diagnosis.effects.friction import SLIP_VELOCITY
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics
 from hydro_diagnosis.memory import RecordMemory, StepMemory
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.smoothing import smooth
 from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 
-SUBSTEPS = 8
-"""RK4 steps per sample: 125 us, a ninetieth of a period of the mass-on-oil mode."""
+SUBSTEPS = 4
+"""RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
+SUBSTEPS_STICKING = 8
+"""The same where the piston may stick: when it stops is only known to a step."""
 Indices = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Grip:
+    """What dry friction does within one step, per lane."""
+
+    holding: FloatArray
+    """N, that brings the mass to rest."""
+    direction: FloatArray
+    """Sign of the motion that it opposes."""
+    stuck: npt.NDArray[np.bool_]
+    """Whether it reaches."""
+
+    def toward(self, motion: Kinematics) -> Kinematics:
+        """The motion with a sign, also at standstill."""
+        speed = np.maximum(np.abs(motion.velocity), 1e-9)
+        return Kinematics(motion.time, motion.position, self.direction * speed)
 
 
 @dataclass(frozen=True)
@@ -35,32 +53,32 @@ class Plant:
     claims: tuple[Claim, ...]
     bench: Bench
     spool: FloatArray
-    """A, shape (n, SUBSTEPS)."""
+    """A, shape (n, substeps)."""
     traces: dict[str, FloatArray]
     """What has a past, along the recording."""
 
     @classmethod
     def of(cls, model: SegmentModel, claims: Sequence[Claim]) -> Plant:
         """Prepare a recording."""
-        current = np.repeat(model.channels["valve_current"][:, None], SUBSTEPS, axis=1)
-        spool = chambers.spool_position(current, model.step / SUBSTEPS, claims)
+        substeps = SUBSTEPS_STICKING if _sticks(claims) else SUBSTEPS
+        current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
+        spool = chambers.spool_position(current, model.step / substeps, claims)
         memory = model.memory = RecordMemory(model.step)
         model.chamber_run(claims)
         model.force_on_rod(claims)
         return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces))
 
-    def rates(self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory) -> FloatArray:
-        """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows)."""
+    def rates(
+        self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory, grip: Grip | None = None
+    ) -> FloatArray:
+        """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `grip`: what dry friction does in this step."""
         x, v, p_a, p_b = state
         bench, claims = self.bench, self.claims
         oil = Oil(time, x, (p_a, p_b), spool)
         into_a, into_b = chambers.net_flows(bench, oil, claims, memory)
         stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
         motion = Kinematics(time, x, v)
-        level = np.zeros_like(x)
-        for claim in claims:
-            level = claim.effect.drag(level, motion, claim.values)
-        against = level * np.tanh(v / SLIP_VELOCITY)
+        against, level = self._dry(motion, grip), self._level(motion)
         load = bench.spring_stiffness * (x - bench.spring_rest_position)
         for claim in claims:
             against = claim.effect.resistance(against, level, motion, memory, claim.values)
@@ -70,6 +88,23 @@ class Plant:
         return np.stack(
             [v, driven / bench.moving_mass, stiff_a * (into_a - area * v), stiff_b * (into_b + alpha * area * v)]
         )
+
+    def _dry(self, motion: Kinematics, grip: Grip | None) -> FloatArray:
+        """Force [N] of dry friction without bristles."""
+        if grip is None:
+            return np.zeros_like(motion.position)
+        return np.where(grip.stuck, grip.holding, self._level(grip.toward(motion)) * grip.direction)
+
+    def _level(self, motion: Kinematics) -> FloatArray:
+        level = np.zeros_like(motion.position)
+        for claim in self.claims:
+            level = claim.effect.drag(level, motion, claim.values)
+        return level
+
+    @property
+    def sticks(self) -> bool:
+        """Whether dry friction holds the piston as far as it reaches."""
+        return _sticks(self.claims)
 
     def start(self, begins: Indices) -> FloatArray:
         """States at samples, from smoothed recordings, shape (4, windows)."""
@@ -86,12 +121,13 @@ class Plant:
         """
         variants = state.shape[1] // len(begins)
         samples = np.tile(begins, variants)
-        memory = StepMemory(self.model.step / SUBSTEPS)
+        substeps = self.spool.shape[1]
+        step, states = self.model.step / substeps, np.empty((length, *state.shape))
+        memory = StepMemory(step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
-        step, states = self.model.step / SUBSTEPS, np.empty((length, *state.shape))
         for k in range(length):
             states[k] = state
-            for s in range(SUBSTEPS):
+            for s in range(substeps):
                 seconds = self.model.segment.start + (samples + k) * self.model.step + s * step
                 time = np.asarray(seconds, dtype=np.float64)
                 spool = self.spool[samples + k, s][:, None]
@@ -102,11 +138,25 @@ class Plant:
         self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory, step: float
     ) -> FloatArray:
         first = self.rates(state, time, spool, memory)
-        second = self.rates(state + 0.5 * step * first, time, spool, memory)
-        third = self.rates(state + 0.5 * step * second, time, spool, memory)
-        fourth = self.rates(state + step * third, time, spool, memory)
+        grip = None
+        if self.sticks:
+            grip = self._grip(state, first, time, step)
+            first = self.rates(state, time, spool, memory, grip)
+        second = self.rates(state + 0.5 * step * first, time, spool, memory, grip)
+        third = self.rates(state + 0.5 * step * second, time, spool, memory, grip)
+        fourth = self.rates(state + step * third, time, spool, memory, grip)
         memory.tick()
-        return state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        after = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        if grip is not None:
+            after[1] = np.where(grip.stuck, 0.0, after[1])
+        return after
+
+    def _grip(self, state: FloatArray, free: FloatArray, time: FloatArray, step: float) -> Grip:
+        """Dry friction brings the mass to rest within a step, as far as it reaches; `free`: rates without it."""
+        holding = self.bench.moving_mass * (state[1] / step + free[1])
+        grip = Grip(holding, np.sign(holding), np.zeros(holding.shape, dtype=np.bool_))
+        level = self._level(grip.toward(Kinematics(time, state[0], state[1])))
+        return Grip(holding, grip.direction, np.abs(holding) <= level)
 
     def readings(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
         """What the sensors show of simulated states, by channel, shape (length, variants * windows)."""
@@ -155,6 +205,12 @@ class Plant:
         for claim in self.claims:
             signal = claim.effect.measure(name, signal, memory, claim.values)
         return signal
+
+
+def _sticks(claims: Sequence[Claim]) -> bool:
+    """Whether there is dry friction that no bristles carry."""
+    bristled = any(claim.effect.bristles for claim in claims)
+    return not bristled and any(type(claim.effect).drag is not Effect.drag for claim in claims)
 
 
 class _ColumnMemory(RecordMemory):

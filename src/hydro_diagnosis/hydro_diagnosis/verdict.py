@@ -12,17 +12,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.fit import Fit, fit
 from hydro_diagnosis.freeform import FreeForm, free_forms
-from hydro_diagnosis.locate import NOTICEABLE, Place, locate, locate_claims, mean_squares
+from hydro_diagnosis.locate import NOTICEABLE, Place, locate, locate_claims, mean_squares, noticeable
 from hydro_diagnosis.problem import CHANNELS, Problem
 
 MOST_OF_THE_GAP = 0.98
 """Share of the squared mismatch that names must explain where something remains."""
 MINOR = 0.1
 """Share below which a claim is dropped where something remains."""
+DECISIVE = 0.5
+"""Share of what remains that a minor claim must exceed to be kept, where the names explain nearly all of the gap."""
 
 
 @dataclass(frozen=True)
@@ -66,9 +69,9 @@ def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
     Claims that show in other channels, in which nothing remains, are not in question.
     """
     suspects = _suspects(problem, found)
-    fewer = _without_minor(problem, found, nothing, suspects)
+    fewer, decisive = _without_minor(problem, found, nothing, suspects)
     left = [claim for claim in fewer.claims if claim.effect.label in suspects]
-    if left and explained_share(problem, fewer, nothing) >= MOST_OF_THE_GAP and not _crowded(left):
+    if left and explained_share(problem, fewer, nothing) >= MOST_OF_THE_GAP and (decisive or not _crowded(left)):
         return fewer
     return fit(problem, tuple(claim for claim in fewer.claims if claim.effect.label not in suspects))
 
@@ -85,11 +88,6 @@ def _suspects(problem: Problem, found: Fit) -> set[str]:
     return suspects
 
 
-def noticeable(problem: Problem, residual: FloatArray) -> bool:
-    """Whether any channel holds more than noise."""
-    return any(square > NOTICEABLE for square in mean_squares(problem, residual).values())
-
-
 def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
     counts = problem.layout.count()
@@ -104,23 +102,34 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     return float(min(shares, default=1.0)) if counts.sum() else 1.0
 
 
-def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str]) -> Fit:
-    """Drop, one after the other, suspects without which hardly more remains."""
+def _judged(problem: Problem, found: Fit) -> npt.NDArray[np.bool_]:
+    """Residuals of the channels in which something remains."""
     noisy = [k for k, name in enumerate(CHANNELS) if mean_squares(problem, found.residual).get(name, 0.0) > NOTICEABLE]
-    judged = np.isin(problem.layout.channel, noisy)
+    return np.isin(problem.layout.channel, noisy)
+
+
+def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str]) -> tuple[Fit, bool]:
+    """Drop, one after the other, suspects without which hardly more remains.
+
+    Where the names explain nearly all of the gap, a suspect stays that explains `DECISIVE` of what remains or more;
+    whether each of those that are left does is returned beside the fit.
+    """
+    judged = _judged(problem, found)
     gap = float(np.sum(np.square(nothing.residual[judged])) - np.sum(np.square(found.residual[judged])))
     current = found
     while True:
         needed = {name for claim in current.claims for name in claim.effect.needs}
         open_ = [one for one in current.claims if one.effect.label in suspects and one.effect.id not in needed]
         if not open_ or len(current.claims) == 1:
-            return current
+            return current, False
         smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in open_]
         remains = float(np.sum(np.square(current.residual[judged])))
         losses = [float(np.sum(np.square(one.residual[judged]))) - remains for one in smaller]
         least = int(np.argmin(losses))
-        if losses[least] > MINOR * gap:
-            return current
+        excess = remains - float(np.count_nonzero(judged))
+        decisive = explained_share(problem, current, nothing) >= MOST_OF_THE_GAP and losses[least] > DECISIVE * excess
+        if decisive or losses[least] > MINOR * gap:
+            return current, decisive
         current = smaller[least]
 
 

@@ -94,6 +94,14 @@ def test_static_friction_holds_up_to_breakaway_and_not_beyond(push: float, break
         assert travel < 1e-9
 
 
+@pytest.mark.parametrize(("push", "breaks_away"), [(13.0, False), (17.0, True), (-7.0, False), (-11.0, True)])
+def test_static_friction_holds_by_the_level_of_the_direction_that_it_opposes(push: float, breaks_away: bool) -> None:
+    coulomb = {"force_positive": 15.0, "force_negative": 9.0}
+    plant = truth(friction_coulomb=coulomb, force_offset={"force": push})
+    travel = np.abs(column(held(plant, 0.0, 0.2), "piston_position") - REST).max()
+    assert (travel > 1e-6) == breaks_away
+
+
 def test_lugre_deflects_before_sliding_by_its_stiffness() -> None:
     """Below breakaway bristles, oil and spring share the push; above it the bristles let go."""
     stiffness = 8e5

@@ -120,6 +120,8 @@ class Effect:
     """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects without which this one does nothing."""
+    bristles: ClassVar[bool] = False
+    """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
 
     @property
     def rounds(self) -> str:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hydro_diagnosis.effects.base import (
@@ -17,8 +19,10 @@ from hydro_diagnosis.effects.base import (
 )
 from hydro_sim.bench import Bench
 
-SLIP_VELOCITY = 1e-3
-"""m/s, over which dry friction changes sign."""
+STROKE = 0.08
+"""m, until a cushion is told of its bench."""
+SLIP_VELOCITY = 3e-4
+"""m/s, over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
 
 
 def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> Parameter:
@@ -88,7 +92,7 @@ class FrictionStribeck(Effect):
     touches = frozenset({MOTION})
     parameters = (
         _force("breakaway_force", smallest=0.5),
-        Parameter(name="velocity", unit="m/s", low=2e-3, high=0.3, neutral=0.01, probes=(0.006, 0.02)),
+        Parameter(name="velocity", unit="m/s", low=2e-3, high=0.06, neutral=0.01, probes=(0.006, 0.02)),
     )
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -109,12 +113,12 @@ class FrictionPresliding(Effect):
     equations = ("motion",)
     touches = frozenset({MOTION})
     needs = ("friction_coulomb",)
+    bristles = True
     parameters = (Parameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
-        elastic = memory.bristle("presliding", motion.position, values["stiffness"], level)
-        return force - level * np.tanh(motion.velocity / SLIP_VELOCITY) + elastic
+        return force + memory.bristle("presliding", motion.position, values["stiffness"], level)
 
     def sentence(self, values: Values) -> str:
         return f"Before it slides the piston deflects elastically with {values['stiffness']:.3g} N/m."
@@ -156,11 +160,19 @@ class EndCushion(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        at = (0.046, 0.05, 0.054) if self.options["form"].startswith("end") else (0.034, 0.03, 0.026)
-        return (
-            Parameter(name="stiffness", unit="N/m", low=0.0, high=1e7, neutral=0.0, probes=(1e4,), smallest=200.0),
-            Parameter(name="position", unit="m", low=0.0, high=0.08, neutral=0.04, probes=at),
+        stiffness = Parameter(
+            name="stiffness", unit="N/m", low=0.0, high=1e7, neutral=0.0, probes=(1e4,), smallest=200.0
         )
+        # on its own half of the stroke: beyond, it would be an offset and a softer spring over the whole range
+        stroke = self.reference
+        middle, shares = 0.5 * stroke, (0.575, 0.625, 0.675)
+        low, high, at = (middle, stroke, tuple(share * stroke for share in shares))
+        if self.options["form"].startswith("start"):
+            low, high, at = (0.0, middle, tuple((1.0 - share) * stroke for share in shares))
+        return (stiffness, Parameter(name="position", unit="m", low=low, high=high, neutral=middle, probes=at))
+
+    def adapted(self, bench: Bench) -> Effect:
+        return replace(self, reference=bench.stroke)
 
     def sentence(self, values: Values) -> str:
         side = "beyond" if self.options["form"].startswith("end") else "below"
@@ -193,9 +205,6 @@ EFFECTS: tuple[Effect, ...] = (
     FrictionStribeck(),
     FrictionPresliding(),
     ForceOffset(),
-    EndCushion({"form": "end"}),
-    EndCushion({"form": "start"}),
-    EndCushion({"form": "end-quadratic"}),
-    EndCushion({"form": "start-quadratic"}),
+    *(EndCushion({"form": form}, STROKE) for form in ("end", "start", "end-quadratic", "start-quadratic")),
     MovingMass(),
 )

@@ -11,10 +11,12 @@ import argparse
 import json
 import os
 import random
+import signal
 import sys
 import time
 from hashlib import sha256
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 from joblib import Parallel, delayed
@@ -28,6 +30,8 @@ from hydro_diagnosis.proof import blindfold
 from hydro_diagnosis.proof.cases import FITTED, HELD
 
 ANSWER = "answer.json"
+LIMIT = 300
+"""s after which a case counts as refused; the standard is 60."""
 
 
 def diagnosed(case: Path) -> None:
@@ -37,16 +41,24 @@ def diagnosed(case: Path) -> None:
     blindfold.put_on(case.parent.parent, case.parent)
     begun, cpu = time.monotonic(), time.process_time()
     answer: dict[str, Any] = {"report": None, "refused": None, "engine": engine()}
+    signal.signal(signal.SIGALRM, _too_long)
+    signal.alarm(LIMIT)
     try:
         found = diagnose([case / name for name in FITTED], holdout=[case / HELD], bench=case.parent / "bench.yaml")
         answer["report"] = json.loads(found.report.to_json())
         write_corrected(found.bench, found.assessment.fit.claims, case / "corrected.yaml")
     except InputError as error:
         answer["refused"] = str(error)
+    finally:
+        signal.alarm(0)
     answer |= {"wall": time.monotonic() - begun, "cpu": time.process_time() - cpu}
     scratch = case / f".{ANSWER}"
     scratch.write_text(json.dumps(answer, indent=1), encoding="utf-8")
     os.replace(scratch, case / ANSWER)  # whole or not at all
+
+
+def _too_long(number: int, frame: FrameType | None) -> None:
+    raise InputError(f"no answer after {LIMIT} s")
 
 
 def engine() -> str:

@@ -17,6 +17,8 @@ from numba import njit
 from hydro_sim.emulator import friction, load, oil, valve
 from hydro_sim.emulator.parameters import DELAY_SAMPLES, LUGRE, SAMPLE_TIME, SUBSTEP, SUBSTEPS
 
+STANDSTILL = 1e-5  # m/s, below which a direction of motion says nothing
+
 CONTENT_A, CONTENT_B, POSITION, VELOCITY, SPOOL, SPOOL_RATE, SUPPLY, HYSTERESIS = range(8)
 
 STATE = np.dtype(
@@ -99,7 +101,10 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
     force = p.area_a * pressure_a - p.area_b * pressure_b - p.viscous * velocity
     force += load.end_force(p, position, velocity) + load.disturbance(p, time, state.walk)
     force -= load.load_force(p, position, load.dragged(p, position, state.spring_end), y[HYSTERESIS])
-    level = friction.friction_level(p, velocity, position, pressure_a - pressure_b)
+    # at standstill friction opposes where the other forces would move the mass, with the level of that direction
+    sticks = p.friction_form != LUGRE and abs(velocity) < STANDSTILL
+    heading = math.copysign(velocity, force) if sticks else velocity
+    level = friction.friction_level(p, heading, position, pressure_a - pressure_b)
     dry = friction.dry_friction(p, velocity, state.bristle, level, force)
     state.friction_force = p.viscous * velocity - dry
     return (force + dry) / p.mass
