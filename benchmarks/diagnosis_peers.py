@@ -14,7 +14,7 @@ import json
 import re
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -131,13 +131,19 @@ def _row(folder: Path, case: Case, method: str) -> dict[str, Any]:
                 "found": truth <= claimed, "extra": len(result.spurious), "held_out": result.held_out,
                 "seconds": answer["wall"]}  # fmt: skip
     content = json.loads(_kept(folder, case, method).read_text())
-    terms = {term for names in content["named"].values() for term in names}
-    causes = [set(re.sub(r"@.*", "", term).split("|")) for term in sorted(terms)]
-    truth = set(case.effects)
-    extra = {min(cause) for cause in causes if not cause & truth}
-    found = bool(truth) and all(any(name in cause for cause in causes) for name in truth)
-    return {**about, "named": not extra and (found or not truth), "said": sorted(terms), "found": found or not truth,
-            "extra": len(extra), "held_out": content["held_out"], "seconds": content["seconds"]}  # fmt: skip
+    found, extra = said(content["named"], set(case.effects))
+    every = sorted({term for names in content["named"].values() for term in names})
+    return {**about, "named": found and not extra, "said": every,
+            "found": found, "extra": extra, "held_out": content["held_out"], "seconds": content["seconds"]}  # fmt: skip
+
+
+def said(named: Mapping[str, Sequence[str]], truth: set[str]) -> tuple[bool, int]:
+    """Whether every true cause is among the terms by equation, and how many causes are that are not true.
+
+    `cause@value` is a term of a grid; `cause|cause` one that several causes share: it counts for any of them.
+    """
+    causes = {frozenset(re.sub(r"@.*", "", term).split("|")) for terms in named.values() for term in terms}
+    return all(any(name in cause for cause in causes) for name in truth), sum(not cause & truth for cause in causes)
 
 
 def _table(rows: Sequence[dict[str, Any]]) -> Table:

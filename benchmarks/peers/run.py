@@ -53,6 +53,7 @@ def signals(model: SegmentModel) -> Signals:
         "velocity": model.v,
         "pressure_a": model.channels["pressure_a"],
         "pressure_b": model.channels["pressure_b"],
+        "hydraulic_force": model.channels["hydraulic_force"],
         "current": 0.5 * (before + current),  # it is held for a sample: this is its mean around the sample
         "later": np.concatenate([before[:1], 0.5 * (before + current)[:-1]]),
     }

@@ -41,8 +41,9 @@ def _write(case: Recordings, bench: Bench, path: Path) -> dict[str, list[str]]:
     arrays: dict[str, Any] = {"runs": len(case.fitted), "equations": json.dumps([*DYNAMIC, *READ])}
     names: dict[str, list[str]] = {}
     pressure = case.noise["pressure_a"]
-    in_rate = bench.piston_area * pressure * np.hypot(1.0, bench.area_ratio) / bench.moving_mass
-    in_force = float(np.hypot(case.noise["hydraulic_force"], in_rate * bench.moving_mass))
+    by_pressures = bench.piston_area * pressure * np.hypot(1.0, bench.area_ratio)
+    in_rate = case.noise["hydraulic_force"] / bench.moving_mass
+    in_force = float(np.hypot(case.noise["hydraulic_force"], by_pressures))
     noise = {"velocity": (0.0, in_rate), "pressure_a": (pressure, 0.0), "pressure_b": (case.noise["pressure_b"], 0.0),
              "load_force": (case.noise["load_force"], 0.0),
              "hydraulic_force": (in_force, 0.0)}  # fmt: skip

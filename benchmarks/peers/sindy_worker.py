@@ -12,6 +12,7 @@ from __future__ import annotations
 import json
 import sys
 import warnings
+from functools import cache
 
 import numpy as np
 import pysindy as ps
@@ -22,16 +23,21 @@ WINDOWS, HALF = 1500, 0.025
 """Test functions per recording; their half width [s]."""
 
 
+@cache
+def library(samples: int, step: float) -> ps.WeakPDELibrary:
+    """Test functions over a recording: the same for every column of every equation."""
+    np.random.seed(0)  # noqa: NPY002 - the library draws its windows from there
+    time = step * np.arange(samples)
+    return ps.WeakPDELibrary(ps.IdentityLibrary(), spatiotemporal_grid=time, K=WINDOWS, H_xt=HALF, p=4)
+
+
 def weak(time: np.ndarray, columns: np.ndarray, derivative: np.ndarray | None) -> np.ndarray:
     """Weak integrals of columns, shape (WINDOWS, m); of `derivative`, shape (n, 1), the integral of its rate first."""
-    np.random.seed(0)  # noqa: NPY002 - the library draws its windows from there: the same for every column
-    library = ps.WeakPDELibrary(
-        ps.IdentityLibrary(), spatiotemporal_grid=time, K=WINDOWS, H_xt=HALF, p=4, include_bias=False
-    )
-    made = np.asarray(library.fit_transform([columns])[0])
+    over = library(len(time), round(time[1] - time[0], 9))
+    made = np.asarray(over.fit_transform([columns])[0])
     if derivative is None:
         return made
-    return np.hstack([np.asarray(library.convert_u_dot_integral(derivative)), made])
+    return np.hstack([np.asarray(over.convert_u_dot_integral(derivative)), made])
 
 
 def regress(parts: list[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, float]:

@@ -44,14 +44,18 @@ def stiffness(signal: Signals, bench: Bench) -> tuple[FloatArray, FloatArray]:
 
 
 def nominal(signal: Signals, bench: Bench) -> dict[str, FloatArray]:
-    """Rates of the nominal bench along a recording, by equation of `DYNAMIC`."""
+    """Rates of the nominal bench along a recording, by equation of `DYNAMIC`.
+
+    The force is the load cell's, so that its noise is not that of the terms, which are made of the pressures: a
+    regression would explain the one by the other.
+    """
     flow_a, flow_b = flows(signal, bench, signal["current"])
     stiff_a, stiff_b = stiffness(signal, bench)
     swept = bench.piston_area * signal["velocity"]
-    force = bench.piston_area * (signal["pressure_a"] - bench.area_ratio * signal["pressure_b"])
     spring = bench.spring_stiffness * (signal["position"] - bench.spring_rest_position)
     return {
-        "velocity": (force - bench.viscous_friction * signal["velocity"] - spring) / bench.moving_mass,
+        "velocity": (signal["hydraulic_force"] - bench.viscous_friction * signal["velocity"] - spring)
+        / bench.moving_mass,
         "pressure_a": stiff_a * (flow_a - swept),
         "pressure_b": stiff_b * (bench.area_ratio * swept - flow_b),
     }
@@ -121,11 +125,11 @@ def motion_terms(signal: Signals, bench: Bench) -> Terms:
         "friction_coulomb@positive": np.maximum(slip, 0.0),
         "friction_coulomb@negative": np.minimum(slip, 0.0),
         "friction_viscous": v,
-        "force_offset|spring_rest": np.ones_like(v),
+        "force_offset|spring_rest|load_cell_bias": np.ones_like(v),
         "moving_mass": force - bench.viscous_friction * v - spring,
         "spring_stiffness": spring,
         "spring_hardening": away**3,
-        "piston_area": force,
+        "piston_area|load_cell_gain": force,
         "area_ratio": signal["pressure_b"],
     }
     for width in (0.01, 0.02, 0.03):

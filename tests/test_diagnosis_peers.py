@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The peers of the diagnosis are set up fairly: true equations, true terms, the diagnosis' own held-out error."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.diagnosis_peers import said
+from benchmarks.peers import terms
+from benchmarks.peers.neural import _windows
+from benchmarks.peers.run import Corrected, held_out, signals
+from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
+from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.noise import sensor_noise
+from hydro_diagnosis.quality import checked
+from hydro_diagnosis.simulate import Plant
+from hydro_diagnosis.table import RawTable
+from hydro_sim.bench import Bench
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant
+
+BENCH = Bench.nominal()
+
+
+def recorded(truth: Bench) -> SegmentModel:
+    reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.7)
+    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=8.0)
+    states = simulate(AnalyticPlant(truth), BENCH, schedule, seed=3)
+    table = RawTable("run", states["time"].copy(), None, {name: states[name].copy() for name in STATE_FIELDS})
+    return SegmentModel(checked(table, BENCH).segments[0], BENCH)
+
+
+@pytest.fixture(scope="module")
+def nominal() -> SegmentModel:
+    return recorded(BENCH)
+
+
+def test_wrong_spring_and_oil_stand_out_in_their_equations(nominal: SegmentModel) -> None:
+    soft = recorded(replace(BENCH, spring_stiffness=18000.0, bulk_modulus=1.2e9))
+    left = {name: np.sqrt(np.mean(np.square(_windows(model, BENCH)[1]), axis=0)) for name, model in
+            (("nominal", nominal), ("soft", soft))}  # fmt: skip
+    velocity, pressure_a, pressure_b, load_force, _ = left["soft"] / left["nominal"]
+    assert min(velocity, pressure_a, pressure_b, load_force) > 5.0
+
+
+@pytest.mark.parametrize(("key", "term", "ratio"), [("bulk_modulus", "bulk_modulus", 1.1),
+                                                    ("valve_nominal_flow", "valve_gain", 0.93)])  # fmt: skip
+def test_terms_hold_the_truth_exactly(nominal: SegmentModel, key: str, term: str, ratio: float) -> None:
+    along = signals(nominal)
+    wrong = terms.nominal(along, replace(BENCH, **{key: ratio * getattr(BENCH, key)}))
+    right = terms.nominal(along, BENCH)
+    for chamber in "ab":
+        change = (ratio - 1.0) * terms.pressure_terms(along, BENCH, chamber)[term]
+        np.testing.assert_allclose(
+            wrong[f"pressure_{chamber}"] - right[f"pressure_{chamber}"], change, rtol=1e-9, atol=1.0
+        )
+
+
+def test_stiffer_spring_is_a_term_of_motion_and_of_the_load_cell(nominal: SegmentModel) -> None:
+    along, stiff = signals(nominal), replace(BENCH, spring_stiffness=1.05 * BENCH.spring_stiffness)
+    change = terms.nominal(along, stiff)["velocity"] - terms.nominal(along, BENCH)["velocity"]
+    term = terms.motion_terms(along, BENCH)["spring_stiffness"]
+    np.testing.assert_allclose(change, -0.05 / BENCH.moving_mass * term, rtol=1e-9, atol=1e-9)
+
+
+def test_no_correction_leaves_the_diagnosis_own_held_out_error(nominal: SegmentModel) -> None:
+    noise = sensor_noise([nominal])
+    plain = held_out([Plant.of(nominal, ())], noise)
+    nothing = held_out([Corrected.by(nominal, lambda signal: {})], noise)
+    leaking = held_out([Corrected.by(nominal, lambda signal: {"pressure_a": 0.0 * signal["pressure_a"] - 1e8})], noise)
+    assert plain == pytest.approx(nothing, rel=1e-12)
+    assert 0.9 < plain < 1.1
+    assert leaking > 2.0 * plain
+
+
+def test_a_term_that_two_causes_share_counts_for_either() -> None:
+    assert said({"load_force": ["load_cell_gain|spring_stiffness"]}, {"spring_stiffness"}) == (True, 0)
+    assert said({"load_force": ["load_cell_gain|spring_stiffness"]}, {"moving_mass"}) == (False, 1)
+    assert said({"pressure_a": ["valve_deadband@0.001", "valve_deadband@5e-05"]}, {"valve_deadband"}) == (True, 0)
+    assert said({"velocity": ["moving_mass"]}, set()) == (True, 1)
