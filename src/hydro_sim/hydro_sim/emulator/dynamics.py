@@ -103,7 +103,7 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
     force -= load.load_force(p, position, load.dragged(p, position, state.spring_end), y[HYSTERESIS])
     # at standstill friction opposes where the other forces would move the mass, with the level of that direction
     sticks = p.friction_form != LUGRE and abs(velocity) < STANDSTILL
-    heading = math.copysign(velocity, force) if sticks else velocity
+    heading = math.copysign(STANDSTILL, force) if sticks else velocity
     level = friction.friction_level(p, heading, position, pressure_a - pressure_b)
     dry = friction.dry_friction(p, velocity, state.bristle, level, force)
     state.friction_force = p.viscous * velocity - dry
