@@ -28,8 +28,8 @@ from hydro_filter.state import (
     VELOCITY,
 )
 from hydro_filter.state import STATES as MEASURED
-from hydro_filter.tangent import SOURCES
-from hydro_sim.learned import integration, physics, structured
+from hydro_filter.tangent import SOURCES, WIDTH
+from hydro_sim.learned import integration, structured
 from hydro_sim.learned.integration import STATES, STEP, SUBSTEPS
 from hydro_sim.learned.physics import (
     AREA,
@@ -100,22 +100,18 @@ def _lift_nudges(c, d):
 
 
 @njit(cache=True)
-def _advance(model, full, current, d, rates):
-    """`structured.advance_full` of the full state in place, and of nudges d, shape (10, n), of s.
+def nudge(model, full, current, d, rates):
+    """`structured.advance_full` of the full state, shape (12,), in place, and of nudges d, shape (10, 8), of s and u.
 
-    `rates`, shape (3, n), becomes the nudges of the box's rates that s is the reason of.
+    `rates`, shape (3, 8), becomes the nudges of the box's rates that s is the reason of; those of their own memory are
+    its coefficients.
     """
     c, layers, center, scale, memories = model
-    n = d.shape[1]
     s, before, after = full[:STATES], np.empty(READINGS), np.empty(READINGS)
-    r, slopes, dr, inside = np.empty(OUTPUTS), np.empty((OUTPUTS, INPUTS)), np.zeros((OUTPUTS, n)), np.empty(4)
+    r, dr, inside = np.empty(OUTPUTS), np.zeros((OUTPUTS, WIDTH)), np.empty(4)
     structured.read(c, s, before)
     _shown(c, d, memories, -1.0, rates)
-    tangent.residual(layers, center, scale, s, r, slopes)
-    for i in range(OUTPUTS):
-        for j in range(INPUTS):
-            for k in range(n):
-                dr[i, k] += slopes[i, j] * d[j, k]
+    _added(layers, center, scale, s, d, r, dr)
     tangent.advance(c, s, current, r, d, dr)
     inside[:] = s[:4]
     structured.bound(c, s)
@@ -128,13 +124,24 @@ def _advance(model, full, current, d, rates):
 
 
 @njit(cache=True)
+def _added(layers, center, scale, s, d, r, dr):
+    """What the network adds, r, and its nudges dr, shape (3, 8), zero before."""
+    slopes = np.empty((OUTPUTS, INPUTS))
+    if tangent.residual(layers, center, scale, s, r, slopes):
+        for i in range(OUTPUTS):
+            for j in range(INPUTS):
+                for k in range(WIDTH):
+                    dr[i, k] += slopes[i, j] * d[j, k]
+
+
+@njit(cache=True)
 def _shown(c, d, memories, sign, rates):
     """Nudges of the box's differences of f_h, f_l, x_p before (sign -1: set) and after a sample (sign 1: added)."""
     force, velocity = sign * (1.0 - memories[0]) / SAMPLE, sign * (1.0 - memories[1]) / SAMPLE
     hydraulic, load = force * c[GAIN_H] * c[AREA], force * c[GAIN_L]
-    for k in range(d.shape[1]):
-        if sign < 0.0:
-            rates[0, k] = rates[1, k] = rates[2, k] = 0.0
+    if sign < 0.0:
+        rates[:] = 0.0
+    for k in range(WIDTH):
         rates[0, k] += hydraulic * (d[0, k] - c[RATIO] * d[1, k])
         rates[1, k] += load * d[6, k]
         rates[2, k] += velocity * d[2, k]
@@ -144,24 +151,29 @@ def _shown(c, d, memories, sign, rates):
 def transition_full(model, full, current, state_matrix, input_vector, after):
     """The full state a sample later, shape (12,), with A_d (12, 12) and B_d (12,)."""
     memories = model[4]
-    d, rates = np.eye(SOURCES), np.empty((3, SOURCES))
-    after[:] = full
-    _advance(model, after, current, d, rates)
+    d, rates = np.empty((SOURCES, WIDTH)), np.empty((3, WIDTH))
     state_matrix[:] = 0.0
-    state_matrix[:STATES, :STATES], state_matrix[STATES:, :STATES] = d[:STATES, :STATES], rates[:, :STATES]
+    for first in (0, WIDTH):  # ten columns, eight at a time
+        d[:] = 0.0
+        for k in range(min(WIDTH, SOURCES - first)):
+            d[first + k, k] = 1.0
+        after[:] = full
+        nudge(model, after, current, d, rates)
+        for k in range(min(WIDTH, STATES - first)):
+            state_matrix[:STATES, first + k], state_matrix[STATES:, first + k] = d[:STATES, k], rates[:, k]
+    input_vector[:STATES], input_vector[STATES:] = d[:STATES, 1], rates[:, 1]
     state_matrix[9, 9] = state_matrix[10, 10] = memories[0]
     state_matrix[11, 11] = memories[1]
-    input_vector[:STATES], input_vector[STATES:] = d[:STATES, STATES], rates[:, STATES]
 
 
 @njit(cache=True)
 def transition(model, x, hidden, current, state_matrix, input_vector, after):
     """x a sample later, shape (8,), with A_d (8, 8) and B_d (8,), the hidden states at their estimate."""
     c, memories = model[0], model[4]
-    d, rates, full = np.empty((SOURCES, NUDGED)), np.empty((3, NUDGED)), np.empty(FULL)
+    d, rates, full = np.empty((SOURCES, WIDTH)), np.empty((3, WIDTH)), np.empty(FULL)
     lift(c, x, hidden, full)
     _lift_nudges(c, d)
-    _advance(model, full, current, d, rates)
+    nudge(model, full, current, d, rates)
     reading = np.empty(READINGS)
     structured.read(c, full[:STATES], reading)
     structured.show(reading, full[STATES:], after)
@@ -191,22 +203,16 @@ def _put(by, state_matrix, input_vector):
 def flow(model, ages, x, bristle, current, state_matrix, input_vector, rate):
     """x' (8,) with A (8, 8) and B (8,), the spool taken to be where the current holds it; see `model_dynamics`."""
     c, layers, center, scale, _ = model
-    y, slope, p = np.empty(STATES), np.empty(8), np.empty((8, tangent.PARTIALS))
-    r, slopes = np.empty(OUTPUTS), np.empty((OUTPUTS, INPUTS))
-    d, dr, moved = np.empty((SOURCES, NUDGED)), np.zeros((OUTPUTS, NUDGED)), np.empty((8, NUDGED))
+    y, slope, p, r = np.empty(STATES), np.empty(8), np.zeros((8, tangent.PARTIALS)), np.empty(OUTPUTS)
+    d, dr, moved = np.empty((SOURCES, WIDTH)), np.zeros((OUTPUTS, WIDTH)), np.zeros((8, WIDTH))
     y[0], y[1], y[2], y[3] = x[PRESSURE_A], x[PRESSURE_B], x[POSITION], x[VELOCITY]
     y[4], y[5], y[8] = current, 0.0, bristle
     y[6], y[7] = (x[LOAD_FORCE] - c[BIAS_L]) / c[GAIN_L], x[LOAD_FORCE_RATE] / c[GAIN_L]
     _lift_nudges(c, d)
     d[4, 6] = 1.0
-    tangent.residual(layers, center, scale, y, r, slopes)
-    for i in range(OUTPUTS):
-        for j in range(INPUTS):
-            for k in range(NUDGED):
-                dr[i, k] += slopes[i, j] * d[j, k]
-    physics.rates(c, y[:8], bristle, current, r, slope)
-    tangent.partials(c, y[:8], bristle, r, p)
-    tangent.push(p, c[SPOOL_OMEGA] ** 2, d, dr, moved)
+    _added(layers, center, scale, y, d, r, dr)
+    tangent.rates(c, y[:8], bristle, current, r, slope, p)
+    tangent.push(p, c[SPOOL_OMEGA] ** 2, d, d, dr, 1.0, 0.0, moved, np.empty((SOURCES, WIDTH)))
     hydraulic = c[GAIN_H] * c[AREA]
     rate[HYDRAULIC_FORCE] = hydraulic * (slope[0] - c[RATIO] * slope[1])
     rate[HYDRAULIC_FORCE_RATE] = (rate[HYDRAULIC_FORCE] - x[HYDRAULIC_FORCE_RATE]) / ages[0]
