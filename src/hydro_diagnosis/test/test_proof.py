@@ -23,9 +23,13 @@ from hydro_sim.bench import Bench
 SEED = 4  # of development; no figure is reported from it
 
 
-def answer(verdict: str, *effects: str, places: dict[str, float] | None = None, **parameters: Any) -> dict[str, Any]:
+def answer(
+    verdict: str, *effects: str | tuple[str, dict[str, str]], places: dict[str, float] | None = None, **parameters: Any
+) -> dict[str, Any]:
     """What `blind` writes, as far as the scores read it."""
-    claims = [{"id": name, "parameters": parameters, "evidence": {"delta_bic": 1e3}} for name in effects]
+    named = [(one, {}) if isinstance(one, str) else one for one in effects]
+    claims = [{"id": name, "options": options, "parameters": parameters, "evidence": {"delta_bic": 1e3}}
+              for name, options in named]  # fmt: skip
     location = [{"equation": name, "share": share} for name, share in (places or {}).items()]
     holdout = {"load_force": {"rmse_before": 9.0, "rmse_after": 0.9, "noise_floor": 0.6}}
     report = {"verdict": verdict, "effects": claims, "location": location, "fit": {"holdout": holdout}}
@@ -131,6 +135,29 @@ def test_naming_counts_only_if_nothing_else_is_claimed() -> None:
     assert result(lugre, answer("explained", "friction_coulomb", "friction_presliding")).exact
     plain = single(friction_coulomb={"force": 9.0})
     assert not result(plain, answer("explained", "friction_coulomb", "friction_presliding")).exact
+
+
+def test_name_in_the_wrong_chamber_is_wrong() -> None:
+    case = single(leakage_external={"coefficient": 1e-13, "chamber": "a"})
+    assert result(case, answer("explained", ("leakage_external", {"chamber": "a"}))).exact
+    other = result(case, answer("explained", ("leakage_external", {"chamber": "b"})))
+    assert not other.exact
+    assert other.spurious == ["leakage_external"]
+
+
+def test_two_names_of_the_same_bench_are_both_right() -> None:
+    on_load, on_rod = {"cell": "load_force"}, {"cell": "hydraulic_force"}
+    offsets = single(force_offset={"force": 9.0}, load_cell_bias={"force": 4.0, **on_load})
+    assert result(offsets, answer("explained", "spring_rest", "force_offset")).exact
+    assert result(offsets, answer("explained", "spring_rest", ("load_cell_bias", on_load))).exact
+    assert not result(offsets, answer("explained", "spring_rest", ("load_cell_bias", on_rod))).exact
+    assert not result(offsets, answer("explained", "spring_rest")).exact
+    assert result(offsets, answer("explained", "spring_rest", "force_offset")).estimates == []
+    elsewhere = single(force_offset={"force": 9.0}, load_cell_bias={"force": 4.0, **on_rod})
+    assert not result(elsewhere, answer("explained", "spring_rest", "force_offset")).exact
+    shifted = single(valve_deadband={"half_width": 3e-4}, valve_offset={"current": 1e-4})
+    assert result(shifted, answer("explained", "valve_deadband")).exact
+    assert not result(shifted, answer("explained", "valve_offset")).exact
 
 
 def test_clean_bench_passes_only_without_any_claim_or_doubt() -> None:

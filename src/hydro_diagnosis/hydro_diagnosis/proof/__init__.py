@@ -3,6 +3,6 @@
 
 `magnitudes`, `cases`: what is concealed; `seal`: the answers, digest first; `recording`, `bench_graph`: the emulator as
 a process; `blindfold`, `blind`: the diagnosis in a process that sees recordings and bench.yaml alone; `referee`: the
-fit of the true structure, after opening; `facts`, `standards`: scores; `pictures`, `page`: what is shown. `prove` puts
-them together. docs/proof.md.
+fit of the true structure, after opening; `names`, `facts`, `standards`: scores; `pictures`, `page`: what is shown.
+`prove` puts them together. docs/proof.md.
 """

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from hydro_diagnosis.proof.cases import Case
+from hydro_diagnosis.proof.names import PLACES, Name, names
 
-COMPANIONS = {"lugre": {"friction_presliding"}}
-"""Forms that are two causes of the table at once: LuGre friction has bristles. Naming the companion is right too."""
 _IDS = {
     "motion": ("friction_coulomb", "friction_viscous", "friction_stribeck", "friction_presliding", "moving_mass",
                "end_cushion", "force_offset", "friction_rib", "friction_pressure", "load_hum", "load_walk"),
@@ -96,18 +95,21 @@ class Result:
 
     @property
     def exact(self) -> bool:
-        """Exactly what is concealed is named; for a clean bench: nothing is."""
-        truth, claims = set(self.case.effects), self.claimed
-        allowed = truth | {c for values in self.case.effects.values() for c in COMPANIONS.get(values.get("form"), ())}
-        complete = truth <= set(claims) <= allowed and len(claims) == len(set(claims))
-        return complete and (self.verdict == "no_mismatch" if self.case.kind == "clean" else not self.refused)
+        """Exactly what is concealed is named, in its chamber, cell or sensor; for a clean bench: nothing is."""
+        if self.case.kind == "clean":
+            return self.verdict == "no_mismatch"
+        return not self.refused and len(self.claims) == len(self.effects) and self.claims in names(self.case.effects)
+
+    @property
+    def claims(self) -> frozenset[Name]:
+        """What is claimed, and where."""
+        return frozenset((effect["id"], _place(effect["options"])) for effect in self.effects)
 
     @property
     def spurious(self) -> list[str]:
-        """Ids that are claimed and not concealed."""
-        allowed = set(self.case.effects)
-        allowed |= {c for values in self.case.effects.values() for c in COMPANIONS.get(values.get("form"), ())}
-        return [name for name in self.claimed if name not in allowed]
+        """Ids that are claimed and in no way of naming what is concealed."""
+        allowed = frozenset().union(*names(self.case.effects))
+        return sorted(cause for cause, place in self.claims if (cause, place) not in allowed)
 
     @property
     def admitted(self) -> bool:
@@ -125,7 +127,8 @@ class Result:
     @property
     def located(self) -> bool:
         """Every place that holds a tenth of the mismatch or more is an equation in which something is concealed."""
-        right = set().union(*(equations(name) for name in (*self.case.effects, *self.case.outside)))
+        causes = {cause for way in names(self.case.effects) for cause, _ in way} | set(self.case.outside)
+        right = set().union(*(equations(cause) for cause in causes))
         found = {equation for equation, share in self.places.items() if share >= SHARE}
         return bool(found) and found <= right
 
@@ -142,7 +145,8 @@ class Result:
     def estimates(self) -> list[Estimate]:
         """Numbers that truth and report name alike and that the recordings identify, if all causes are named."""
         found = []
-        for effect in self.effects if self.exact else ():
+        alike = self.exact and {cause for cause, _ in self.claims} >= set(self.case.effects)
+        for effect in self.effects if alike else ():
             truth = self.case.effects.get(effect["id"], {})
             for name, one in effect["parameters"].items():
                 if name in truth and one["ci95"] is not None:
@@ -165,6 +169,10 @@ class Result:
         """Channel whose held-out error is largest over its noise floor."""
         ratios = _ratios({} if self.refused else self.answer["report"]["fit"]["holdout"])
         return max(ratios, key=lambda name: ratios[name]) if ratios else ""
+
+
+def _place(options: Mapping[str, str]) -> str:
+    return next((options[key] for key in PLACES if key in options), "")
 
 
 def _over(channels: Mapping[str, Any]) -> float | None:
