@@ -32,7 +32,7 @@ from hydro_bridge.ros import (
     seconds,
 )
 from hydro_bridge.settings import check, describe
-from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus
+from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag
 from hydro_filter.filter import ContractionFilter, FilterSettings, Result
 from hydro_filter.sample import Sample
 from hydro_filter.tally import TROUBLE, Tally, sentence
@@ -112,7 +112,10 @@ class FilterNode(Node):
 def sample_of(message: BenchState) -> Sample:
     """What the filter reads of a BenchState."""
     state = np.array([getattr(message, name) for name in PLANT_FIELDS])
-    return Sample(state, message.nominal_valve_current, message.reference_force, message.proportional_gain)
+    return Sample(
+        state, message.nominal_valve_current, message.reference_force, message.proportional_gain,
+        message.valve_current, message.reference_force_rate, bool(message.flags & Flag.ARMED),
+    )  # fmt: skip
 
 
 def arguments(given: list[str]) -> argparse.Namespace:

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learned metric as an object, with what the filter needs beside it, and its file (safetensors, as the learned bench's).
+
+M(x, K_p) is `metric_network`'s. The thresholds beside it were measured with it, on held-out runs, and belong to it: what
+of a displacement is noise, what the law's integral asks for on stable runs, for which contraction rate it was trained.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.signals import FloatArray
+from hydro_filter import metric_network
+from hydro_filter.loop_model import LOOP_FIELDS, LoopModel
+from hydro_filter.metric_design import MetricDesign, design_table
+from hydro_filter.metric_network import ENTRIES, HIDDEN, INPUTS, MetricParts, metric_value
+from hydro_filter.state import STATES, state_scale
+from hydro_sim.bench import Bench
+from hydro_sim.hydraulics import rest_state
+from hydro_sim.learned import mlp, weights
+from hydro_sim.learned.weights import WeightsError
+
+STRUCTURE = "metric"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """What was measured on held-out runs; `metric_levels`."""
+
+    noise_size: float = 0.0
+    """v'Mv of the noise for gains of the certified range, [0, 1e6]."""
+    foreign_noise_size: float = 0.0
+    """The same in the metric for all other gains, [0, 1e6]."""
+    integral_allowance: float = 200.0
+    """N/s that the law's integral asks for on stable runs, [0, 1e6]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedMetric:
+    """M(x, K_p) on loop coordinates."""
+
+    flat: FloatArray
+    """The network's weights."""
+    hidden: tuple[int, int]
+    center: FloatArray
+    """Shape (8,), of x."""
+    scale: FloatArray
+    """Shape (8,), of x."""
+    gains: FloatArray
+    """K_p [1/s] of the table."""
+    table: FloatArray
+    """Cholesky factors, shape (n + 1, 36)."""
+    floor: float
+    thresholds: Thresholds = Thresholds()
+    training: dict[str, Any] = field(default_factory=dict)
+    """Command, settings, losses reached, digest of the model that it was trained on."""
+
+    @classmethod
+    def designed(
+        cls, loop: LoopModel, bench: Bench, design: MetricDesign, *, hidden: tuple[int, int] = HIDDEN, seed: int = 0
+    ) -> LearnedMetric:
+        """The solved metrics alone: the network's last layer is zero."""
+        solved = design_table(loop, design)
+        center = np.zeros(STATES)
+        center[4:7] = rest_state(bench.constants()[0])[:3]
+        flat = mlp.initial(np.random.default_rng(seed), INPUTS, hidden, ENTRIES, last=0.0)
+        return cls(
+            flat=flat, hidden=hidden, center=center, scale=state_scale(bench),
+            gains=solved.gains, table=solved.table, floor=solved.floor,
+        )  # fmt: skip
+
+    @property
+    def parts(self) -> MetricParts:
+        """What the kernels take."""
+        layers = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)
+        return MetricParts(layers, self.center, self.scale, self.gains, self.table, self.floor)
+
+    def matrix(self, x: FloatArray, gain: float) -> FloatArray:
+        """M, shape (8, 8), at x (8,) [SI units] and K_p [1/s]."""
+        return self.matrix_and_rate(x, np.zeros(STATES), gain)[0]
+
+    def matrix_and_rate(self, x: FloatArray, state_rate: FloatArray, gain: float) -> tuple[FloatArray, FloatArray]:
+        """M and M' [1/s] along x' (8,) [SI units per s]."""
+        value = metric_value(self.parts)
+        metric_network.evaluate(self.parts, x, state_rate, gain, value)
+        return value.matrix, value.rate
+
+    def with_weights(self, flat: FloatArray) -> LearnedMetric:
+        """The same with other weights."""
+        return replace(self, flat=np.asarray(flat, np.float64).copy())
+
+    def save(self, path: str | Path) -> None:
+        """Write a weights file."""
+        views = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)._asdict()
+        arrays = {"center": self.center, "scale": self.scale, "gains": self.gains, "table": self.table}
+        header = {
+            "structure": STRUCTURE, "hidden": list(self.hidden), "activation": "relu", "floor": self.floor,
+            "coordinates": list(LOOP_FIELDS), "thresholds": asdict(self.thresholds), "training": self.training,
+            "normalization": "inputs (x - center) / scale, K_p / 100 or 0, foreign 0 or 1; output: Cholesky factor by rows",
+        }  # fmt: skip
+        weights.save(path, {**views, **arrays}, header)
+
+    @classmethod
+    def load(cls, path: str | Path | None = None) -> LearnedMetric:
+        """Read a weights file; None: the one that comes with this package. Raises WeightsError."""
+        path = path or shipped()
+        tensors, header = weights.load(path)
+        if header["structure"] != STRUCTURE:
+            raise WeightsError(
+                f"{path} has structure {header['structure']!r}, not a metric's: `learn_metric` makes one"
+            )
+        try:
+            hidden = (int(header["hidden"][0]), int(header["hidden"][1]))
+            flat = np.concatenate([np.asarray(tensors[name], np.float64).ravel() for name in mlp.Layers._fields])
+            mlp.layers(flat, INPUTS, hidden, ENTRIES)
+            arrays = {name: np.asarray(tensors[name], np.float64) for name in ("center", "scale", "gains", "table")}
+            return cls(
+                flat=flat, hidden=hidden, floor=float(header["floor"]), thresholds=Thresholds(**header["thresholds"]),
+                training=header.get("training", {}), **arrays,
+            )  # fmt: skip
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
+
+
+def shipped() -> Path:
+    """The metric that comes with this package."""
+    return Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors"))

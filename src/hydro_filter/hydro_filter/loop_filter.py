@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter with the learned metric as objects: one bench with OSQP, or many benches at once.
+
+::
+
+    contraction_filter = default_filter(bench)
+    contraction_filter.correct(sample)                    Sample in, Result out, one bench; OSQP, as the node runs it
+    bank = LoopBank(contraction_filter.parts, count=64)
+    delta_u = bank.correct(records).delta_u               records of STATE_DTYPE, one per bench; the QP's closed form
+    loop_decision.decide(parts, memory[i], x, ...)         the same call for a compiled loop
+
+Samples must follow one another, each once. A correction acts one sample after its own. Which gains are held, and what is
+not: docs/safety.md.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hydro_bridge.settings import check
+from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, FloatArray, StateArray
+from hydro_filter import displacement, loop_decision
+from hydro_filter.displacement import MEMORY_DTYPE
+from hydro_filter.filter import Result
+from hydro_filter.learned_metric import LearnedMetric
+from hydro_filter.loop_decision import LoopParts
+from hydro_filter.loop_model import loop_model
+from hydro_filter.qp import QpFilter
+from hydro_filter.sample import Sample
+from hydro_sim.bench import Bench
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.structured_model import StructuredModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopFilterSettings:
+    """How the filter decides."""
+
+    contraction_rate: float = 0.1
+    """lambda [1/s] for gains of the certified range, [0, 10]; the paper's 0.1."""
+    foreign_rate: float = 8.0
+    """lambda [1/s] for all other gains, whose loop the correction closes, [0, 15]: how fast an error has to decay."""
+    noise_share: float = 1.0
+    """What of the metric's own noise level counts as nothing, [0, 100]; 0: correct noise as well."""
+    state_age_max: float = 5e-3
+    """s, an older state is not acted upon, [0.001, 0.1]."""
+    bypass: bool = False
+    """Correct nothing and say so in every correction: status BYPASSED."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+class LoopFilter:
+    """One bench's filter. Never raises on a sample.
+
+    Parameters
+    ----------
+    parts
+        Of `loop_parts`.
+    settings
+        Of these only age and bypass are used here; the rest went into the parts.
+    """
+
+    def __init__(self, parts: LoopParts, settings: LoopFilterSettings | None = None) -> None:
+        self.parts = parts
+        self.settings = settings or LoopFilterSettings()
+        self.qp = QpFilter()
+        self.memory = np.zeros(1, MEMORY_DTYPE)
+        self._room = loop_decision.space(parts)
+
+    def reset(self) -> None:
+        """Begin anew: the next sample does not follow the last one."""
+        displacement.begin(self.memory[0])
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """Decide about a sample that is `age` [s] old."""
+        x, memory = np.ascontiguousarray(sample.state), self.memory[0]
+        given = (sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate)
+        gain = sample.proportional_gain
+        if not loop_decision.finite(x, *given, gain):
+            displacement.begin(memory)
+            status = CorrectionStatus.BYPASSED if self.settings.bypass else CorrectionStatus.NAN
+            return Result(0.0, math.nan, math.nan, status)
+        problem = loop_decision.pose(
+            self.parts, memory, x, *given, gain, self._room
+        )  # also of an old sample: it moves on
+        if self.settings.bypass:
+            before, _ = loop_decision.judge(problem, 0.0)
+            return Result(0.0, before, before, CorrectionStatus.BYPASSED)
+        if not age <= self.settings.state_age_max:
+            return Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
+        if not sample.armed:
+            return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
+        if math.isnan(problem.a) and math.isfinite(problem.best):
+            change, number = loop_decision.nearest(problem)
+            status = CorrectionStatus(number)
+        else:
+            change, status = self.qp.solve(problem.a, problem.b, problem.low, problem.high)
+        before, after = loop_decision.judge(problem, change)
+        delta_u = loop_decision.beyond(sample.nominal_current, change, self.parts.loop.current_max)
+        return Result(delta_u, before, after, status)
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Of N benches, each shape (N,)."""
+
+    delta_u: FloatArray
+    """A."""
+    before: FloatArray
+    """M_c [1/s] without the correction."""
+    after: FloatArray
+    """M_c [1/s] with it."""
+    status: npt.NDArray[np.uint8]
+    """`hydro_bridge.signals.CorrectionStatus`."""
+
+
+class LoopBank:
+    """The filter for N benches at once: the QP by its closed form, no solver, no ages."""
+
+    def __init__(self, parts: LoopParts, count: int) -> None:
+        self.parts = parts
+        self.memory = np.zeros(count, MEMORY_DTYPE)
+        self._room = loop_decision.space(parts)
+        self.decisions = Decisions(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, np.uint8))
+
+    def forget(self, benches: npt.NDArray[np.bool_] | slice = slice(None)) -> None:
+        """Begin anew, all or some benches."""
+        self.memory[benches] = np.zeros(1, MEMORY_DTYPE)[0]
+
+    def correct(self, records: StateArray) -> Decisions:
+        """Decide about one sample of each bench, records of `STATE_DTYPE`, shape (N,). The answer is overwritten by
+        the next.
+        """
+        x = np.stack([records[name] for name in PLANT_FIELDS], axis=1)
+        names = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate")
+        signals = np.stack([records[name] for name in (*names, "proportional_gain")], axis=1)
+        armed = (records["flags"] & int(Flag.ARMED)) != 0
+        made = self.decisions
+        _decide_many(
+            self.parts, self.memory, x, signals, armed, self._room, made.delta_u, made.before, made.after, made.status
+        )
+        return made
+
+
+@njit(cache=True)
+def _decide_many(parts, memory, x, signals, armed, room, delta_u, before, after, status):
+    for k in range(len(x)):
+        nominal, current, reference, rate, gain = signals[k]
+        delta_u[k], before[k], after[k], status[k] = loop_decision.decide(
+            parts, memory[k], x[k], nominal, current, reference, rate, gain, armed[k], room
+        )
+
+
+def loop_parts(
+    metric: LearnedMetric, model: StructuredModel, bench: Bench, settings: LoopFilterSettings | None = None
+) -> LoopParts:
+    """What `decide` reads, of a metric, the learned model that it was trained on, and what the box believes."""
+    chosen, levels = settings or LoopFilterSettings(), metric.thresholds
+    return LoopParts(
+        loop=loop_model(model, bench),
+        metric=metric.parts,
+        rate=chosen.contraction_rate,
+        foreign_rate=chosen.foreign_rate,
+        noise_size=chosen.noise_share * levels.noise_size,
+        foreign_noise_size=chosen.noise_share * levels.foreign_noise_size,
+        integral_allowance=levels.integral_allowance,
+    )
+
+
+def default_filter(bench: Bench | None = None, settings: LoopFilterSettings | None = None) -> LoopFilter:
+    """The shipped metric on the shipped learned model, for a box that believes `bench` (default: the nominal one).
+
+    Raises
+    ------
+    WeightsError
+        If a weights file is missing or unreadable.
+    """
+    model = Learned.load().model
+    assert isinstance(model, StructuredModel)
+    parts = loop_parts(LearnedMetric.load(), model, bench or Bench.nominal(), settings)
+    return LoopFilter(parts, settings)
