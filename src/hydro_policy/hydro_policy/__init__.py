@@ -6,3 +6,10 @@ Sessions: `steps` (samples to steps), `watch` (plant and arming), `training` and
 `report`; `offline` runs them without a graph. Learning: `learner` (the process), `supervisor` (its handle), `shared`
 (memory between the two). Files: `run`, `checkpoint`, `snapshot`. The ROS side is under `nodes`.
 """
+
+from pathlib import Path
+
+import hydro_sim
+from hydro_sim.compiled import forget_stale
+
+forget_stale(Path(__file__).parent, Path(hydro_sim.__file__).parent)

@@ -54,6 +54,11 @@ class StackedMlp:
                 for tensor in (weight, bias):
                     tensor.uniform_(-bound, bound, generator=generator)
 
+    @property
+    def gradients(self) -> tuple[list[Tensor], list[Tensor]]:
+        """Views into `gradient`: those of the weights and those of the biases."""
+        return self._weight_gradients, self._bias_gradients
+
     def forward(self, inputs: Tensor) -> Tensor:
         """Evaluate inputs [members, batch, sizes[0]] -> [members, batch, sizes[-1]]; keeps what `backward` needs."""
         hidden, last = inputs, len(self.weights) - 1

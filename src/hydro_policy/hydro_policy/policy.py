@@ -50,19 +50,19 @@ class Policy:
             raise ValueError(f"{len(parameters)} parameters for a policy of {offset}")
 
     def distribution(self, observation: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(mu, log sigma) before squashing, [2] each, of one observation [13]."""
+        """(mu, log sigma) before squashing, [..., 2] each, of observations [..., 13]."""
         hidden = observation
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ weight + bias, 0.0)
         output = hidden @ self.weights[-1] + self.biases[-1]
         low, high = self.log_std_bounds
-        return output[:ACTIONS], np.minimum(np.maximum(output[ACTIONS:], low), high)
+        return output[..., :ACTIONS], np.minimum(np.maximum(output[..., ACTIONS:], low), high)
 
     def act(self, observation: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
-        """An action [2] in [-1, 1]: drawn with `rng`, or the mean's without."""
+        """Actions [..., 2] in [-1, 1] for observations [..., 13]: drawn with `rng`, or the mean's without."""
         mean, log_std = self.distribution(observation)
         if rng is not None:
-            mean = mean + np.exp(log_std) * rng.standard_normal(ACTIONS)
+            mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape)
         return np.tanh(mean)
 
     def save(self, path: Path, gains: GainRange, notes: dict[str, object] | None = None) -> None:

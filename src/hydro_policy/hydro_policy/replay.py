@@ -84,14 +84,17 @@ class ReplayBuffer:
         self.rows[(first + np.arange(len(kept))) % len(self.rows)] = kept
         self._counter[0] = first + len(kept)  # after the rows: whoever sees the count finds them complete
 
-    def sample(self, batch_size: int, generator: torch.Generator) -> Batch:
-        """Draw `batch_size` transitions uniformly, with replacement."""
+    def draw(self, count: int, generator: torch.Generator) -> Tensor:
+        """Places in `rows` of `count` transitions, drawn uniformly, with replacement."""
         produced, capacity = self.produced, len(self.rows)
         if produced < capacity:
-            places = torch.randint(produced, (batch_size,), generator=generator)
-        else:
-            ages = torch.randint(capacity - _MARGIN, (batch_size,), generator=generator)
-            places = (produced - 1 - ages) % capacity
+            return torch.randint(produced, (count,), generator=generator)
+        ages = torch.randint(capacity - _MARGIN, (count,), generator=generator)
+        return (produced - 1 - ages) % capacity
+
+    def sample(self, batch_size: int, generator: torch.Generator) -> Batch:
+        """Draw `batch_size` transitions uniformly, with replacement."""
+        places = self.draw(batch_size, generator)
         observation, following, action, reward, terminated = self._tensor.index_select(0, places).split(
             self.widths, dim=1
         )

@@ -10,11 +10,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from hydro_bridge.signals import FloatArray
+from hydro_policy import sac_kernel
 from hydro_policy.mlp import FlatAdam, StackedMlp
-from hydro_policy.replay import Batch
+from hydro_policy.replay import Batch, ReplayBuffer
+from hydro_sim.learned.mlp import Layers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -120,15 +124,47 @@ class Sac:
         self.entropy_optimizer = FlatAdam(self.log_entropy_coefficient, settings.entropy_learning_rate)
         self.updates = 0
         self._actions, self._dtype = actions, dtype
+        self._numbers = sac_kernel.Numbers(
+            observations, actions, settings.discount, settings.target_rate, settings.target_entropy,
+            settings.reward_scale, settings.log_std_min, settings.log_std_max,
+        )  # fmt: skip
+        self._networks = sac_kernel.Networks(
+            _layers(self.actor_network)[0], _layers(self.actor_network, gradient=True)[0], _layers(self.critics),
+            _layers(self.critics, gradient=True), _layers(self.target_critics), self.target_critics.parameters.numpy(),
+        )  # fmt: skip
 
     @property
     def entropy_coefficient(self) -> float:
         """alpha, the temperature."""
         return float(self.log_entropy_coefficient.exp())
 
+    def actor_parameters(self) -> FloatArray:
+        """The actor's flat parameters, float64, a copy: what `Policy.load_flat` takes."""
+        return np.asarray(self.actor_network.parameters.numpy(), np.float64).copy()
+
+    def learn(self, replay: ReplayBuffer, updates: int) -> None:
+        """`updates` times: draw a batch, update. Compiled, one call for all of them (`sac_kernel`).
+
+        Batches larger than `sac_kernel.BATCH_MAX` go through `update`.
+        """
+        batch = self.settings.batch_size
+        if batch > sac_kernel.BATCH_MAX:
+            for _ in range(updates):
+                self.update(replay.sample(batch, self.generator))
+            return
+        places = replay.draw(updates * batch, self.generator).view(updates, batch)
+        noise = torch.randn(updates, 2, batch, self._actions, generator=self.generator, dtype=self._dtype)
+        optimizers = (self.actor_optimizer, self.critic_optimizer, self.entropy_optimizer)
+        gradients = (self.actor_network.gradient, self.critics.gradient, torch.zeros(1, dtype=self._dtype))
+        adams = [_adam(optimizer, gradient) for optimizer, gradient in zip(optimizers, gradients, strict=True)]
+        sac_kernel.learn(self._networks, *adams, self._numbers, replay.rows, places.numpy(), noise.numpy())
+        for optimizer in optimizers:
+            optimizer.steps += updates
+        self.updates += updates
+
     @torch.no_grad()
     def update(self, batch: Batch) -> None:
-        """One gradient step of critics, actor and temperature, then the targets follow."""
+        """One gradient step of critics, actor and temperature, then the targets follow: what `learn` compiles."""
         alpha = self.entropy_coefficient
         self._update_critics(batch, alpha)
         log_probability = self._update_actor(batch.observation, alpha)
@@ -169,3 +205,19 @@ class Sac:
 
     def _noise(self, rows: int) -> Tensor:
         return torch.randn(rows, self._actions, generator=self.generator, dtype=self._dtype)
+
+
+def _layers(network: StackedMlp, gradient: bool = False) -> tuple[Layers, ...]:
+    """Each member's weights, or their gradients, as views for compiled code."""
+    weights, biases = network.gradients if gradient else (network.weights, network.biases)
+    arrays = [t.numpy() for pair in zip(weights, biases, strict=True) for t in pair]
+    return tuple(
+        Layers(*(array[m] if k % 2 == 0 else array[m, 0] for k, array in enumerate(arrays)))
+        for m in range(network.members)
+    )
+
+
+def _adam(optimizer: FlatAdam, gradient: Tensor) -> sac_kernel.Adam:
+    moments = optimizer.first_moment.numpy(), optimizer.second_moment.numpy()
+    vectors = optimizer.parameters.numpy(), gradient.numpy(), *moments
+    return sac_kernel.Adam(*vectors, optimizer.learning_rate, optimizer.steps)

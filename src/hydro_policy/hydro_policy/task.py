@@ -62,11 +62,14 @@ class GainRange:
 
     def gains(self, action: FloatArray) -> tuple[float, float]:
         """(delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""
-        kp, ki = (0.5 * (min(max(float(a), -1.0), 1.0) + 1.0) for a in action)
-        return (
-            self.delta_kp_min + kp * (self.delta_kp_max - self.delta_kp_min),
-            self.delta_ki_min + ki * (self.delta_ki_max - self.delta_ki_min),
-        )
+        kp, ki = self.changes(action)
+        return float(kp), float(ki)
+
+    def changes(self, actions: FloatArray) -> FloatArray:
+        """`gains` of many actions: shape (..., 2) gives (..., 2)."""
+        low = np.array((self.delta_kp_min, self.delta_ki_min))
+        high = np.array((self.delta_kp_max, self.delta_ki_max))
+        return np.asarray(low + 0.5 * (np.clip(actions, -1.0, 1.0) + 1.0) * (high - low))
 
     def action(self, delta_kp: float, delta_ki: float) -> FloatArray:
         """The action [2] that gives these gains; not clamped."""
@@ -87,6 +90,8 @@ class TaskSettings:
     """N. [1, 1e5]."""
     force_rate_scale: float = 300.0 * 2.0 * math.pi * 2.0
     """N/s: 300 N at 2 Hz. [1, 1e6]."""
+    reward_power: float = 2.0
+    """2: the paper's square; 1: its root, which weighs small errors on slow references more. [0.1, 2]."""
     trip_penalty: float = 1000.0
     """Taken from the reward when the box trips (force limit, sensor fault), which ends the episode. [0, 1e6]."""
     steps_per_episode: int = 1800
@@ -102,13 +107,19 @@ class TaskSettings:
     gains: GainRange = field(default_factory=GainRange)
 
     def reward(self, error: FloatArray, error_rate: FloatArray) -> float:
-        """Eq. reward of the step's means: e [n] in N and e' [n] in N/s of the samples that the action acted on.
+        """Eq. reward (at power 2) of the step's means: e [n] in N and e' [n] in N/s of the samples that the action acted on.
 
         The paper prints it at one instant. There the derivative's noise alone is worth -20 a step; in the mean over ten
         samples, which is the change of e over the step, it is worth -2, and tracking weighs as before.
         """
-        e, de = np.mean(error) / self.force_scale, np.mean(error_rate) / self.force_rate_scale
-        return -float(self.error_weight * e * e + self.error_rate_weight * de * de)
+        return float(self.rewards(error, error_rate))
+
+    def rewards(self, error: FloatArray, error_rate: FloatArray) -> FloatArray:
+        """`reward` of many steps: e, e' of shape (..., n) give (...)."""
+        e, de = np.mean(error, axis=-1) / self.force_scale, np.mean(error_rate, axis=-1) / self.force_rate_scale
+        return np.asarray(
+            -((self.error_weight * e * e + self.error_rate_weight * de * de) ** (0.5 * self.reward_power))
+        )
 
     def reference(self, episode: int, seed: int) -> ReferenceSignal:
         """Sine of an episode: amplitude and frequency spread evenly over their ranges, from a random start.
@@ -126,21 +137,21 @@ class TaskSettings:
 
 
 def observe(sample: FloatArray, previous_action: FloatArray) -> FloatArray:
-    """Eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (13,).
+    """Eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (..., 13).
 
     Parameters
     ----------
     sample
-        One sample in the order of `STATE_FIELDS`, shape (14,), SI units.
+        Samples in the order of `STATE_FIELDS`, shape (..., 14), SI units.
     previous_action
-        Shape (2,), within [-1, 1].
+        Shape (..., 2), within [-1, 1].
     """
-    observation = np.empty(OBSERVATIONS)
-    observation[:_PLANT] = sample[:_PLANT]
-    observation[_PLANT] = sample[REFERENCE]
-    observation[_PLANT + 1] = sample[REFERENCE_RATE]
-    observation[_PLANT + 2] = sample[REFERENCE] - sample[LOAD_FORCE]
-    observation[_PLANT + 3 :] = previous_action
+    observation = np.empty((*sample.shape[:-1], OBSERVATIONS))
+    observation[..., :_PLANT] = sample[..., :_PLANT]
+    observation[..., _PLANT] = sample[..., REFERENCE]
+    observation[..., _PLANT + 1] = sample[..., REFERENCE_RATE]
+    observation[..., _PLANT + 2] = sample[..., REFERENCE] - sample[..., LOAD_FORCE]
+    observation[..., _PLANT + 3 :] = previous_action
     observation -= OBSERVATION_CENTER
     observation /= OBSERVATION_SCALE
     return observation

@@ -101,12 +101,46 @@ def test_same_seed_gives_the_same_networks_bit_for_bit() -> None:
         sac, rows = Sac(4, 2, SacSettings(seed=seed, batch_size=32)), np.random.default_rng(0).normal(size=(200, 12))
         memory = ReplayBuffer(4, 2, 200)
         memory.extend(rows.astype(np.float32))
-        for _ in range(30):
-            sac.update(memory.sample(32, sac.generator))
+        sac.learn(memory, 30)
         return sac.actor_network.parameters.clone()
 
     assert torch.equal(train(1), train(1))
     assert not torch.equal(train(1), train(2))
+
+
+@pytest.mark.parametrize("dtype", [torch.float64, torch.float32])
+@pytest.mark.parametrize("rows", [256, 100, 3])
+def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dtype) -> None:
+    """Five updates by `learn` and by `update` on the same draws: equal to rounding; a buffer's tail does not count."""
+    compiled, plain = (Sac(5, 2, SacSettings(batch_size=rows, hidden_size=30, seed=4), dtype) for _ in range(2))
+    rng, memory = np.random.default_rng(1), ReplayBuffer(5, 2, 500)
+    table = rng.normal(size=(400, 14)).astype(np.float32)
+    table[:, 10:12], table[:, 13] = np.tanh(table[:, 10:12]), rng.random(400) < 0.2
+    memory.extend(table)
+    state = compiled.generator.get_state()
+    compiled.learn(memory, 5)
+    plain.generator.set_state(state)
+    places = memory.draw(5 * rows, plain.generator).view(5, rows)
+    noise = torch.randn(5, 2, rows, 2, generator=plain.generator, dtype=dtype)
+    draws = iter(noise.view(10, rows, 2))
+    plain._noise = lambda count: next(draws)  # type: ignore[method-assign]
+    for drawn in places:
+        parts = torch.from_numpy(table[drawn.numpy()]).to(dtype).split(memory.widths, dim=1)
+        plain.update(Batch(parts[0], parts[2], parts[3].squeeze(1), parts[1], parts[4].squeeze(1)))
+    tolerance = {"rtol": 1e-11, "atol": 1e-13} if dtype == torch.float64 else {"rtol": 1e-3, "atol": 2e-5}
+    for name in ("actor_network", "critics", "target_critics"):
+        found, want = getattr(compiled, name).parameters, getattr(plain, name).parameters
+        torch.testing.assert_close(found, want, **tolerance)
+    assert compiled.entropy_coefficient == pytest.approx(plain.entropy_coefficient, rel=1e-6)
+    assert (compiled.updates, compiled.actor_optimizer.steps) == (plain.updates, plain.actor_optimizer.steps)
+
+
+def test_batches_beyond_the_compiled_buffers_are_learnt_from_all_the_same() -> None:
+    sac, memory = Sac(4, 2, SacSettings(batch_size=600)), ReplayBuffer(4, 2, 200)
+    memory.extend(np.random.default_rng(0).normal(size=(100, 12)).astype(np.float32))
+    before = sac.actor_parameters()
+    sac.learn(memory, 2)
+    assert sac.updates == 2 and not np.array_equal(sac.actor_parameters(), before)
 
 
 def test_bandit_with_known_optimum_is_solved() -> None:
@@ -119,8 +153,7 @@ def test_bandit_with_known_optimum_is_solved() -> None:
     rows[:, 2:4], rows[:, 4], rows[:, 5] = actions, -np.sum((actions - best) ** 2, axis=1), 1.0
     memory = ReplayBuffer(1, 2, 2000)
     memory.extend(rows)
-    for _ in range(1500):
-        sac.update(memory.sample(64, sac.generator))
+    sac.learn(memory, 1500)
     found = sac.actor.sample(torch.zeros(1, 1), torch.zeros(1, 2)).action[0].numpy()
     np.testing.assert_allclose(found, best, atol=0.05)
 
@@ -149,8 +182,7 @@ def test_linear_quadratic_regulator_is_learnt() -> None:
     )
     memory = ReplayBuffer(1, 1, 5000)
     memory.extend(rows)
-    for _ in range(6000):
-        sac.update(memory.sample(128, sac.generator))
+    sac.learn(memory, 6000)
 
     def learnt(x: np.ndarray) -> np.ndarray:
         rows = torch.from_numpy(x.astype(np.float32)).unsqueeze(1)

@@ -1,0 +1,29 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The two named configurations: `paper` is Table training_agent, `wide` what the better filter allows.
+
+docs/training.md says what each value of `wide` was measured to do.
+"""
+
+from __future__ import annotations
+
+from hydro_policy.run import TrainingSettings
+from hydro_policy.sac import SacSettings
+from hydro_policy.task import GainRange, TaskSettings
+
+WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)
+"""K_p from 15 to 300, K_i from 5 to 100: as far as the box goes."""
+
+
+def configuration(name: str, seed: int = 0) -> TrainingSettings:
+    """`paper` or `wide`, for a run of 160 episodes.
+
+    Raises
+    ------
+    ValueError
+        There is no such configuration.
+    """
+    if name == "paper":
+        return TrainingSettings(seed=seed, sac=SacSettings(seed=seed))
+    if name == "wide":
+        return TrainingSettings(seed=seed, sac=SacSettings(seed=seed), task=TaskSettings(gains=WIDE))
+    raise ValueError(f"there is no configuration {name!r}; there are paper and wide")

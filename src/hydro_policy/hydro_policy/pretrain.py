@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Train the policy in simulation: 160 episodes of 18 s on many benches at once, in a minute or two.
+
+ros2 run hydro_policy pretrain --out runs/pretrained
+ros2 run hydro_policy pretrain --out runs/wide --configuration wide
+ros2 run hydro_policy pretrain --out runs/corrected --bench corrected.yaml
+ros2 run hydro_policy trainer --plant emulator --start runs/pretrained
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+import yaml
+from tqdm import tqdm
+
+from hydro_bridge.console import UserError, add_json_argument, command, progress
+from hydro_bridge.recording_run import code_version
+from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
+from hydro_policy.configurations import configuration
+from hydro_policy.policy import Policy
+from hydro_policy.pretrain_report import curve_table, draw_curve
+from hydro_policy.pretraining import Pretraining, PretrainSettings
+from hydro_policy.randomisation import Randomisation
+from hydro_policy.run import RunDirectory, TrainingSettings
+from hydro_policy.snapshot import actor_parameters, dump
+from hydro_sim.bench import Bench
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.weights import WeightsError
+
+SOURCE = "pretrain.yaml"
+"""In a run's folder: what was simulated, beside config.yaml."""
+
+AGENT = "learner.safetensors"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """What is simulated; all that `--resume` needs besides config.yaml."""
+
+    model: str
+    """shipped, analytic, or a weights file of `hydro_sim learn`."""
+    bench: str | None = None
+    """bench.yaml or corrected.yaml that is simulated by the analytic model; None: the nominal bench."""
+    box: str | None = None
+    """bench.yaml that the box believes in; None: the nominal bench."""
+    randomise: bool = False
+    benches: int = 8
+
+    def simulated(self) -> Bench | Learned:
+        """The analytic bench or the learned model."""
+        if self.model == "analytic":
+            return Bench.load(self.bench) if self.bench else Bench.nominal()
+        return Learned.load(None if self.model == "shipped" else self.model)
+
+    def believed(self) -> Bench:
+        """What the box's force law takes for true."""
+        return Bench.load(self.box) if self.box else Bench.nominal()
+
+    def pretraining(self, training: TrainingSettings) -> Pretraining:
+        """A pretraining at its beginning."""
+        randomisation = Randomisation() if self.randomise else None
+        settings = PretrainSettings(training=training, benches=self.benches, randomisation=randomisation)
+        return Pretraining(settings, self.simulated(), self.believed())
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(
+        prog="pretrain", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    where = result.add_mutually_exclusive_group(required=True)
+    where.add_argument("--out", type=Path, metavar="RUN", help="folder of a new run")
+    where.add_argument("--resume", type=Path, metavar="RUN", help="go on with a run that was interrupted")
+    what = result.add_argument_group("what is simulated")
+    what.add_argument(
+        "--model",
+        metavar="shipped|analytic|WEIGHTS",
+        help="the learned bench that comes with hydro_sim, the analytic one, or a file of `hydro_sim learn` "
+        "(default: shipped; with --bench: analytic)",
+    )
+    what.add_argument("--bench", metavar="FILE", help="bench.yaml or a diagnosis' corrected.yaml to simulate")
+    what.add_argument("--box", metavar="FILE", help="bench.yaml that the box believes in (default: the nominal bench)")
+    what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
+    how = result.add_argument_group("how")
+    how.add_argument("--configuration", choices=("paper", "wide"), default="paper", help="see docs/training.md")
+    how.add_argument("--episodes", type=int, metavar="N", help="default 160")
+    how.add_argument("--steps", type=int, metavar="N", help="policy steps of 10 ms in an episode, default 1800")
+    how.add_argument("--updates-per-step", type=float, metavar="X", help="default 1")
+    how.add_argument("--benches", type=int, default=8, metavar="N", help="side by side, default 8")
+    how.add_argument("--seed", type=int, default=0, metavar="N", help="of everything that is drawn; default 0")
+    add_json_argument(result)
+    return result
+
+
+@command(ValueError, WeightsError)
+def main() -> int:
+    """Entry point."""
+    options = parser().parse_args()
+    torch.set_num_threads(1)  # the work is compiled; torch only draws numbers
+    run = RunDirectory(options.resume or options.out)
+    if options.resume:
+        settings, source = run.load_settings(), _load_source(run)
+        pretraining = source.pretraining(settings)
+        _resume(run, pretraining)
+    else:
+        settings, source = _settings(options), _source(options)
+        pretraining = source.pretraining(settings)
+        _create(run, settings, source)
+    began = time.monotonic()
+    try:
+        _train(run, pretraining, source)
+    except KeyboardInterrupt:
+        print(
+            f"interrupted after {pretraining.episode} episodes; go on with: pretrain --resume {run.path}",
+            file=sys.stderr,
+        )
+        return 130
+    _show(run, pretraining, options.json, time.monotonic() - began)
+    return 0
+
+
+def _settings(options: argparse.Namespace) -> TrainingSettings:
+    settings = configuration(options.configuration, options.seed)
+    given = {"episodes": options.episodes, "updates_per_step": options.updates_per_step}
+    settings = replace(settings, **{key: value for key, value in given.items() if value is not None})
+    steps = settings.task.steps_per_episode if options.steps is None else options.steps
+    return replace(settings, task=replace(settings.task, steps_per_episode=steps))
+
+
+def _source(options: argparse.Namespace) -> Source:
+    model = options.model or ("analytic" if options.bench else "shipped")
+    if options.bench and model != "analytic":
+        raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
+    files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
+    model = model if model in ("analytic", "shipped") else os.path.abspath(model)
+    return Source(model=model, randomise=options.randomise, benches=options.benches, **files)
+
+
+def _create(run: RunDirectory, settings: TrainingSettings, source: Source) -> None:
+    try:
+        run.create().save_settings(settings)
+        (run.path / SOURCE).write_text(yaml.safe_dump(asdict(source), sort_keys=False))
+    except FileExistsError as error:
+        raise UserError(str(error)) from error
+    except OSError as error:
+        raise UserError(f"{run.path} cannot be written: {error.strerror}") from error
+
+
+def _load_source(run: RunDirectory) -> Source:
+    try:
+        return Source(**yaml.safe_load((run.path / SOURCE).read_text()))
+    except (OSError, TypeError, yaml.YAMLError) as error:
+        raise UserError(f"{run.path} holds no pretraining to go on with: {error}") from error
+
+
+def _resume(run: RunDirectory, pretraining: Pretraining) -> None:
+    if not run.latest.exists() or not any(run.latest.iterdir()):
+        return  # interrupted before the first round was over: it begins anew
+    best = run.path / AGENT
+    pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
+
+
+def _train(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
+    """All rounds that are left, a checkpoint after each."""
+    settings = pretraining.settings.training
+    total = settings.episodes * settings.task.steps_per_episode
+    bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
+    bar.update(pretraining.episode * settings.task.steps_per_episode)
+    while not pretraining.finished:
+        entry = pretraining.round(lambda transitions: bar.update(len(transitions.reward)))
+        _save(run, pretraining, source)
+        bar.set_postfix_str(f"{entry['score']:.2f} of fixed gains' RMSE, best {pretraining.best_score:.2f}")
+    bar.close()
+
+
+def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
+    """Checkpoint; the best agent so far and its policy; the learning curve."""
+    best = pretraining.best or dump(pretraining.sac)
+    (run.path / (AGENT + ".partial")).write_bytes(best)
+    (run.path / (AGENT + ".partial")).replace(run.path / AGENT)
+    training = pretraining.settings.training
+    policy = Policy(training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max))
+    policy.load_flat(actor_parameters(best))
+    notes = {
+        "command": " ".join(["pretrain", *sys.argv[1:]]), "simulated": asdict(source), "seed": training.seed,
+        "episodes": pretraining.episode, "score": pretraining.best_score, "task": asdict(training.task),
+        "code": code_version(),
+    }  # fmt: skip
+    policy.save(run.policy, training.task.gains, notes)
+    save_checkpoint(run.latest, dump(pretraining.sac), pretraining.replay, pretraining.state())
+    cases = pretraining.settings.evaluation.cases
+    draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / "curve.png")
+
+
+def _show(run: RunDirectory, pretraining: Pretraining, json: Path | None, seconds: float) -> None:
+    table = curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse)
+    table.show(json)
+    print(
+        f"{run.path}: best score {pretraining.best_score:.3f}, {pretraining.sac.updates} updates, {seconds:.0f} s\n"
+        f"policy {run.policy}, learning curve {run.path / 'curve.png'}",
+        file=sys.stderr,
+    )
+
+
+if __name__ == "__main__":
+    main()

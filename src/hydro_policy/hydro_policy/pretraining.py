@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pretraining: Soft Actor-Critic on a fleet of simulated benches, deterministic by seed, resumable between rounds.
+
+::
+
+    round     one episode on every bench of the fleet, all from rest, references as `trainer` would give them
+    step      all benches act, ten samples pass, transitions are remembered, the updates owed are made
+    after     the mean action on four sines of 300 N: the learning curve, and which policy was the best so far
+
+A round's references, benches and noise follow from the seed and the episode's number alone, so that a run that was
+interrupted and resumed ends with the same weights as one that was not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.settings import check
+from hydro_bridge.signals import FloatArray, ReferenceSignal
+from hydro_policy import fleet_runs
+from hydro_policy.cases import EvaluationSettings
+from hydro_policy.checkpoint import Checkpoint
+from hydro_policy.environment import Environment, Transitions
+from hydro_policy.fleet import Fleet
+from hydro_policy.policy import Policy
+from hydro_policy.randomisation import Randomisation, draw
+from hydro_policy.replay import ReplayBuffer
+from hydro_policy.run import TrainingSettings
+from hydro_policy.sac import Sac
+from hydro_policy.snapshot import dump, restore
+from hydro_policy.task import ACTIONS, OBSERVATIONS
+from hydro_sim.bench import Bench
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.plant import AnalyticPlant, Plant
+
+REFERENCE_GAINS = (90.0, 15.0)
+"""K_p, K_i of the paper's controller III, which scores are relative to."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PretrainSettings:
+    """A pretraining: the run's own settings, and what it runs on."""
+
+    training: TrainingSettings = field(default_factory=TrainingSettings)
+    benches: int = 8
+    """Benches side by side; each plays its share of the episodes. [1, 256]."""
+    randomisation: Randomisation | None = None
+    """None: the same bench always."""
+    evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+class Pretraining:
+    """The whole state of a pretraining.
+
+    Parameters
+    ----------
+    settings
+        See `PretrainSettings`.
+    source
+        What is simulated: a learned model, or a bench by the analytic equations.
+    believed
+        The bench that the box believes in.
+    """
+
+    def __init__(self, settings: PretrainSettings, source: Bench | Learned, believed: Bench) -> None:
+        self.settings, self._source, self._believed = settings, source, believed
+        training = settings.training
+        self.fleet = self._fleet(settings.benches)
+        self.environment = Environment(self.fleet, training.task)
+        self.sac = Sac(OBSERVATIONS, ACTIONS, training.sac)
+        self.replay = ReplayBuffer(OBSERVATIONS, ACTIONS, training.replay_capacity)
+        self.policy = Policy(training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max))
+        self.rng = np.random.default_rng(training.seed)
+        self.episode = 0
+        """Episodes finished."""
+        self.history: list[dict[str, Any]] = []
+        """One entry per round: episode, mean return, trips, RMSE at each frequency, score."""
+        self.best_score = math.inf
+        self.best: bytes | None = None
+        """The agent (`snapshot.dump`) with the best score so far; not part of `state`."""
+        self._take_weights()
+        self.reference_rmse = self._sines(fleet_runs.fixed(np.array(REFERENCE_GAINS)))
+
+    @property
+    def finished(self) -> bool:
+        """Whether all episodes are done."""
+        return self.episode >= self.settings.training.episodes
+
+    def round(self, each_step: Callable[[Transitions], object] = lambda transitions: None) -> dict[str, Any]:
+        """One episode on every bench; returns the new entry of `history`."""
+        training = self.settings.training
+        count = min(len(self.fleet), training.episodes - self.episode)
+        references = [self._bench_of(index, self.episode + index) for index in range(len(self.fleet))]
+        seeds = [self._seed(self.episode + index, 1) for index in range(len(self.fleet))]
+        observation = self.environment.begin(references, seeds)
+        returns, trips = np.zeros(len(self.fleet)), 0
+        for _ in range(training.task.steps_per_episode):
+            transitions = self.environment.step(self.policy.act(observation, self.rng))
+            observation = self.environment.observation
+            self.replay.extend(transitions.rows()[:count])
+            self._learn()
+            returns += transitions.reward
+            trips += int(transitions.terminated[:count].sum())
+            each_step(transitions)
+        self.episode += count
+        self._remember(float(returns[:count].mean()), trips)
+        return self.history[-1]
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint holds besides learner and replay buffer, as JSON types."""
+        return {
+            "episode": self.episode, "history": self.history, "best_score": self.best_score,
+            "random_state": self.rng.bit_generator.state,
+        }  # fmt: skip
+
+    def restore(self, checkpoint: Checkpoint, best: bytes | None) -> None:
+        """Go on from a checkpoint that holds `state`, the agent and the replay buffer; `best` as it was then."""
+        restore(self.sac, checkpoint.learner)
+        self.replay.restore(checkpoint.replay, checkpoint.produced)
+        state = checkpoint.trainer
+        self.episode, self.history, self.best_score = state["episode"], state["history"], state["best_score"]
+        self.best, self.rng.bit_generator.state = best, state["random_state"]
+        self._take_weights()
+
+    def _learn(self) -> None:
+        training = self.settings.training
+        entitled = int(training.updates_per_step * max(self.replay.produced - training.warmup_steps, 0))
+        owed = entitled - self.sac.updates
+        if owed > 0:
+            self.sac.learn(self.replay, owed)
+            self._take_weights()
+
+    def _take_weights(self) -> None:
+        self.policy.load_flat(self.sac.actor_parameters())
+
+    def _remember(self, mean_return: float, trips: int) -> None:
+        rmse = self._sines(fleet_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
+        score = float(np.mean(rmse / self.reference_rmse))  # NaN if it trips
+        if score < self.best_score:
+            self.best_score, self.best = score, dump(self.sac)
+        self.history.append(
+            {
+                "episode": self.episode, "return": mean_return, "trips": trips, "score": score,
+                "rmse": [float(value) for value in rmse], "updates": self.sac.updates,
+                "entropy_coefficient": self.sac.entropy_coefficient,
+            }
+        )  # fmt: skip
+
+    def _sines(self, choose: fleet_runs.Chooser) -> FloatArray:
+        evaluation = self.settings.evaluation
+        return fleet_runs.rmse(self._fleet(len(evaluation.cases)), evaluation.cases, choose, evaluation)
+
+    def _fleet(self, count: int) -> Fleet:
+        return Fleet([self._believed] * count, [self._plant() for _ in range(count)])
+
+    def _plant(self) -> Plant:
+        return AnalyticPlant(self._source) if isinstance(self._source, Bench) else LearnedPlant(self._source)
+
+    def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
+        """The episode's reference; with randomisation its bench is put in place, too."""
+        training = self.settings.training
+        reference = training.task.reference(episode, training.seed)
+        if self.settings.randomisation is None:
+            return reference
+        drawn = draw(self.settings.randomisation, self._source, self._seed(episode, 2))
+        self.fleet.replace(index, self._believed, drawn.plant, drawn.gain_delay, drawn.dead_time)
+        return drawn.within_reach(reference)
+
+    def _seed(self, episode: int, stream: int) -> int:
+        return int(np.random.default_rng((self.settings.training.seed, episode, stream)).integers(2**62))

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many benches in one loop give the numbers of one bench at a time, to the bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
+from hydro_policy import fleet_runs
+from hydro_policy.cases import EvaluationSettings
+from hydro_policy.environment import Environment
+from hydro_policy.fleet import Fleet, records
+from hydro_policy.fleet_runs import fixed
+from hydro_policy.offline import OfflineGraph
+from hydro_policy.steps import StepClock
+from hydro_policy.task import GainRange, TaskSettings, observe
+from hydro_sim.bench import Bench
+from hydro_sim.learned.mlp import initial
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.network import INPUTS, STATES
+from hydro_sim.learned.network_model import NetworkModel
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant, Plant
+
+BENCH = Bench.nominal()
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.3)
+WITHOUT_REGION = ~np.uint32(Flag.EXTRAPOLATING)
+
+
+def network() -> Learned:
+    """A network's plant with weights that nobody trained: what matters here is that its numbers are the same."""
+    shipped = Learned.load(None)
+    flat = 0.05 * initial(np.random.default_rng(0), INPUTS, (8, 8), STATES)
+    scale = np.array([300.0, 4e3, 300.0, 4e3, 3e6, 3e6, 0.015, 0.2])
+    rest = np.array([0.0, 0.0, 0.0, 0.0, 6e6, 9e6, 0.04, 0.0])
+    model = NetworkModel(
+        flat=flat, hidden=(8, 8), center=rest, scale=scale, current_scale=0.01, rate_scale=scale, rest=rest
+    )
+    return replace(shipped, model=model)
+
+
+PLANTS = {
+    "structured": lambda: LearnedPlant(),
+    "network": lambda: LearnedPlant(network()),
+    "analytic": lambda: AnalyticPlant(BENCH),
+    "analytic without noise": lambda: AnalyticPlant(replace(BENCH, load_cell_bandwidth=25.0), noise=0.0),
+}
+
+
+@pytest.mark.parametrize("kind", PLANTS)
+def test_every_bench_of_a_fleet_is_the_offline_simulation_to_the_bit(kind: str) -> None:
+    """Gains change every step; bench 1 is compared while its neighbors run something else."""
+    steps, rng = 60, np.random.default_rng(3)
+    gains = np.column_stack((rng.uniform(15, 90, steps + 1), rng.uniform(5, 15, steps + 1)))
+    want = simulate(PLANTS[kind](), BENCH, Schedule(reference=SINE, gains=gains, seconds=0.01 * steps), seed=7)
+    fleet = Fleet([BENCH] * 3, [PLANTS[kind]() for _ in range(3)])
+    fleet.links["gain_delay"] = 10  # the offline schedule changes gains with the step's own sample
+    changes = gains - (15.0, 5.0)
+    for index in range(3):
+        fleet.begin(index, SINE, 7 if index == 1 else 100 + index, (changes[0, 0], changes[0, 1]))
+    got = [fleet.samples[1, -1:].copy()]
+    for row in changes[1:]:
+        got.append(fleet.step(np.array([[0.0, 0.0], row, [50.0, 5.0]]))[1].copy())
+    samples = np.concatenate(got)[: len(want)]
+    for name in (*STATE_FIELDS, "time", "sequence"):
+        np.testing.assert_array_equal(samples[name], want[name], err_msg=name)
+    np.testing.assert_array_equal(samples["flags"], want["flags"] & WITHOUT_REGION)
+
+
+def test_gains_act_when_a_graph_could_have_delivered_them() -> None:
+    """The gains that are chosen upon a step's sample are in force at the very next sample, as in `OfflineGraph`."""
+    fleet = Fleet([BENCH], [AnalyticPlant(BENCH)])
+    fleet.begin(0, SINE, 1)
+    shown = fleet.step(np.array([[40.0, 3.0]]))[0]["proportional_gain"]
+    np.testing.assert_array_equal(shown, 55.0)
+    fleet.links["gain_delay"] = 4
+    shown = fleet.step(np.array([[10.0, 3.0]]))[0]["proportional_gain"]
+    np.testing.assert_array_equal(shown, [55.0] * 3 + [25.0] * 7)
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    graph.sample()
+    graph.arm(True)
+    graph.sample()
+    graph.gains(40.0, 3.0, 0)
+    assert graph.sample()["proportional_gain"] == 55.0
+
+
+def test_a_dead_time_shifts_what_reaches_the_valve() -> None:
+    """With the valve three samples late the plant does what it does at once, three samples later."""
+
+    def forces(dead_time: int) -> np.ndarray:
+        fleet = Fleet([BENCH], [AnalyticPlant(BENCH, noise=0.0)])
+        fleet.links["dead_time"] = dead_time
+        fleet.begin(0, SINE, 0)
+        return np.concatenate([fleet.step(np.zeros((1, 2)))[0]["hydraulic_force"].copy() for _ in range(2)])
+
+    prompt, late = forces(0), forces(3)
+    first = np.flatnonzero(np.abs(np.diff(prompt)) > 1e-9)[0]
+    assert np.flatnonzero(np.abs(np.diff(late)) > 1e-9)[0] == first + 3
+
+
+def test_transitions_are_what_a_session_makes_of_the_same_samples() -> None:
+    task = TaskSettings(gains=GainRange(delta_kp_max=60.0))
+    environment = Environment(Fleet([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)]), task)
+    environment.begin([SINE, SINE], [1, 2])
+    rng, clock, before = np.random.default_rng(0), StepClock(), np.zeros(2)
+    clock.add(0, records(environment.fleet.samples[1, -1:], STATE_FIELDS)[0], int(Flag.ARMED))
+    for _ in range(5):
+        observation = environment.observation[1].copy()
+        last = records(environment.fleet.samples[1, -1], STATE_FIELDS)
+        np.testing.assert_array_equal(observation, observe(last, before))
+        transitions = environment.step(rng.uniform(-1, 1, (2, 2)))
+        step = None
+        for sample in transitions.samples[1]:
+            values = np.array([sample[name] for name in STATE_FIELDS])
+            step = clock.add(int(sample["sequence"]), values, int(sample["flags"])) or step
+        assert step is not None
+        assert transitions.reward[1] == pytest.approx(task.reward(step.error, step.error_rate), rel=1e-14)
+        kp, _ = task.gains.gains(transitions.action[1])
+        assert transitions.samples[1]["proportional_gain"][-1] == 15.0 + kp
+        before = transitions.action[1]
+
+
+def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
+    """K_p = 300 swings up beyond the force limit: terminal, with the penalty; the next step runs from rest."""
+    bench = replace(BENCH, load_cell_bandwidth=25.0)
+    task = TaskSettings(gains=GainRange(delta_kp_max=285.0))
+    environment = Environment(Fleet([BENCH] * 2, [AnalyticPlant(bench) for _ in range(2)]), task)
+    environment.begin([SINE, SINE], [0, 1])
+    for _ in range(400):
+        transitions = environment.step(np.array([[1.0, 0.0], [-1.0, 0.0]]))
+        if transitions.terminated.any():
+            break
+    np.testing.assert_array_equal(transitions.terminated, [True, False])
+    assert transitions.reward[0] == -task.trip_penalty
+    assert environment.fleet.samples[0, -1]["sequence"] == 0
+    assert environment.fleet.samples[1, -1]["sequence"] > 0
+    assert np.isfinite(transitions.rows()).all() and len(transitions.rows()) == 2
+    following = environment.step(np.array([[-1.0, 0.0], [-1.0, 0.0]]))
+    assert not following.terminated.any()
+    assert following.samples[0]["sequence"][0] == 1
+
+
+def test_rmse_is_that_of_the_offline_simulation() -> None:
+    settings = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=1.0)
+    fleet = Fleet([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)])
+    found = fleet_runs.rmse(fleet, settings.cases, fixed(np.array((90.0, 15.0))), settings, seed=3)
+    schedule = Schedule(reference=settings.cases[1].signal, gains=(90.0, 15.0), seconds=1.5)
+    want = simulate(AnalyticPlant(BENCH), BENCH, schedule, seed=3)
+    error = (want["reference_force"] - want["load_force"])[500:]
+    assert found[1] == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.01)  # one sample at K_p = 15 in the beginning
+    tripped = fleet_runs.rmse(fleet, settings.cases, fixed(np.array((-60.0, 5.0))), settings)
+    assert np.isnan(tripped).all()
+
+
+def test_a_fleet_refuses_plants_of_several_kinds() -> None:
+    plants: list[Plant] = [AnalyticPlant(BENCH), LearnedPlant()]
+    with pytest.raises(ValueError, match="one kind"):
+        Fleet([BENCH] * 2, plants)

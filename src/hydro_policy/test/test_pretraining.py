@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pretraining: the same by seed, resumed or not; the benches it draws; the command."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_policy.cases import EvaluationSettings
+from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
+from hydro_policy.policy import load_policy
+from hydro_policy.pretraining import Pretraining, PretrainSettings
+from hydro_policy.randomisation import Randomisation, draw
+from hydro_policy.run import TrainingSettings
+from hydro_policy.sac import SacSettings
+from hydro_policy.snapshot import dump
+from hydro_policy.task import GainRange, TaskSettings
+from hydro_sim.bench import Bench
+from hydro_sim.learned import constants as learned_constants
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.plant import AnalyticPlant
+
+BENCH = Bench.nominal()
+
+
+def short(seed: int = 0, episodes: int = 4, randomise: bool = False) -> Pretraining:
+    training = TrainingSettings(
+        episodes=episodes, seed=seed, warmup_steps=40, replay_capacity=2000,
+        task=TaskSettings(steps_per_episode=60), sac=SacSettings(batch_size=32, seed=seed),
+    )  # fmt: skip
+    settings = PretrainSettings(
+        training=training, benches=2, randomisation=Randomisation() if randomise else None,
+        evaluation=EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5),
+    )  # fmt: skip
+    return Pretraining(settings, Learned.load(None), BENCH)
+
+
+def digest(pretraining: Pretraining) -> str:
+    return hashlib.sha256(pretraining.sac.actor_parameters().tobytes()).hexdigest()
+
+
+def finished(pretraining: Pretraining) -> Pretraining:
+    while not pretraining.finished:
+        pretraining.round()
+    return pretraining
+
+
+@pytest.mark.parametrize("randomise", [False, True])
+def test_same_seed_gives_the_same_weights(randomise: bool) -> None:
+    first = digest(finished(short(seed=1, randomise=randomise)))
+    assert first == digest(finished(short(seed=1, randomise=randomise)))
+    assert first != digest(finished(short(seed=2, randomise=randomise)))
+
+
+def test_an_interrupted_run_ends_with_the_same_weights(tmp_path: Path) -> None:
+    whole = finished(short(seed=1))
+    begun = short(seed=1)
+    begun.round()
+    save_checkpoint(tmp_path / "latest", dump(begun.sac), begun.replay, begun.state())
+    resumed = short(seed=1)
+    resumed.restore(load_checkpoint(tmp_path / "latest"), begun.best)
+    assert resumed.episode == 2
+    finished(resumed)
+    assert digest(resumed) == digest(whole)
+    assert resumed.history == whole.history
+    assert resumed.best == whole.best
+
+
+def test_an_update_is_owed_for_every_transition_after_the_warm_up() -> None:
+    pretraining = finished(short())
+    assert pretraining.replay.produced == 4 * 60
+    assert pretraining.sac.updates == 4 * 60 - 40
+
+
+@pytest.mark.slow
+def test_a_minute_of_pretraining_learns() -> None:
+    """From gains near the middle of their range to a policy that follows the 2 Hz sine at least as (90, 15) does."""
+    training = TrainingSettings(episodes=8, task=TaskSettings(steps_per_episode=1200))
+    pretraining = Pretraining(PretrainSettings(training=training), Learned.load(None), BENCH)
+    finished(pretraining)
+    assert pretraining.best_score < 1.1
+    assert pretraining.history[-1]["trips"] == 0
+
+
+def test_a_drawn_learned_bench_has_the_constants_that_were_drawn() -> None:
+    learned = Learned.load(None)
+    model = learned.model
+    assert isinstance(model, StructuredModel)
+    names = [entry.name for entry in model.table]
+    before, _ = learned_constants.values(model.table, model.theta)
+    for seed in range(20):
+        drawn = draw(Randomisation(), learned, seed)
+        assert isinstance(drawn.plant, LearnedPlant)
+        changed = drawn.plant.learned.model
+        assert isinstance(changed, StructuredModel)
+        after, _ = learned_constants.values(changed.table, changed.theta)
+        ratio = {name: new / old for name, new, old in zip(names, after, before, strict=True) if old != 0.0}
+        assert after[names.index("spring_stiffness")] == pytest.approx(drawn.spring)
+        assert 5e3 <= drawn.spring <= 5e4
+        assert 10e6 <= after[names.index("supply_pressure")] <= 16e6
+        assert changed.rest[0] == pytest.approx(model.rest[0] * ratio["supply_pressure"])
+        assert 0.8 <= ratio["bulk_modulus"] <= 1.2
+        assert ratio["valve_gain_a_positive"] == pytest.approx(ratio["valve_gain_b_negative"])
+        assert ratio["piston_area"] == 1.0
+        assert 1 <= drawn.gain_delay <= 4 and 0 <= drawn.dead_time <= 1
+
+
+def test_a_drawn_analytic_bench_has_the_spring_that_was_drawn() -> None:
+    drawn = draw(Randomisation(spring_min=7e3, spring_max=7e3), BENCH, 0)
+    assert isinstance(drawn.plant, AnalyticPlant)
+    assert drawn.plant.constants["spring_stiffness"][0] == pytest.approx(7e3)
+
+
+def test_a_soft_spring_is_asked_for_no_more_than_it_can_carry() -> None:
+    drawn = draw(Randomisation(spring_min=5e3, spring_max=5e3), BENCH, 0)
+    sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
+    assert drawn.within_reach(sine).amplitude == pytest.approx(0.8 * 0.5 * BENCH.stroke * 5e3)
+    stiff = draw(Randomisation(spring_min=4e4, spring_max=4e4), BENCH, 0)
+    assert stiff.within_reach(sine) == sine
+
+
+def test_a_network_cannot_be_randomised() -> None:
+    learned = replace(Learned.load(None), model=object())  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="no constants"):
+        draw(Randomisation(), learned, 0)
+
+
+def test_many_gains_are_those_of_one_action_each() -> None:
+    gains, actions = GainRange(delta_kp_max=285.0), np.random.default_rng(0).uniform(-1.3, 1.3, (50, 2))
+    for row, action in zip(gains.changes(actions), actions, strict=True):
+        assert tuple(row) == gains.gains(action)
+
+
+def pretrain(*words: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "hydro_policy.pretrain", *words]
+    return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
+
+
+def test_command_writes_an_agent_its_policy_and_the_learning_curve(tmp_path: Path) -> None:
+    run, table = tmp_path / "run", tmp_path / "table.json"
+    words = ["--episodes", "2", "--steps", "60", "--benches", "2", "--model", "analytic", "--json", str(table)]
+    ended = pretrain("--out", str(run), "--configuration", "wide", *words)
+    assert ended.returncode == 0, ended.stderr
+    policy, gains, notes = load_policy(run / "policy.safetensors")
+    assert gains.delta_kp_max == 285.0
+    assert notes["command"].endswith("--json " + str(table))  # type: ignore[union-attr]
+    assert math.isfinite(float(policy.act(np.zeros(13))[0]))
+    assert (run / "learner.safetensors").exists() and (run / "curve.png").stat().st_size > 10_000
+    assert [row["episode"] for row in json.loads(table.read_text())["rows"]] == ["fixed (90, 15)", "2"]
+    again = pretrain("--out", str(run))
+    assert again.returncode == 2 and "holds a run already" in again.stderr
+    done = pretrain("--resume", str(run))
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--bench", "nowhere.yaml"], "nowhere.yaml"),
+        (["--bench", "b.yaml", "--model", "shipped"], "a bench of its own"),
+        (["--model", "nowhere.safetensors"], "nowhere.safetensors"),
+        (["--benches", "0"], "benches is 0"),
+        (["--episodes", "0"], "episodes is 0"),
+    ],
+)
+def test_command_refuses_in_one_sentence(tmp_path: Path, words: list[str], said: str) -> None:
+    ended = pretrain("--out", str(tmp_path / "run"), *words)
+    assert ended.returncode == 2
+    assert ended.stderr.startswith("error: ") and said in ended.stderr and ended.stderr.count("\n") == 1
