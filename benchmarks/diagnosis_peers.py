@@ -11,9 +11,9 @@ All get the same three recordings and bench.yaml, none the answers; how each is 
 from __future__ import annotations
 
 import json
+import os
 import re
 import time
-from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -27,11 +27,11 @@ from hydro_bridge.console import Table, progress
 from hydro_diagnosis.proof.blind import ANSWER
 from hydro_diagnosis.proof.cases import Case
 from hydro_diagnosis.proof.facts import Result
-from hydro_diagnosis.proof.prove import BLIND, OPENED, SEALED
+from hydro_diagnosis.proof.prove import BLIND, SEALED
 from hydro_diagnosis.proof.seal import DIGEST, opened
 
-PARTS = {"single": 8, "value": 3, "form": 3, "pair": 4, "triple": 2, "clean": 2, "outside": 2}
-"""Cases of each kind: the first ones of the proof."""
+PEERS = "peers"
+"""Folder of what they say, within that of the proof."""
 COLUMNS = {
     "method": "",
     "named": "cases in which exactly what is concealed is named (clean and outside: nothing is)",
@@ -39,7 +39,7 @@ COLUMNS = {
     "extra": "causes named that are not concealed, mean per case",
     "held_out": "held-out error over the noise floor, median",
     "held_out_p90": "the same, 90th percentile",
-    "seconds": "median per case",
+    "cpu": "s of CPU, median per case",
 }
 
 
@@ -48,6 +48,7 @@ def main() -> None:
     options = _report.parser("diagnosis_peers", __doc__)
     options.add_argument("--proof", type=Path, metavar="DIR", help="folder of `prove` (default: the newest in runs/)")
     options.add_argument("--python", type=Path, default=Path(".venv-bench/bin/python"), help="that has PySINDy")
+    options.add_argument("--cases", type=int, default=24, help="the first so many: their order is random (default: 24)")
     options.add_argument("--workers", type=int, default=1)
     options.add_argument("--minutes", type=float, default=float("inf"), help="run again to go on")
     chosen = options.parse_args()
@@ -55,31 +56,31 @@ def main() -> None:
     if folder is None or not chosen.python.exists():
         print("skipped: needs the folder of a proof (--proof) and an environment with PySINDy (--python)")
         return
-    cases = _picked(opened(folder / SEALED, (folder / SEALED / DIGEST).read_text().split()[0]))
     methods: dict[str, Callable[..., Any]] = {
         "PySINDy": partial(_sindy, chosen.python.absolute()), "neural residual": _neural, "parameter fit": _plain,
     }  # fmt: skip
-    (folder / OPENED / "peers").mkdir(parents=True, exist_ok=True)
+    names = sorted(path.name for path in (folder / BLIND).glob("case-*"))[: chosen.cases]
+    (folder / PEERS).mkdir(exist_ok=True)
     until = time.monotonic() + 60.0 * chosen.minutes
-    jobs = [(case, name, solve) for case in cases for name, solve in methods.items()]
-    tasks = (delayed(_run)(folder, case, name, solve, until) for case, name, solve in jobs)
+    jobs = [(folder, name, method, solve) for name in names for method, solve in methods.items()]
+    tasks = (delayed(_run)(*job, until) for job in jobs)
     finished = Parallel(chosen.workers, return_as="generator_unordered")(tasks)
-    if not all(progress(finished, total=len(jobs), label="peers", unit="run")):
+    if not all(list(progress(finished, total=len(jobs), label="peers", unit="run"))):
         raise SystemExit(3)
-    rows = [_row(folder, case, name) for name in ("diagnosis", *methods) for case in cases]
+    _show(folder, names, ["diagnosis", *methods], chosen.json)
+
+
+def _show(folder: Path, names: Sequence[str], methods: Sequence[str], file: Path | None) -> None:
+    """Open the seal and print the table."""
+    if not (folder / "proof.json").exists():
+        print("the peers are done; the table comes once `prove` has opened the seal: then run this again")
+        raise SystemExit(3)
+    digest = (folder / SEALED / DIGEST).read_text().split()[0]
+    cases = [case for case in opened(folder / SEALED, digest) if case.name in names]
+    rows = [_row(folder, case, method) for method in methods for case in cases]
     table = _table(rows)
     print(table.text())
-    _report.finish({"table": table.rows, "cases": rows}, chosen.json)
-
-
-def _picked(cases: Sequence[Case]) -> list[Case]:
-    left = Counter(PARTS)
-    picked = []
-    for case in cases:
-        if left[case.kind] > 0:
-            left[case.kind] -= 1
-            picked.append(case)
-    return picked
+    _report.finish({"table": table.rows, "cases": rows}, file)
 
 
 def _sindy(python: Path, case: Any) -> Any:
@@ -100,24 +101,30 @@ def _plain(case: Any) -> Any:
     return plain.solve(case)
 
 
-def _run(folder: Path, case: Case, name: str, solve: Callable[..., Any], until: float) -> bool:
+def _run(folder: Path, name: str, method: str, solve: Callable[..., Any], until: float) -> bool:
     """Run one method on one case and keep what it says; False if time was up before."""
-    path = _kept(folder, case, name)
+    path = _kept(folder, name, method)
     if path.exists():
         return True
     if time.monotonic() > until:
         return False
     from benchmarks.peers.run import load
 
-    begun = time.monotonic()
-    named, held_out = solve(load(folder / BLIND / case.name))
-    content = {"named": named, "held_out": held_out, "seconds": time.monotonic() - begun}
+    begun, cpu = time.monotonic(), _cpu()
+    named, held_out = solve(load(folder / BLIND / name))
+    content = {"named": named, "held_out": held_out, "seconds": time.monotonic() - begun, "cpu": _cpu() - cpu}
     path.write_text(json.dumps(content), encoding="utf-8")
     return True
 
 
-def _kept(folder: Path, case: Case, name: str) -> Path:
-    return folder / OPENED / "peers" / f"{case.name}.{name.replace(' ', '-')}.json"
+def _cpu() -> float:
+    """s of CPU of this process and of those it has waited for."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
+
+
+def _kept(folder: Path, name: str, method: str) -> Path:
+    return folder / PEERS / f"{name}.{method.replace(' ', '-')}.json"
 
 
 def _row(folder: Path, case: Case, method: str) -> dict[str, Any]:
@@ -129,12 +136,12 @@ def _row(folder: Path, case: Case, method: str) -> dict[str, Any]:
         truth, claimed = set(case.effects), set(result.claimed)
         return {**about, "named": result.exact if case.kind != "outside" else not claimed, "said": sorted(claimed),
                 "found": truth <= claimed, "extra": len(result.spurious), "held_out": result.held_out,
-                "seconds": answer["wall"]}  # fmt: skip
-    content = json.loads(_kept(folder, case, method).read_text())
+                "cpu": answer["cpu"]}  # fmt: skip
+    content = json.loads(_kept(folder, case.name, method).read_text())
     found, extra = said(content["named"], set(case.effects))
     every = sorted({term for names in content["named"].values() for term in names})
     return {**about, "named": found and not extra, "said": every,
-            "found": found, "extra": extra, "held_out": content["held_out"], "seconds": content["seconds"]}  # fmt: skip
+            "found": found, "extra": extra, "held_out": content["held_out"], "cpu": content["cpu"]}  # fmt: skip
 
 
 def said(named: Mapping[str, Sequence[str]], truth: set[str]) -> tuple[bool, int]:
@@ -160,7 +167,7 @@ def _table(rows: Sequence[dict[str, Any]]) -> Table:
             extra=float(np.mean([row["extra"] for row in own])),
             held_out=float(np.median(errors)),
             held_out_p90=float(np.percentile(errors, 90, method="higher")),
-            seconds=float(np.median([row["seconds"] for row in own])),
+            cpu=float(np.median([row["cpu"] for row in own])),
         )
     return table
 
