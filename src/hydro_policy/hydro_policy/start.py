@@ -15,6 +15,9 @@ from hydro_policy.task import GainRange
 
 AGENT = "learner.safetensors"
 
+REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
+"""Fields of `TaskSettings` that make the reward."""
+
 
 @dataclass(frozen=True)
 class Start:
@@ -26,10 +29,12 @@ class Start:
     """What it was trained with."""
     gains: GainRange
     """What its actions mean."""
+    reward: dict[str, float]
+    """What it was rewarded for, fields of `TaskSettings`: its critics know no other reward."""
     source: Path
 
     def adopted(self, settings: TrainingSettings) -> TrainingSettings:
-        """The settings, with the networks' size and the range of gains that this agent needs."""
+        """The settings, with what this agent needs: the networks' size, the range of gains, the reward."""
         sac = replace(
             settings.sac,
             hidden_size=self.sac.hidden_size,
@@ -37,7 +42,7 @@ class Start:
             log_std_max=self.sac.log_std_max,
             reward_scale=self.sac.reward_scale,
         )
-        return replace(settings, sac=sac, task=replace(settings.task, gains=self.gains))
+        return replace(settings, sac=sac, task=replace(settings.task, gains=self.gains, **self.reward))
 
 
 def shipped_start(authority: str) -> Start | None:
@@ -64,5 +69,7 @@ def load_start(path: Path) -> Start:
         sac = settings_of(agent)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{found} is not an agent: {error}") from error
-    _, gains, _ = load_policy(run.policy)
-    return Start(agent, sac, gains, path)
+    _, gains, notes = load_policy(run.policy)
+    task = notes.get("task")
+    reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
+    return Start(agent, sac, gains, reward, path)

@@ -107,7 +107,7 @@ class TaskSettings:
     gains: GainRange = field(default_factory=GainRange)
 
     def reward(self, error: FloatArray, error_rate: FloatArray) -> float:
-        """Eq. reward (at power 2) of the step's means: e [n] in N and e' [n] in N/s of the samples that the action acted on.
+        """Eq. reward (at power 2) of means: e [n] in N and e' [n] in N/s of the samples that the action acted on.
 
         The paper prints it at one instant. There the derivative's noise alone is worth -20 a step; in the mean over ten
         samples, which is the change of e over the step, it is worth -2, and tracking weighs as before.
