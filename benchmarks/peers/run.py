@@ -96,9 +96,10 @@ class Corrected(Plant):
     def rates(self, state: FloatArray, time: FloatArray, *rest: object) -> FloatArray:
         """The nominal rates and the correction."""
         change = super().rates(state, time, *rest)
-        at = np.minimum(
-            np.rint((time - self.model.time[0]) / self.model.step - 1e-6).astype(int), len(self.model.time) - 1
-        )
+        sample = np.floor((time - self.model.time[0]) / self.model.step + 1e-6).astype(
+            int
+        )  # a current holds until the next
+        at = np.minimum(sample, len(self.model.time) - 1)
         here = {name: signal[at] for name, signal in self.driving.items() if name not in _STATES}
         added = self.correction({**here, **dict(zip(_STATES, state, strict=True))})
         for row, name in ((1, "velocity"), (2, "pressure_a"), (3, "pressure_b")):
