@@ -7,15 +7,15 @@ gains unstable (the spool, the velocity as the box differentiates it). The loop'
     q = [ f_h    g spool   g spool'   f_l    f_l'   x_p   x_p'   x_p' as the box has it ]        8, `LOOP_FIELDS`
           N      N/s       N/s^2      N      N/s    m     m/s    m/s
 
-f_l and f_l' are what the load cell shows, behind its amplifier. The spool counts by the force rate g(x) that it drives: the
-law divides by g, and so the loop is nearly the same everywhere. One sample of 1 ms, in units of `scale`::
+f_l and f_l' are what the load cell shows, behind its amplifier. The spool counts by the force rate g(x) that it drives:
+the law divides by g, and so the loop is nearly the same everywhere. One sample of 1 ms, in units of `scale`::
 
-    q_{k+1} = F q_k + G u_k        F = read A_d embed,  G = read B_d         A_d, B_d: exact, of the full learned state
-    u_k     = K q_k                K: exact, of the force law that the box runs
+    q_{k+1} = F q_k + G u_k        F, G: exact, of the full learned state; a nudge of f_h is spread over the pressures
+    u_k     = K q_k                as the chambers' stiffnesses do         K: exact, of the force law that the box runs
 
-`embed` spreads a change of f_h over the two pressures as the chambers' stiffnesses do. Dry friction is a bounded
-disturbance, no part of the loop, and is left out of A_d (docs/safety.md). K is taken on the side of zero on which the
-spool stands, as A_d is: the two part for the few milliseconds in which the spool follows a current through zero.
+Dry friction is a bounded disturbance, no part of the loop, and is left out of F (docs/safety.md). K is taken on the
+side of zero on which the spool stands, as F is: the two part for the few milliseconds in which the spool follows a
+current through zero.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_filter import controller, model_kernels
 from hydro_filter.model_kernels import SPOOL
 from hydro_filter.state import FORCE_SCALE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
+from hydro_filter.tangent import SOURCES, WIDTH
 from hydro_sim.bench import Bench
 from hydro_sim.box import BoxConfig
 from hydro_sim.learned import physics
@@ -61,8 +62,10 @@ LOOP_FIELDS = ("f_h", "spool", "spool_rate", "f_l", "f_l_rate", "x_p", "x_p_rate
 LOOP = len(LOOP_FIELDS)
 Q_HYDRAULIC, Q_SPOOL, Q_SPOOL_RATE, Q_LOAD, Q_LOAD_RATE, Q_POSITION, Q_VELOCITY, Q_BOX_VELOCITY = range(LOOP)
 
-PLACES = (-1, 4, 5, 6, 7, 2, 3, 11)
-"""Where each coordinate stands in the full state of `hydro_sim.learned.structured`; f_h is made of the pressures."""
+INPUT = Q_BOX_VELOCITY
+"""Column of nudges that is the current's: the box's memory of the velocity moves nothing, and needs none."""
+CURRENT = SOURCES - 1
+"""The current's row of nudges (`tangent`)."""
 
 LOOP_RATE = 130.0
 """rad/s: sqrt(k_s / m) of the nominal bench; force rates and speeds are scaled with it."""
@@ -83,10 +86,6 @@ class LoopModel(NamedTuple):
     """A."""
     scale: FloatArray
     """What q is divided by, shape (8,)."""
-    read: FloatArray
-    """q in units of `scale` from the full state, shape (8, 12)."""
-    embed: FloatArray
-    """The full state from q in units of `scale`, shape (12, 8); its first column depends on the position."""
 
 
 class LoopStep(NamedTuple):
@@ -102,10 +101,9 @@ class LoopStep(NamedTuple):
     """x' along the model's own motion [SI units per s], shape (8,)."""
     full: FloatArray
     after: FloatArray
-    full_matrix: FloatArray
-    full_input: FloatArray
+    nudges: FloatArray
+    rates: FloatArray
     law: FloatArray
-    embed: FloatArray
 
 
 def loop_scale(bench: Bench) -> FloatArray:
@@ -121,22 +119,14 @@ def loop_model(model: StructuredModel, bench: Bench, box: BoxConfig | None = Non
     smooth = c.copy()
     smooth[BRISTLE] = smooth[BRISTLE_DAMPING] = 0.0
     floor = float((box or BoxConfig()).constants(bench)["gain_floor"][0])
-    scale, read, embed = loop_scale(bench), np.zeros((LOOP, FULL)), np.zeros((FULL, LOOP))
-    area = c[GAIN_H] * c[AREA]
-    read[Q_HYDRAULIC, :2] = area, -c[RATIO] * area
-    for row, place in enumerate(PLACES):
-        if place >= 0:
-            gain = c[GAIN_L] if row in (Q_LOAD, Q_LOAD_RATE) else 1.0
-            read[row, place], embed[place, row] = gain, 1.0 / gain
-    read, embed = read / scale[:, np.newaxis], embed * scale
     return LoopModel(
-        model.compiled, (smooth, *others), bench.constants(), floor, bench.valve_current_max, scale, read, embed
+        model.compiled, (smooth, *others), bench.constants(), floor, bench.valve_current_max, loop_scale(bench)
     )
 
 
 def loop_step() -> LoopStep:
     """New space for one caller."""
-    shapes = ((LOOP, LOOP), LOOP, LOOP, STATES, FULL, FULL, (FULL, FULL), FULL, STATES, (FULL, LOOP))
+    shapes = ((LOOP, LOOP), LOOP, LOOP, STATES, FULL, FULL, (SOURCES, WIDTH), (3, WIDTH), STATES)
     return LoopStep(*(np.zeros(shape) for shape in shapes))
 
 
@@ -168,22 +158,18 @@ def hydraulic_slopes(c, pressure_a, pressure_b, position, spool):
 
 @njit(cache=True)
 def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
-    """Fill `step` at x, shape (8,), with hidden states (3,), for a nominal current and the one that the valve got [A]."""
+    """Fill `step` at x (8,), hidden states (3,), for a nominal current and the one that the valve got [A]."""
     c, scale = loop.model[0], loop.scale
     model_kernels.lift(c, x, hidden, step.full)
-    model_kernels.transition_full(loop.free, step.full, current, step.full_matrix, step.full_input, step.after)
-    share_a, share_b = shares(c, x[POSITION])
-    step.embed[:] = loop.embed
-    step.embed[0, Q_HYDRAULIC], step.embed[1, Q_HYDRAULIC] = scale[0] * share_a, scale[0] * share_b
     before, after = step.full, step.after
+    after[:] = before
+    share_a, share_b = shares(c, x[POSITION])
     gain = hydraulic_slopes(c, before[0], before[1], before[2], hidden[SPOOL])[0]
-    gain_after = hydraulic_slopes(c, after[0], after[1], after[2], hidden[SPOOL])[0]
-    step.transition[:] = loop.read @ (step.full_matrix @ step.embed)
-    step.push[:] = loop.read @ step.full_input
-    for i in (Q_SPOOL, Q_SPOOL_RATE):  # in force rates: `LOOP_FIELDS`
-        step.transition[:, i] /= gain
-        step.transition[i] *= gain_after
-        step.push[i] *= gain_after
+    _embed(c, scale, share_a, share_b, gain, step.nudges)
+    model_kernels.nudge(loop.free, after, current, step.nudges, step.rates)
+    gain = hydraulic_slopes(c, after[0], after[1], after[2], hidden[SPOOL])[0]
+    _read(c, scale, gain, step.nudges, step.rates, step.transition, step.push)
+    step.transition[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = loop.model[4][1]  # the differentiator's memory
     law, feedback = step.law, step.feedback
     side = math.copysign(nominal_current, hidden[SPOOL] + c[OFFSET])
     controller.gradient(loop.bench, x, side, proportional_gain, loop.gain_floor, law)
@@ -193,6 +179,34 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
     feedback[Q_POSITION] = law[POSITION] * scale[Q_POSITION]
     feedback[Q_BOX_VELOCITY] = law[VELOCITY] * scale[Q_BOX_VELOCITY]
     _state_rate(c, step.full, step.after, step.state_rate)
+
+
+@njit(cache=True)
+def _embed(c, scale, share_a, share_b, gain, nudges):
+    """Nudges of the learned state for the first seven coordinates, and for the current in the last column."""
+    nudges[:] = 0.0
+    nudges[0, Q_HYDRAULIC], nudges[1, Q_HYDRAULIC] = scale[Q_HYDRAULIC] * share_a, scale[Q_HYDRAULIC] * share_b
+    nudges[4, Q_SPOOL], nudges[5, Q_SPOOL_RATE] = scale[Q_SPOOL] / gain, scale[Q_SPOOL_RATE] / gain
+    nudges[6, Q_LOAD], nudges[7, Q_LOAD_RATE] = scale[Q_LOAD] / c[GAIN_L], scale[Q_LOAD_RATE] / c[GAIN_L]
+    nudges[2, Q_POSITION], nudges[3, Q_VELOCITY] = scale[Q_POSITION], scale[Q_VELOCITY]
+    nudges[CURRENT, INPUT] = 1.0
+
+
+@njit(cache=True)
+def _read(c, scale, gain, nudges, rates, transition, push):
+    """F but for the box's memory, and G, from the nudges a sample later."""
+    area, ratio = c[GAIN_H] * c[AREA] / scale[Q_HYDRAULIC], c[RATIO]
+    for k in range(LOOP):
+        transition[Q_HYDRAULIC, k] = area * (nudges[0, k] - ratio * nudges[1, k])
+        transition[Q_SPOOL, k] = gain / scale[Q_SPOOL] * nudges[4, k]
+        transition[Q_SPOOL_RATE, k] = gain / scale[Q_SPOOL_RATE] * nudges[5, k]
+        transition[Q_LOAD, k] = c[GAIN_L] / scale[Q_LOAD] * nudges[6, k]
+        transition[Q_LOAD_RATE, k] = c[GAIN_L] / scale[Q_LOAD_RATE] * nudges[7, k]
+        transition[Q_POSITION, k] = nudges[2, k] / scale[Q_POSITION]
+        transition[Q_VELOCITY, k] = nudges[3, k] / scale[Q_VELOCITY]
+        transition[Q_BOX_VELOCITY, k] = rates[2, k] / scale[Q_BOX_VELOCITY]
+    for i in range(LOOP):
+        push[i], transition[i, INPUT] = transition[i, INPUT], 0.0
 
 
 @njit(cache=True)
