@@ -22,6 +22,11 @@ SUBSTEPS = 4
 _FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
 
 
+def moves_spool(claim: Claim) -> bool:
+    """Whether a claim acts between the current and the edges, where a sample's command need not stay constant."""
+    return type(claim.effect).command is not Effect.command
+
+
 def signed_root(drop: FloatArray) -> FloatArray:
     """Odd square root: flow turns round with the pressure drop."""
     root: FloatArray = np.copysign(np.sqrt(np.abs(drop)), drop)
@@ -30,16 +35,22 @@ def signed_root(drop: FloatArray) -> FloatArray:
 
 def nominal_openings(bench: Bench, spool: FloatArray) -> Openings:
     """Zero-lapped valve: conductances from the spool position [A], shape (..., substeps)."""
-    gain = bench.valve_gain
-    positive = gain * np.maximum(spool, 0.0).mean(axis=-1)
-    negative = gain * np.maximum(-spool, 0.0).mean(axis=-1)
+    mean = np.full(spool.shape[-1], bench.valve_gain / spool.shape[-1])
+    positive = np.maximum(spool, 0.0) @ mean
+    negative = positive - spool @ mean
     return Openings(positive, negative, negative, positive)
 
 
 def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim]) -> FloatArray:
-    """Spool position [A], shape (n, substeps), from the recorded current of shape (n,)."""
-    spool = np.repeat(current[:, None], SUBSTEPS, axis=1) if current.ndim == 1 else current
-    for claim in sorted(claims, key=lambda claim: claim.effect.stage):
+    """Spool position [A], shape (n, substeps), from the recorded current of shape (n,).
+
+    A current that nothing shapes is constant within a sample and needs but one substep.
+    """
+    moving = sorted((claim for claim in claims if moves_spool(claim)), key=lambda claim: claim.effect.stage)
+    if current.ndim == 1:
+        current = np.repeat(current[:, None], SUBSTEPS if moving else 1, axis=1)
+    spool = current
+    for claim in moving:
         spool = claim.effect.command(spool, substep, claim.values)
     return spool
 
@@ -108,8 +119,9 @@ def force_arc(
 ) -> FloatArray:
     """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
     gain, (p_a, p_b), alpha = bench.valve_gain, oil.pressures, bench.area_ratio
-    positive = np.maximum(oil.spool, 0.0) @ _FIRST_MOMENT
-    negative = np.maximum(-oil.spool, 0.0) @ _FIRST_MOMENT
+    moment = _FIRST_MOMENT if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
+    positive = np.maximum(oil.spool, 0.0) @ moment
+    negative = positive - oil.spool @ moment
     root, p_s, p_t = signed_root, bench.supply_pressure, bench.tank_pressure
     flow_a = gain * (positive * root(p_s - p_a) - negative * root(p_a - p_t))
     flow_b = gain * (negative * root(p_s - p_b) - positive * root(p_b - p_t))

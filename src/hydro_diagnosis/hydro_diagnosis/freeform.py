@@ -66,13 +66,21 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
             knots = _knots(problem, variable)
             columns = np.column_stack([responses.of(basis) for basis in _hats(problem, variable, knots)])
             columns = np.column_stack([columns * weight[:, None], named])
-            amounts = np.linalg.lstsq(columns, -left, rcond=1e-8)[0]
+            amounts = _least_squares(columns, -left)
             reached = deviance(problem, (left + columns @ amounts) / weight)
             rank = len(knots) if variable != "time" else len(knots) * len(problem.models)
             values = amounts[: len(knots)] * UNIT_SIZE.get(equation, 1.0)
             gain = base - reached - rank * float(np.log(len(left)))
             forms.append(FreeForm(equation, sensor, variable, gain, knots, values))
     return sorted(forms, key=lambda form: -form.gain)
+
+
+def _least_squares(columns: FloatArray, goal: FloatArray) -> FloatArray:
+    """Least squares by normal equations of columns scaled to length 1: they are many rows by few columns."""
+    lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    scaled = columns / lengths
+    amounts: FloatArray = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True) @ (scaled.T @ goal) / lengths
+    return amounts
 
 
 def _variables(problem: Problem) -> list[str]:

@@ -12,20 +12,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.signal import lfilter
 
 from hydro_diagnosis import chambers
 from hydro_diagnosis.chambers import ChamberRun, Oil
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, Kinematics
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, Effect, FloatArray, Kinematics
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.memory import RecordMemory
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.smoothing import KINEMATIC_WIDTH, STRIDE, finish, kinematics, smooth
 from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 
+Kept = TypeVar("Kept")
+SHELF = 8
+"""Intermediate results that a segment keeps at most."""
 OBSERVER_MEMORY = 0.12
 """s. A shorter memory forgets the slow drift that a small leak builds up."""
 BLOCK = 100
@@ -50,6 +54,7 @@ class SegmentModel:
         self.memory = RecordMemory(segment.step)
         channels = segment.channels
         self.channels = channels
+        self._shelf: dict[tuple[Any, ...], Any] = {}
         self.has_position = "piston_position" in channels
         self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
         self.settle = min(round(SETTLE / self.step), len(segment) // 4)
@@ -82,9 +87,32 @@ class SegmentModel:
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
-        spool = chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
-        pressures = tuple(chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
-        return Oil(self.time, chambers.middle(self.channels["piston_position"]), (pressures[0], pressures[1]), spool)
+        moving = [claim for claim in claims if chambers.moves_spool(claim)]
+        sensing = [claim for claim in claims if type(claim.effect).unmeasure is not Effect.unmeasure]
+        spool = self._kept_back("spool", moving, self._spool)
+        p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
+        position = self._kept_back("position", (), self._middle_position)
+        return Oil(self.time, position, (p_a, p_b), spool)
+
+    def _spool(self, claims: Sequence[Claim]) -> FloatArray:
+        return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
+
+    def _middle_pressures(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
+        p_a, p_b = (chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
+        return p_a, p_b
+
+    def _middle_position(self, claims: Sequence[Claim]) -> FloatArray:
+        return chambers.middle(self.channels["piston_position"])
+
+    def _kept_back(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
+        """What these claims make, computed once as long as only others change."""
+        key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
+        if key not in self._shelf:
+            if len(self._shelf) >= SHELF:
+                self._shelf.pop(next(iter(self._shelf)))
+            self._shelf[key] = compute(claims)
+        found: Kept = self._shelf[key]
+        return found
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
         """Innovations and arcs under the claims."""

@@ -11,6 +11,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from threadpoolctl import threadpool_limits
+
 from hydro_diagnosis.baseline import baseline
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
@@ -102,7 +104,8 @@ def diagnose(
         "versions": {"hydro_diagnosis": _version()},
     }
     try:
-        return _diagnosed(search, held, facts, begun)
+        with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
+            return _diagnosed(search, held, facts, begun)
     except KeyboardInterrupt:
         raise DiagnosisInterrupted(_unfinished(search, facts, begun)) from None
 

@@ -51,6 +51,8 @@ class Problem:
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
         self._doubt: list[FloatArray] = []
+        self.evaluations = 0
+        """How often `residual` was called: the currency of a search's effort."""
         self.doubted: tuple[float, ...] = ()
         """Tells one doubt from another: its sum per segment; nothing but zeros without any."""
         self._timing = [model.timing_doubt() for model in self.models] if PRESSURE in self.blocks else []
@@ -88,6 +90,7 @@ class Problem:
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its noise, one vector in the order of `layout`."""
+        self.evaluations += 1
         everything = (*self.baseline, *claims)
         parts: list[FloatArray] = []
         arcs: list[FloatArray] | None = None

@@ -19,6 +19,10 @@ from hydro_diagnosis.locate import noticeable
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.screen import cause, screen
 
+SKETCHED = 1.0
+"""Gain in deviance below which a candidate's fit is good enough to be ranked by."""
+SWAPS = 3
+"""Rounds of exchanging causes at most, after each claim."""
 RIPENING = 6
 """Rounds of weighing and fitting at most."""
 
@@ -40,6 +44,9 @@ class SearchSettings:
     """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
     openings: int = 3
     """First claims that are tried, one search each, as long as something remains unexplained, [1, 10]."""
+    effort: int = 7000
+    """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before the
+    search begins again: some 4 ms each for 60 s of data, [100, 1000000]."""
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,7 @@ class Search:
         self.progress = progress
         self.steps: list[Step] = []
         """What was accepted and dropped so far; those of the outcome."""
+        self._begun = problem.evaluations
         self._looked: dict[frozenset[str], tuple[tuple[float, ...], list[Fit]]] = {}
         """By the labels of a base: the doubt under which it was looked at, and the fits with one claim more."""
 
@@ -92,7 +100,7 @@ class Search:
         openings = self._ranked(nothing)
         best = self._from(nothing, openings[:1])
         for opening in openings[1 : self.settings.openings]:
-            if not noticeable(self.problem, best.fit.residual):
+            if not noticeable(self.problem, best.fit.residual) or self._spent > self.settings.effort / 3:
                 break
             self.progress(f"again from {opening.claims[0].effect.label}")
             best = self._better(best, self._from(nothing, [opening]))
@@ -111,9 +119,16 @@ class Search:
                     break
             else:
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
-            self._swap(outcome)
-            ranked = self._ranked(outcome.fit) if len(outcome.fit.claims) < self.settings.most else []
+            for _ in range(SWAPS):
+                if self._spent > self.settings.effort or not self._swap(outcome):
+                    break
+            more = len(outcome.fit.claims) < self.settings.most and self._spent < self.settings.effort
+            ranked = self._ranked(outcome.fit) if more else []
         return outcome
+
+    @property
+    def _spent(self) -> int:
+        return self.problem.evaluations - self._begun
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
@@ -139,15 +154,16 @@ class Search:
         if key not in self._looked:
             prospects = screen(self.problem, base, self.library)[: self.settings.shortlist]
             hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self.settings.threshold]
-            fits = [fit(self.problem, (*base.claims, prospect.claim)) for prospect in hopeful]
+            fits = [fit(self.problem, (*base.claims, one.claim), tolerance=SKETCHED) for one in hopeful]
         elif seen != doubt:
-            fits = [fit(self.problem, one.claims) for one in fits]
+            fits = [fit(self.problem, one.claims, tolerance=SKETCHED) for one in fits]
         fits = sorted(fits, key=lambda one: score(self.problem, one))
         self._looked[key] = doubt, fits
         return fits
 
-    def _swap(self, outcome: Outcome) -> None:
-        """Try other causes in each claim's place; remember the fits as rivals."""
+    def _swap(self, outcome: Outcome) -> bool:
+        """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged."""
+        changed = False
         for claim in outcome.fit.claims:
             if claim not in outcome.fit.claims:
                 continue
@@ -160,6 +176,8 @@ class Search:
             better = [one for one in fits if score(self.problem, one) < score(self.problem, outcome.fit) - 2.0]
             if better and self._worth(better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
+                changed = True
+        return changed
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
