@@ -98,7 +98,9 @@ def _check(chosen: argparse.Namespace) -> None:
 def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, until: float) -> bool:
     """Record all cases; False if time was up."""
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / "bench.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False), encoding="utf-8")
+    if not (folder / "bench.yaml").exists():
+        believed = yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False)
+        (folder / "bench.yaml").write_text(believed, encoding="utf-8")
     by_graph, offline = cases[: chosen.graph], cases[chosen.graph :]
     return record_by_graph(by_graph, folder, until) and record(offline, folder, chosen.workers, until)
 

@@ -29,11 +29,13 @@ def close(cases: Sequence[Case], folder: Path) -> str:
     digest = hashlib.sha256(content).hexdigest()
     folder.mkdir(parents=True, exist_ok=True)
     kept = folder / DIGEST
-    if kept.exists() and kept.read_text().split()[0] != digest:
-        raise UserError(f"{folder.parent} holds other cases than these: choose another --out, or the same words again")
-    kept.write_text(f"{digest}  {ANSWERS}\n", encoding="utf-8")  # as sha256sum -c reads it
+    if kept.exists():
+        if kept.read_text().split()[0] != digest:
+            raise UserError(f"{folder.parent} holds other cases: choose another --out, or say the same words again")
+        return digest
     (folder / ANSWERS).write_bytes(content)
     (folder / ANSWERS).chmod(0o400)
+    kept.write_text(f"{digest}  {ANSWERS}\n", encoding="utf-8")  # as sha256sum -c reads it
     return digest
 
 
