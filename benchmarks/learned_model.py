@@ -9,14 +9,12 @@ which the error at 1 Hz is more than twice that at K_p = 90. `--training` times 
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import statistics
 import sys
 import time
 import timeit
 from collections.abc import Callable
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
 
 import numba
@@ -28,24 +26,16 @@ from hydro_bridge.signals import Flag, ReferenceSignal, StateArray, Waveform
 from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import mlp, network, observer, recordings, structured, training
+from hydro_sim.learned import mlp, network, observer, recordings, structured, torch_gradients, training
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.learned.schedule import draw
 from hydro_sim.learned.structured_model import StructuredModel
 from hydro_sim.offline import Schedule, simulate
 
-TORCH_MODELS = Path(__file__).parents[1] / "src" / "hydro_sim" / "test" / "torch_models.py"
 HORIZON = 70
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)
 GAINS = ((50.0, 15.0), (90.0, 15.0))
-
-
-def _torch_models() -> Any:
-    spec = importlib.util.spec_from_file_location("torch_models", TORCH_MODELS)
-    module = importlib.util.module_from_spec(spec)  # type: ignore[arg-type]
-    spec.loader.exec_module(module)  # type: ignore[union-attr]
-    return module
 
 
 def _duel(mine: Callable[[], object], other: Callable[[], object], repeat: int) -> tuple[float, float]:
@@ -55,7 +45,7 @@ def _duel(mine: Callable[[], object], other: Callable[[], object], repeat: int) 
     return statistics.median(t[0] for t in times), statistics.median(t[1] for t in times)
 
 
-def network_speed(models: Any, windows: int) -> dict[str, float]:
+def network_speed(windows: int) -> dict[str, float]:
     """One gradient of the paper's model: 2x32, H = 70, float32."""
     rng = np.random.default_rng(0)
     layers = mlp.layers(mlp.initial(rng, 9, (32, 32), 8).astype(np.float32), 9, (32, 32), 8)
@@ -65,13 +55,13 @@ def network_speed(models: Any, windows: int) -> dict[str, float]:
     threads = numba.get_num_threads()
     mine, other = _duel(
         lambda: network.loss_and_gradient(layers, step, *parts, False, threads),
-        lambda: models.network_loss(layers, step, *parts, False),
+        lambda: torch_gradients.network_loss(layers, step, *parts, False),
         15,
     )
     return {"windows": windows, "seconds": mine, "torch_seconds": other, "ratio": other / mine}
 
 
-def structured_speed(models: Any, model: StructuredModel, windows: int) -> dict[str, float]:
+def structured_speed(model: StructuredModel, windows: int) -> dict[str, float]:
     """One gradient of the shipped model: H = 70, float64."""
     c, layers, center, scale, _ = model.compiled
     rng = np.random.default_rng(0)
@@ -81,7 +71,7 @@ def structured_speed(models: Any, model: StructuredModel, windows: int) -> dict[
     parts = c, layers, center, scale, starts, currents, targets, 1.0 / observer.READING_NOISE
     mine, other = _duel(
         lambda: structured.loss_and_gradients(*parts, numba.get_num_threads()),
-        lambda: models.structured_loss(*parts),
+        lambda: torch_gradients.structured_loss(*parts),
         3,
     )
     return {"windows": windows, "seconds": mine, "torch_seconds": other, "ratio": other / mine}
@@ -175,11 +165,11 @@ def main(arguments: list[str] | None = None) -> int:
     options.add_argument("--windows", type=int, default=8192, help="batch of the network's gradient")
     asked = options.parse_args(arguments)
     torch.set_num_threads(numba.get_num_threads())
-    learned, models = Learned.load(), _torch_models()
+    learned = Learned.load()
     result: dict[str, Any] = {"threads": numba.get_num_threads(), "rollouts": rollouts(learned)}
-    result["network_gradient"] = network_speed(models, asked.windows)
+    result["network_gradient"] = network_speed(asked.windows)
     if isinstance(learned.model, StructuredModel):
-        result["structured_gradient"] = structured_speed(models, learned.model, asked.windows // 8)
+        result["structured_gradient"] = structured_speed(learned.model, asked.windows // 8)
     for key in ("rollouts", "network_gradient", "structured_gradient"):
         print(f"{key}: " + ", ".join(f"{name} {value:.4g}" for name, value in result.get(key, {}).items()))
     result["closed_loop"] = closed_loop(learned)

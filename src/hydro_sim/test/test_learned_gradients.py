@@ -3,8 +3,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-from pathlib import Path
+import time
 
 import numpy as np
 import pytest
@@ -12,13 +11,18 @@ import pytest
 pytest.importorskip("torch")
 
 from hydro_sim.bench import Bench
-from hydro_sim.learned import constants, mlp, network, structured
-
-_spec = importlib.util.spec_from_file_location("torch_models", Path(__file__).with_name("torch_models.py"))
-assert _spec is not None
-assert _spec.loader is not None
-torch_models = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(torch_models)
+from hydro_sim.emulator.offline import Segment, record_offline
+from hydro_sim.emulator.truth_config import profile
+from hydro_sim.learned import (
+    constants,
+    engine,
+    mlp,
+    network,
+    recordings,
+    structured,
+    torch_gradients,
+    training,
+)
 
 
 def close(one, other, tolerance=1e-8):
@@ -34,7 +38,7 @@ def test_network_gradient_is_that_of_torch(printed, windows, hidden):
     parts = np.full(8, 0.05), rng.standard_normal((windows, 8)), rng.standard_normal((windows, 12))
     targets = rng.standard_normal((windows, 12, 8))
     loss, gradient = network.loss_and_gradient(layers, *parts, targets, printed, 2)
-    expected, expected_gradient = torch_models.network_loss(layers, *parts, targets, printed)
+    expected, expected_gradient = torch_gradients.network_loss(layers, *parts, targets, printed)
     assert loss == pytest.approx(expected, rel=1e-10)
     assert close(gradient, expected_gradient)
 
@@ -70,7 +74,7 @@ def test_structured_gradient_is_that_of_torch():
     weights = 1.0 / np.array([100.0, 100.0, 1e6, 1e6, 1e-2])
     parts = c, layers, center, scale, starts, currents, targets, weights
     loss, by_c, by_network = structured.loss_and_gradients(*parts, 2)
-    expected, expected_c, expected_network = torch_models.structured_loss(*parts)
+    expected, expected_c, expected_network = torch_gradients.structured_loss(*parts)
     assert loss == pytest.approx(expected, rel=1e-10)
     learned = np.array([entry.learned for entry in table])
     assert close((by_c * c)[learned], (expected_c * c)[learned])
@@ -85,3 +89,38 @@ def test_gradient_of_constants_chains_through_their_scales():
     learned = np.array([entry.learned for entry in table])
     assert np.allclose(slope[learned], ((ahead - behind) / (2.0 * nudge))[learned], rtol=1e-6)
     assert not slope[~learned].any()
+
+
+def test_both_engines_give_the_same_gradients_of_a_training():
+    """What `learn` asks an engine for, from the objectives themselves; torch on its CPU stands in for the GPU."""
+    recording = record_offline(profile("default"), [Segment(seconds=16.0, amplitude=250.0, frequency=0.9)], seed=5)
+    data = recordings.split({"one": recording.states})
+    for structure, tolerance in (("network", 1e-4), ("structured", 1e-6)):  # the network computes in float32
+        settings = training.Settings(structure=structure, horizon=20, batch=256, stride=50)
+        target = training.objective(training.start(data, settings, Bench.nominal()), data, settings)
+        parameters = target.model.flat + 0.01 * np.random.default_rng(3).standard_normal(len(target.model.flat))
+        target.refresh(parameters)
+        results = []
+        for one in (engine.Compiled(), engine.OnTorch("cpu")):
+            target.engine = one
+            results.append(next(target.gradients(parameters, 0)))
+        (loss, gradient), (other_loss, other_gradient) = results
+        assert loss == pytest.approx(other_loss, rel=tolerance)
+        assert close(gradient, other_gradient, tolerance)
+
+
+def test_engines_are_those_of_the_machine(monkeypatch):
+    monkeypatch.setattr(engine, "_has_gpu", lambda: False)
+    assert [one.name for one in engine.engines("auto")] == ["cpu"]
+    with pytest.raises(ValueError, match="torch finds no GPU"):
+        engine.engines("cuda")
+    monkeypatch.setattr(engine, "_has_gpu", lambda: True)
+    assert [one.name for one in engine.engines("auto")] == ["cpu", "cuda"]
+    assert [one.name for one in engine.engines("cuda")] == ["cuda"]
+    with pytest.raises(ValueError, match="device is 'tpu'"):
+        engine.engines("tpu")
+
+
+def test_the_quickest_engine_is_taken():
+    slow, fast = engine.OnTorch("cpu"), engine.Compiled()
+    assert engine.quickest((slow, fast), lambda one: time.sleep(0.05 if one is slow else 0.0)) is fast

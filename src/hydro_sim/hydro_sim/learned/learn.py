@@ -18,11 +18,17 @@ from tqdm import tqdm
 
 from hydro_bridge.console import command, progress
 from hydro_sim.bench import Bench
-from hydro_sim.learned import adam, recordings, training
+from hydro_sim.learned import adam, engine, recordings, training
 from hydro_sim.learned.curves import draw_curves
 from hydro_sim.learned.model import STRUCTURES, Model
 from hydro_sim.learned.recordings import DataError
 from hydro_sim.learned.structured_model import StructuredModel
+
+DEVICE_HELP = (
+    "what computes gradients; auto: the quicker of CPU and GPU on one batch, the CPU without a GPU. Constants are "
+    "identified and start states estimated on the CPU. The GPU's code is tested by torch on the CPU; it has not been "
+    "run on a GPU"
+)
 
 
 @command(DataError, ValueError)
@@ -85,6 +91,7 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--learning-rate is {rate:g}, needs a number above 0, at most 1")
     if options.seed < 0 or options.threads < 0:
         raise ValueError("--seed and --threads need 0 or more")
+    engine.engines(options.device)
     folder = Path(options.out).absolute().parent
     if not os.access(folder, os.W_OK) or Path(options.out).is_dir():
         raise ValueError(f"--out {options.out} cannot be written: it names a file in a folder that exists")
@@ -96,7 +103,7 @@ def _settings(options: argparse.Namespace) -> training.Settings:
     loop = replace(base, **{name: value for name, value in given.items() if value is not None})
     return training.Settings(
         structure=options.structure, hidden=tuple(options.hidden), horizon=options.horizon, batch=options.batch,
-        seed=options.seed, printed_loss=options.printed_loss, adam=loop,
+        seed=options.seed, printed_loss=options.printed_loss, device=options.device, adam=loop,
     )  # fmt: skip
 
 
@@ -115,6 +122,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of first weights and shuffles")
     parser.add_argument("--printed-loss", action="store_true", help="network: eq. loss as printed (errors may cancel)")
     parser.add_argument("--resume", action="store_true", help="go on from WEIGHTS' checkpoint, if there is one")
+    parser.add_argument("--device", choices=engine.DEVICES, default="auto", help=DEVICE_HELP)
     parser.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
     return parser.parse_args()
 

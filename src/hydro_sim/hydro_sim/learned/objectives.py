@@ -5,12 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.learned import network, observer, structured
+from hydro_sim.learned import observer, structured
+from hydro_sim.learned.engine import Compiled, Engine
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.recordings import READING_COLUMNS, Run
 from hydro_sim.learned.structured_model import StructuredModel
@@ -82,6 +82,7 @@ class NetworkObjective:
         seed: int,
         printed: bool = False,
     ) -> None:
+        self.engine: Engine = Compiled()
         self.model, self.batch, self.seed, self.printed = model, batch, seed, printed
         self.training, self.validation = training, validation
         self.z, self.v = model.normalized(training.x, training.u)
@@ -95,8 +96,8 @@ class NetworkObjective:
         for part in batches_of(self.training.shuffled(epoch, self.seed), self.batch):
             rows = part[:, None] + steps
             layers, step = self.model.with_weights(parameters).compiled
-            loss, gradient = network.loss_and_gradient(
-                layers, step, self.z[part], self.v[rows], self.z[rows + 1], self.printed, numba.get_num_threads()
+            loss, gradient = self.engine.network(
+                layers, step, self.z[part], self.v[rows], self.z[rows + 1], self.printed
             )
             yield float(loss), gradient.astype(np.float64)
 
@@ -117,6 +118,7 @@ class StructuredObjective:
     def __init__(
         self, model: StructuredModel, training: Windows, validation: Windows, *, batch: int, seed: int
     ) -> None:
+        self.engine: Engine = Compiled()
         self.model, self.batch, self.seed = model, batch, seed
         self.training, self.validation = training, validation
         self.weights = 1.0 / observer.READING_NOISE
@@ -139,10 +141,8 @@ class StructuredObjective:
             model = self.at(parameters)
             c, layers, center, scale, _ = model.compiled
             targets = np.ascontiguousarray(self.training.targets(part)[:, :, READING_COLUMNS])
-            loss, _, by_flat = structured.loss_and_gradients(
-                c, layers, center, scale, self.states[part, :9], self.training.currents(part), targets, self.weights,
-                numba.get_num_threads(),
-            )  # fmt: skip
+            starts, currents = self.states[part, :9], self.training.currents(part)
+            loss, _, by_flat = self.engine.structured(c, layers, center, scale, starts, currents, targets, self.weights)
             yield float(loss), by_flat
 
     def validate(self, parameters: FloatArray) -> float:

@@ -19,7 +19,7 @@ import numpy as np
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.bench import Bench
-from hydro_sim.learned import adam, constants, identify, observer, structured
+from hydro_sim.learned import adam, constants, engine, identify, observer, structured
 from hydro_sim.learned.integration import STATES
 from hydro_sim.learned.model import Learned, Model
 from hydro_sim.learned.network_model import NetworkModel
@@ -49,6 +49,8 @@ class Settings:
     """Whether `network` minimizes eq. loss as printed, where errors of opposite sign cancel."""
     identify_windows: int = 500
     """Windows that the constants are identified on, [10, 100000]."""
+    device: str = "auto"
+    """What computes gradients: `cpu`, `cuda`, or `auto`, the quicker of both on one batch. The rest is the CPU's."""
     adam: adam.Settings = field(default_factory=adam.Settings)
     """Of the loop."""
 
@@ -77,11 +79,27 @@ def objective(model: Model, data: Data, settings: Settings) -> NetworkObjective 
     """What the loop minimizes."""
     training = Windows(data.training, settings.horizon, settings.stride)
     validation = Windows(data.validation, 70, 35)
+    target: NetworkObjective | StructuredObjective
     if isinstance(model, NetworkModel):
-        return NetworkObjective(
+        target = NetworkObjective(
             model, training, validation, batch=settings.batch, seed=settings.seed, printed=settings.printed_loss
         )
-    return StructuredObjective(model, training, validation, batch=min(settings.batch, 2048), seed=settings.seed)
+    else:
+        target = StructuredObjective(model, training, validation, batch=min(settings.batch, 2048), seed=settings.seed)
+    target.engine = _engine(target, engine.engines(settings.device))
+    return target
+
+
+def _engine(target: NetworkObjective | StructuredObjective, choice: tuple[engine.Engine, ...]) -> engine.Engine:
+    """The quicker one of several, on the first batch."""
+    if len(choice) > 1:
+        target.refresh(target.model.flat)
+
+    def gradient(one: engine.Engine) -> None:
+        target.engine = one
+        next(target.gradients(target.model.flat, 0))
+
+    return engine.quickest(choice, gradient)
 
 
 def identified(model: StructuredModel, data: Data, settings: Settings, report: Report) -> StructuredModel:

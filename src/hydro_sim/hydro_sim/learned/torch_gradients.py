@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Both learned structures written plainly in torch: tests check the compiled gradients with it, benchmarks time it."""
+"""Loss and gradient of both structures by torch, on any of its devices: what a GPU computes.
+
+Written plainly, a line an equation: tests check the compiled gradients with it, benchmarks time it. Arrays in and out
+are numpy's; torch computes in their precision.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from hydro_bridge.signals import FloatArray
 from hydro_sim.learned import integration, mlp, physics, structured
 
 P = {name: getattr(physics, name) for name in dir(physics) if name.isupper()}
@@ -19,23 +24,28 @@ def _network(weights: list[Any], x: Any) -> Any:
     return torch.relu(torch.relu(x @ w1 + b1) @ w2 + b2) @ w3 + b3
 
 
-def _leaves(layers: mlp.Layers) -> list[Any]:
-    return [torch.tensor(np.ascontiguousarray(view), requires_grad=True) for view in layers]
+def _leaves(layers: mlp.Layers, device: str) -> list[Any]:
+    return [torch.tensor(np.ascontiguousarray(view), device=device, requires_grad=True) for view in layers]
+
+
+def _flat(leaves: list[Any]) -> FloatArray:
+    return np.concatenate([leaf.grad.cpu().numpy().ravel() for leaf in leaves])
 
 
 def network_loss(
-    layers: mlp.Layers, step: Any, starts: Any, currents: Any, targets: Any, printed: bool
-) -> tuple[float, Any]:
-    """Loss and gradient by the flat weights of the paper's model: a plain loop."""
-    weights, z, scale = _leaves(layers), torch.tensor(starts), torch.tensor(step)
-    u, states = torch.tensor(currents), []
+    layers: mlp.Layers, step: Any, starts: Any, currents: Any, targets: Any, printed: bool, device: str = "cpu"
+) -> tuple[float, FloatArray]:
+    """Loss and gradient by the flat weights of the paper's model; shapes as in `network.loss_and_gradient`."""
+    weights = _leaves(layers, device)
+    z, scale, u, goal = (torch.tensor(part, device=device) for part in (starts, step, currents, targets))
+    states = []
     for h in range(currents.shape[1]):
         z = z + scale * _network(weights, torch.cat((z, u[:, h : h + 1]), dim=1))
         states.append(z)
-    error = torch.stack(states, dim=1) - torch.tensor(targets)
+    error = torch.stack(states, dim=1) - goal
     loss = (error.sum(dim=1) ** 2).mean() if printed else (error**2).mean()
     loss.backward()
-    return loss.item(), np.concatenate([weight.grad.numpy().ravel() for weight in weights])
+    return loss.item(), _flat(weights)
 
 
 def _friction(c: Any, v: Any, z: Any) -> Any:
@@ -93,19 +103,21 @@ def _sample(c: Any, s: list[Any], u: Any, r: Any) -> list[Any]:
 
 
 def structured_loss(
-    c: Any, layers: mlp.Layers, center: Any, scale: Any, starts: Any, currents: Any, targets: Any, weights: Any
-) -> tuple[float, Any, Any]:
-    """Loss and gradients by c and by the flat network of the structured model: a plain loop."""
-    leaves, c = _leaves(layers), torch.tensor(c, requires_grad=True)
-    s, u = list(torch.tensor(starts).unbind(dim=1)), torch.tensor(currents)
-    gains, readings = torch.tensor(np.array(structured.OUTPUT_SCALES)), []
+    c: Any, layers: mlp.Layers, center: Any, scale: Any, starts: Any, currents: Any, targets: Any, weights: Any,
+    device: str = "cpu",
+) -> tuple[float, FloatArray, FloatArray]:  # fmt: skip
+    """Loss and gradients by c and by the flat network; shapes as in `structured.loss_and_gradients`."""
+    leaves, c = _leaves(layers, device), torch.tensor(c, device=device, requires_grad=True)
+    u, goal, weight, middle, spread, gains = (
+        torch.tensor(np.asarray(part), device=device)
+        for part in (currents, targets, weights, center, scale, structured.OUTPUT_SCALES)
+    )
+    s, readings = list(torch.tensor(starts, device=device).unbind(dim=1)), []
     for h in range(currents.shape[1]):
-        x = (torch.stack(s[:5], dim=1) - torch.tensor(center)) / torch.tensor(scale)
-        r = (_network(leaves, x) * gains).unbind(dim=1)
-        s = _sample(c, s, u[:, h], r)
+        x = (torch.stack(s[:5], dim=1) - middle) / spread
+        s = _sample(c, s, u[:, h], (_network(leaves, x) * gains).unbind(dim=1))
         force = c[P["GAIN_H"]] * c[P["AREA"]] * (s[0] - c[P["RATIO"]] * s[1]) + c[P["BIAS_H"]]
         readings.append(torch.stack((force, c[P["GAIN_L"]] * s[6] + c[P["BIAS_L"]], s[0], s[1], s[2]), dim=1))
-    error = (torch.stack(readings, dim=1) - torch.tensor(targets)) * torch.tensor(weights)
-    loss = (error**2).sum(dim=2).mean()
+    loss = (((torch.stack(readings, dim=1) - goal) * weight) ** 2).sum(dim=2).mean()
     loss.backward()
-    return loss.item(), c.grad.numpy(), np.concatenate([leaf.grad.numpy().ravel() for leaf in leaves])
+    return loss.item(), c.grad.cpu().numpy(), _flat(leaves)
