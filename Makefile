@@ -14,7 +14,7 @@ CORES := setup $(wildcard src/hydro_*/hydro_*)
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
 
-.PHONY: help setup build train prove test check lint fast-tests colcon-test bench fuzz format clean
+.PHONY: help setup build train prove test check lint fast-tests colcon-test demo bench fuzz format clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -47,6 +47,9 @@ fast-tests: setup
 colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build farm runs them
 	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src $(if $(ARGS),--pytest-args " $(ARGS)") \
 	  && .venv/bin/python -m colcon test-result --verbose
+
+demo: setup  ## a policy, a bench that its simulation did not know, the diagnosis, the policy retrained: minutes
+	@$(SOURCED) .venv/bin/python -m demo $(ARGS)
 
 bench: setup  ## the measured speeds (ARGS="NAME ..." for some of them)
 	@$(SOURCED) .venv/bin/python -m benchmarks $(ARGS)
