@@ -105,7 +105,8 @@ def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_r
 ) -> None:
     """With K_p up to 300 the middle of the range, where a policy from scratch starts, is more than the bench bears."""
     run = RunDirectory(tmp_path / "run")
-    words = ("--plant", "emulator", "--from", "scratch", "--wide", "--runs", str(tmp_path), "--name", "run")
+    words = ("--plant", "emulator", "--from", "scratch", "--configuration", "wide")
+    words += ("--runs", str(tmp_path), "--name", "run")
     with trainer(*words, *SHORT, "-p", "monitor.rollbacks_max:=2") as process:
         probe.wait(lambda: "policy stopped in episode 1" in process.text, 60.0)
         probe.wait(lambda: probe.told.get("trainer", ("", {}))[1].get("rollbacks") in ("1", "2"), 5.0)

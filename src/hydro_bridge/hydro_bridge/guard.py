@@ -42,6 +42,8 @@ class GuardSettings:
     """s, an older correction is stale, and so is one of an older sample, [0.001, 0.2]."""
     gains_age_max: float = 0.2
     """s, older gains are stale, [0.01, 2]."""
+    relies_on: str = "nothing"
+    """The filter that gains of this range need to be safe; nothing: the bench bears them all. Told at the start."""
     require_filter: bool = True
     """Without a fresh correction: base gains. False lets gains pass unfiltered: logged, flagged and on /diagnostics."""
 

@@ -13,7 +13,9 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.console import Table
+from hydro_policy.cases import EvaluationSettings
 from hydro_policy.evaluation import EvaluationSession, Score, Trace
+from hydro_policy.grid import GridSearch
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 
@@ -41,6 +43,18 @@ def _cell(scores: list[Score]) -> float | str:
     if len(values) == 1:
         return float(f"{values[0]:.2f}")
     return f"{np.mean(values):.2f} +- {np.std(values, ddof=1):.2f}" if values else "-"
+
+
+def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
+    """All pairs that were tried, the best first."""
+    cases = [case.name for case in settings.cases]
+    columns = {"K_p": "1/s", "K_i": "1/s^2", "score": "mean of RMSE over the smallest RMSE of the column"}
+    table = Table({**columns, **dict.fromkeys(cases, "")}, title="Fixed gains, force RMSE [N]; inf: stopped")
+    scores = search.scores
+    for pair in sorted(scores, key=scores.__getitem__):
+        rmse = {case: float(value) for case, value in zip(cases, search.tried[pair], strict=True)}
+        table.add(**{"K_p": pair[0], "K_i": pair[1], "score": scores[pair], **rmse})
+    return table
 
 
 def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:

@@ -6,6 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 from hydro_policy.policy import load_policy
 from hydro_policy.run import RunDirectory, TrainingSettings
@@ -29,7 +30,7 @@ class Start:
     """What it was trained with."""
     gains: GainRange
     """What its actions mean."""
-    reward: dict[str, float]
+    reward: dict[str, Any]
     """What it was rewarded for, fields of `TaskSettings`: its critics know no other reward."""
     source: Path
 

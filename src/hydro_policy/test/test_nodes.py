@@ -35,8 +35,21 @@ def run(executable: str, *words: str, timeout: float = 120.0) -> subprocess.Comp
 
 
 def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> None:
-    short = ("--ros-args", "-p", "task.steps_per_episode:=250", "-p", "warmup_steps:=100")
-    done = run("trainer", "--plant", "sim", "--episodes", "2", "--runs", str(tmp_path), "--name", "a", *short)
+    short = ("--ros-args", "-p", "task.steps_per_episode:=250", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
+    done = run(
+        "trainer",
+        "--plant",
+        "sim",
+        "--from",
+        "scratch",
+        "--episodes",
+        "2",
+        "--runs",
+        str(tmp_path),
+        "--name",
+        "a",
+        *short,
+    )
     assert done.returncode == 0, done.stderr
     folder = RunDirectory(tmp_path / "a")
     for path in (folder.policy, folder.bag, folder.latest, folder.log):
@@ -115,4 +128,9 @@ def test_companions_of_each_plant() -> None:
         "external": [],
     }
     wide = commands(PlantOptions(plant="sim"), GainRange(delta_kp_max=285.0), Path("run"))
-    assert wide[-1][2][-2:] == ["-p", "guard.delta_kp_max:=285.0"]
+    assert "guard.delta_kp_max:=285.0" in wide[-1][2]
+    assert wide[-1][2][-1] == "guard.relies_on:=the filter's defaults", "nothing opens the guard in silence"
+    named = PlantOptions(plant="sim", filter=("--contraction-rate", "2"))
+    started = commands(named, GainRange(delta_kp_max=285.0), Path("run"))
+    assert started[0][2][-2:] == ["--contraction-rate", "2"]
+    assert started[-1][2][-1] == "guard.relies_on:=--contraction-rate 2"

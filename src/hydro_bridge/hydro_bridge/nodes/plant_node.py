@@ -77,6 +77,11 @@ class PlantNode(Node):
     def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
         """Take commands for `side`, and report on it; `clock` is the guard's [s]."""
         self.side, self._now = side, clock
+        limits = side.guard.settings
+        self.get_logger().info(
+            f"guard: delta_kp within [{limits.delta_kp_min:g}, {limits.delta_kp_max:g}] 1/s, delta_ki within "
+            f"[{limits.delta_ki_min:g}, {limits.delta_ki_max:g}] 1/s^2, relying on {limits.relies_on}"
+        )
         self.create_subscription(Gains, GAINS, self._on_gains, GAINS_QOS)
         self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
         self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)

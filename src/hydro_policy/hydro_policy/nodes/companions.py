@@ -53,6 +53,8 @@ class PlantOptions:
     """Files kept in the recording, besides the bench file."""
     policies: tuple[Path, ...] = ()
     """Policy files that act in this run; the recording keeps their digests."""
+    filter: tuple[str, ...] = ()
+    """Further words for the filter's command line, its metric for instance."""
     seed: int = 0
     """Of the noise of simulation or emulator."""
 
@@ -135,11 +137,11 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.plant == "external":
         return []
     bench = ["--bench", str(options.bench)] if options.bench else []
-    guard = guard_parameters(gains)
+    guard = guard_parameters(gains, " ".join(options.filter) or "the filter's defaults")
     started: list[tuple[str, str, list[str]]] = []
     if options.recording is not None:
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
-    started.append(("hydro_filter", "filter", [*bench, "--realtime"]))
+    started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
     if options.plant == "sim":
         started.append(("hydro_sim", "sim", [*bench, "--realtime", "--seed", str(options.seed), *guard]))
         return started
@@ -173,9 +175,12 @@ def guard_range(gains: GainRange) -> GainRange:
     )
 
 
-def guard_parameters(gains: GainRange) -> list[str]:
-    """ROS parameters that open the plant's guard as wide as the policy's gains, where its defaults are narrower."""
+def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
+    """ROS parameters that open the plant's guard as wide as the policy's gains, where its defaults are narrower.
+
+    The guard is told which filter the wider range relies on, and tells it: nothing opens it in silence.
+    """
     default, wanted = GuardSettings(), asdict(guard_range(gains))
     changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
     words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
-    return ["--ros-args", *words] if words else []
+    return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []

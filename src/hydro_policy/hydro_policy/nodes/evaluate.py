@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force RMSE of policies and fixed gains on sines of 300 N, on whichever plant publishes /hydro/state.
+"""Force RMSE of policies and fixed gains on sines of 300 N and more, on whichever plant publishes /hydro/state.
 
 ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --fixed 15 5
+ros2 run hydro_policy evaluate --plant emulator --policy runs/NAME --fixed 90 15 --grid --multisine --steps --repeats 5
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,7 +23,8 @@ from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_
 from hydro_policy import report
 from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
-from hydro_policy.nodes.companions import CompanionWatch, start_companions
+from hydro_policy.grid import GridSearch, GridSession, GridSettings
+from hydro_policy.nodes.companions import CompanionWatch, guard_range, start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.progress import EvaluationProgress
@@ -51,6 +54,16 @@ def parser() -> argparse.ArgumentParser:
         metavar=("KP", "KI"),
         help="fixed gains (default: 90 15 and 15 5)",
     )
+    what.add_argument(
+        "--grid",
+        action="store_true",
+        help="find the best fixed gains on the plant first, coarse to fine, and compare them, too",
+    )
+    what.add_argument("--kp-max", type=float, default=300.0, metavar="KP", help="of the grid (default 300)")
+    what.add_argument("--multisine", action="store_true", help="a multisine, too")
+    what.add_argument("--steps", action="store_true", help="smooth steps, too")
+    what.add_argument("--settle", type=float, metavar="S", help="s left out at the start of each run (default 2)")
+    what.add_argument("--periods", type=int, metavar="N", help="periods measured at least, and 3 s (default 1)")
     what.add_argument("--frequencies", type=float, nargs="+", metavar="HZ", help="default: 0.5 1 1.5 2")
     what.add_argument("--repeats", type=int, metavar="N", help="runs of each at each frequency (default 1)")
     what.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise of simulation or emulator")
@@ -77,8 +90,8 @@ def evaluate(options: argparse.Namespace) -> int:
     """Start what is asked for, run the plan, show the results."""
     controllers: list[Controller] = [policy_controller(path) for path in options.policy]
     controllers += [FixedGains(kp, ki) for kp, ki in options.fixed or [(90.0, 15.0), (15.0, 5.0)]]
-    given = {"frequencies": options.frequencies and tuple(options.frequencies), "repeats": options.repeats}
-    settings = EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
+    settings = evaluation_settings(options)
+    grid = GridSettings(kp_max=options.kp_max)
     for path in filter(None, (options.json, options.plot)):  # found out now, not after minutes on the bench
         if not path.parent.is_dir():
             raise UserError(f"{path} cannot be written: there is no folder {path.parent}")
@@ -90,13 +103,47 @@ def evaluate(options: argparse.Namespace) -> int:
         folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
         policies = tuple(map(policy_file, options.policy))
         plant = plant_options(options, recording=options.record, seed=options.seed, policies=policies)
-        node.companions = CompanionWatch(start_companions(stack, plant, reach(controllers), folder, None))
+        node.override.reach = guard_range(reach(controllers, grid if options.grid else None))
+        node.companions = CompanionWatch(start_companions(stack, plant, node.override.reach, folder, None))
         if not rearms(options):
             node.listen_for_enter()
         stack.callback(node.disarm)
+        if options.grid:
+            search = search_on(node, grid, settings, rearm=rearms(options))
+            if search is None:
+                return 130
+            controllers.append(FixedGains(*search.best))
         results = evaluate_on(node, controllers, rearm=rearms(options), settings=settings)
     show_results(results, options.json, options.plot, {"plant": options.plant, "seed": options.seed})
     return 0 if results.finished else 130
+
+
+def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
+    """Defaults and what the command line says."""
+    names = ("repeats", "settle", "periods", "multisine", "steps")
+    given = {name: getattr(options, name) for name in names}
+    given["frequencies"] = options.frequencies and tuple(options.frequencies)
+    return EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
+
+
+def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, *, rearm: bool) -> GridSearch | None:
+    """Find the best fixed gains on the plant, by short runs; None if a signal came before they were found."""
+    short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
+    session = GridSession(grid, short, node, rearm=rearm, override=node.override)
+    told = 0
+
+    def tick() -> None:
+        nonlocal told
+        for pair, rmse in list(session.search.tried.items())[told:]:
+            cells = " ".join(f"{value:.1f}" for value in rmse)
+            node.say(f"grid ({pair[0]:g}, {pair[1]:g}): RMSE {cells} N")
+            told += 1
+
+    finished = node.drive(session, tick)
+    tick()
+    if session.search.tried:
+        print(f"\n{report.grid_table(session.search, short).text()}")
+    return session.search if finished else None
 
 
 def evaluate_on(
@@ -107,7 +154,9 @@ def evaluate_on(
     settings: EvaluationSettings | None = None,
 ) -> EvaluationSession:
     """Run an evaluation on a node that is up; what is there when a signal comes is returned all the same."""
-    session = EvaluationSession(settings or EvaluationSettings(), list(controllers), node, rearm=rearm)
+    session = EvaluationSession(
+        settings or EvaluationSettings(), controllers, node, rearm=rearm, override=node.override
+    )
     bar = EvaluationProgress(session)
     try:
         node.drive(session, bar.tick)
@@ -129,9 +178,11 @@ def show_results(results: EvaluationSession, json: Path | None, plot: Path | Non
         print(f"plot: {plot}", file=sys.stderr)
 
 
-def reach(controllers: Sequence[Controller]) -> GainRange:
+def reach(controllers: Sequence[Controller], grid: GridSettings | None = None) -> GainRange:
     """The gain changes that the plant's guard must let through."""
     ranges = [controller.reach for controller in controllers]
+    if grid is not None:
+        ranges += [FixedGains(*pair).reach for pair in ((grid.kp_min, grid.ki_min), (grid.kp_max, grid.ki_max))]
     return GainRange(
         delta_kp_min=min(r.delta_kp_min for r in ranges),
         delta_kp_max=max(r.delta_kp_max for r in ranges),

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,12 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
     group.add_argument(
+        "--filter",
+        default="",
+        metavar="WORDS",
+        help='further words for the filter that is started, in one string: --filter="--contraction-rate 2"',
+    )
+    group.add_argument(
         "--rearm",
         choices=("auto", "ask"),
         help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or /hydro/arm",
@@ -44,7 +51,8 @@ def rearms(options: argparse.Namespace) -> bool:
 def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
     """From the command line; `more` are fields that it does not give."""
     names = ("plant", "port", "truth", "faults", "bench")
-    return PlantOptions(**{name: getattr(options, name) for name in names}, **more)
+    words = tuple(shlex.split(options.filter))
+    return PlantOptions(**{name: getattr(options, name) for name in names}, filter=words, **more)
 
 
 def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings:

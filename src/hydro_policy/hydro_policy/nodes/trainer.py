@@ -20,6 +20,7 @@ import torch
 from hydro_bridge.console import UserError, command
 from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
+from hydro_policy.configurations import configuration
 from hydro_policy.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.episode import Phase
 from hydro_policy.nodes.companions import CompanionWatch, guard_range, start_companions
@@ -40,6 +41,8 @@ DEMO = {"plant": "emulator", "episodes": 12, "updates_per_step": 2.0, "evaluate"
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
 
 SCRATCH = "scratch"
+UPDATES_PER_STEP = 8.0
+"""On a bench time is dear and computing is not; in simulation (`pretrain`) it is 1, as in the paper."""
 
 EPILOG = """\
 examples:
@@ -78,14 +81,20 @@ def parser() -> argparse.ArgumentParser:
     run = result.add_argument_group("run")
     run.add_argument(
         "--from",
+        "--start",
         dest="start",
         type=Path,
         metavar="RUN",
         help=f"an agent to start from: a run's folder, or {SCRATCH} (default: the one pretrained in simulation)",
     )
     run.add_argument("--episodes", type=int, metavar="N", help="episodes of 18 s in all (default 160, the paper's)")
-    run.add_argument("--updates-per-step", type=float, metavar="N", help="gradient updates per policy step (default 1)")
-    run.add_argument("--wide", action="store_true", help="wide authority: K_p up to 300 instead of the paper's 90")
+    run.add_argument("--updates-per-step", type=float, metavar="N", help="gradient updates per policy step (default 8)")
+    run.add_argument(
+        "--configuration",
+        choices=("paper", "wide"),
+        default="paper",
+        help="paper: Table training_agent, K_p up to 90; wide: K_p up to 300 (default paper)",
+    )
     run.add_argument("--seed", type=int, metavar="N", help="of networks, exploration and references (default 0)")
     run.add_argument("--evaluate", action="store_true", help="afterwards compare the policy with fixed gains")
     files = result.add_argument_group("files")
@@ -229,16 +238,14 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         run = RunDirectory(options.resume)
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
     else:
-        run, settings, checkpoint = new_run(options.runs, options.name), TrainingSettings(), None
+        run, checkpoint = new_run(options.runs, options.name), None
+        settings = replace(configuration(options.configuration), updates_per_step=UPDATES_PER_STEP)
         start = find_start(options)
         settings = start.adopted(settings) if start else settings
     given = {name: getattr(options, name) for name in ("episodes", "updates_per_step", "seed")}
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
     if options.seed is not None:
         settings = replace(settings, sac=replace(settings.sac, seed=options.seed))
-    if options.wide and start is None:
-        wide = replace(settings.task.gains, delta_kp_max=285.0)
-        settings = replace(settings, task=replace(settings.task, gains=wide))
     settings = declare_settings(node, settings)
     refuse_unknown_parameters(node)
     if options.resume is None:
@@ -254,7 +261,7 @@ def find_start(options: argparse.Namespace) -> Start | None:
     """The agent named by --from; without it the one that is shipped for this authority, if there is one."""
     if options.start is not None:
         return None if str(options.start) == SCRATCH else load_start(options.start)
-    return shipped_start("wide" if options.wide else "paper")
+    return shipped_start(options.configuration)
 
 
 def _start_plant(
