@@ -5,3 +5,12 @@
 `neural`: a free-form residual; `plain`: the bench file's numbers fitted by forward simulation; `run`: a recording as
 all of them see it, and the held-out error, which is the diagnosis' own.
 """
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import hydro_sim
+from hydro_sim.compiled import forget_stale
+
+forget_stale(Path(__file__).parent, Path(hydro_sim.__file__).parent)
