@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -17,6 +18,7 @@ from hydro_diagnosis.proof import seal
 from hydro_diagnosis.proof.cases import FITTED, HELD, PARTS, Case, draw, shares
 from hydro_diagnosis.proof.facts import Result
 from hydro_diagnosis.proof.prove import run
+from hydro_diagnosis.proof.recording import run_emulator
 from hydro_diagnosis.proof.standards import failures, standards, wilson
 from hydro_sim.bench import Bench
 
@@ -158,6 +160,30 @@ def test_two_names_of_the_same_bench_are_both_right() -> None:
     shifted = single(valve_deadband={"half_width": 3e-4}, valve_offset={"current": 1e-4})
     assert result(shifted, answer("explained", "valve_deadband")).exact
     assert not result(shifted, answer("explained", "valve_offset")).exact
+
+
+@pytest.mark.slow
+def test_truth_plant_agrees_that_those_benches_are_the_same(tmp_path: Path) -> None:
+    ways = {
+        "rest": {"spring_rest": {"position": 0.041}},
+        "offsets": {"force_offset": {"force": 20.0}, "load_cell_bias": {"force": -20.0, "cell": "load_force"}},
+        "shifted": {"valve_deadband": {"half_width": 3e-4}, "valve_offset": {"current": 1e-4}},
+        "lopsided": {"valve_deadband": {"half_width": 2e-4, "half_width_negative": 4e-4}},
+    }
+    jobs = []
+    for name, effects in ways.items():
+        truth = tmp_path / f"{name}.yaml"
+        truth.write_text(yaml.safe_dump({"profile": "nominal", "effects": effects}))
+        jobs.append({"out": str(tmp_path / name), "truth": str(truth), "seconds": 3.0, "seed": 1})
+    (tmp_path / "batch.yaml").write_text(yaml.safe_dump({"jobs": jobs}))
+    run_emulator(["--offline", "--batch", str(tmp_path / "batch.yaml")])
+    recorded = {name: read_bag(tmp_path / name).state for name in ways}
+    moving = slice(2500, None)  # the emulator's piston starts at the spring's rest: that is forgotten by then
+    for one, other, within in (("rest", "offsets", 1e-3), ("shifted", "lopsided", 1e-6)):
+        for field in ("load_force", "hydraulic_force", "piston_position", "pressure_a"):
+            apart = (recorded[one][field] - recorded[other][field])[moving]
+            assert np.sqrt(np.mean(np.square(apart))) < within * np.ptp(recorded[one][field]), field
+    assert np.ptp(recorded["rest"]["load_force"] - recorded["shifted"]["load_force"]) > 1.0
 
 
 def test_clean_bench_passes_only_without_any_claim_or_doubt() -> None:
