@@ -170,15 +170,17 @@ def test_truth_plant_agrees_that_those_benches_are_the_same(tmp_path: Path) -> N
         "shifted": {"valve_deadband": {"half_width": 3e-4}, "valve_offset": {"current": 1e-4}},
         "lopsided": {"valve_deadband": {"half_width": 2e-4, "half_width_negative": 4e-4}},
     }
-    jobs = []
+    jobs, plan = [], tmp_path / "plan.yaml"
+    segment = {"seconds": 5.0, "waveform": "multisine", "amplitude": 280.0, "frequency": 0.7, "kp": 60.0, "ki": 10.0}
+    plan.write_text(yaml.safe_dump({"segments": [segment]}))
     for name, effects in ways.items():
         truth = tmp_path / f"{name}.yaml"
         truth.write_text(yaml.safe_dump({"profile": "nominal", "effects": effects}))
-        jobs.append({"out": str(tmp_path / name), "truth": str(truth), "seconds": 3.0, "seed": 1})
+        jobs.append({"out": str(tmp_path / name), "truth": str(truth), "schedule": str(plan), "seed": 1})
     (tmp_path / "batch.yaml").write_text(yaml.safe_dump({"jobs": jobs}))
     run_emulator(["--offline", "--batch", str(tmp_path / "batch.yaml")])
     recorded = {name: read_bag(tmp_path / name).state for name in ways}
-    moving = slice(2500, None)  # the emulator's piston starts at the spring's rest: that is forgotten by then
+    moving = slice(3000, None)  # the emulator's piston starts at the spring's rest: that is forgotten by then
     for one, other, within in (("rest", "offsets", 1e-3), ("shifted", "lopsided", 1e-6)):
         for field in ("load_force", "hydraulic_force", "piston_position", "pressure_a"):
             apart = (recorded[one][field] - recorded[other][field])[moving]
