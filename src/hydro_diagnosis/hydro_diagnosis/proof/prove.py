@@ -49,6 +49,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--minutes", type=float, default=float("inf"),
                          help="begin no new case after so long; the same command goes on later")  # fmt: skip
     options.add_argument("--only-record", action="store_true", help="seal and record; the same words without it go on")
+    options.add_argument("--partial", action="store_true", help="when time is up, open the seal and score what is done")
     options.add_argument("--kinds", nargs="+", choices=list(PARTS), metavar="KIND",
                          help=f"score these kinds alone: {', '.join(PARTS)}")  # fmt: skip
     add_json_argument(options)
@@ -56,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Prove; 0 when all cases are scored, 3 when time was up before."""
+    """Prove; 0 when cases are scored, 3 when time was up before."""
     chosen = parser().parse_args(arguments)
     _check(chosen)
     until = time.monotonic() + 60.0 * chosen.minutes
@@ -68,13 +69,21 @@ def run(arguments: Sequence[str]) -> int:
     recorded = _record(cases, folder / BLIND, chosen, until)
     if recorded and chosen.only_record:
         return 0
-    if not (recorded and _diagnose(folder / BLIND, chosen.workers, until - time.monotonic())):
-        print(f"time is up: {_count(cases, folder)} of {len(cases)} cases are diagnosed; the same command goes on")
-        return 3
-    cases = seal.opened(folder / SEALED, digest)
+    finished = recorded and _diagnose(folder / BLIND, chosen.workers, until - time.monotonic())
+    done = [case.name for case in cases if (folder / BLIND / case.name / ANSWER).exists()]
+    if not finished:
+        print(f"time is up: {len(done)} of {len(cases)} cases are diagnosed; the same command goes on")
+        if not (chosen.partial and done):
+            return 3
+    cases = [case for case in seal.opened(folder / SEALED, digest) if case.name in done]
     print("opened: the answers are those that were sealed")
     results = [result for result in _results(cases, folder, chosen.workers) if _asked(result, chosen.kinds)]
-    _show(results, folder, {"seed": str(chosen.seed), "cases": str(len(cases)), "SHA-256": digest}, chosen.json)
+    _show(
+        results,
+        folder,
+        {"seed": str(chosen.seed), "cases": f"{len(cases)} of {chosen.cases}", "SHA-256": digest},
+        chosen.json,
+    )
     return 0
 
 
@@ -114,10 +123,6 @@ def _diagnose(folder: Path, workers: int, seconds: float) -> bool:
     if status not in (0, 3):
         raise UserError(f"the diagnosis ended with status {status}: what it said stands above")
     return status == 0
-
-
-def _count(cases: Sequence[Case], folder: Path) -> int:
-    return sum((folder / BLIND / case.name / ANSWER).exists() for case in cases)
 
 
 def _asked(result: Result, kinds: Sequence[str] | None) -> bool:
