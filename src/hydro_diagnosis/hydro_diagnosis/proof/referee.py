@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -28,7 +29,6 @@ from hydro_sim.bench import Bench
 
 KINDS = ("single", "faint", "value", "form", "pair", "triple")
 """Cases whose true structure is in the library."""
-RULING = "ruling.json"
 
 
 def rule(cases: Sequence[Case], blind: Path, folder: Path, workers: int) -> dict[str, dict[str, Any]]:
@@ -36,6 +36,7 @@ def rule(cases: Sequence[Case], blind: Path, folder: Path, workers: int) -> dict
     folder.mkdir(parents=True, exist_ok=True)
     judged = [case for case in cases if case.kind in KINDS]
     missing = [case for case in judged if not (folder / f"{case.name}.json").exists()]
+    random.shuffle(missing)  # as in `blind`: several can run side by side
     tasks = (delayed(_keep)(case, blind / case.name, folder / f"{case.name}.json") for case in missing)
     finished = Parallel(workers, return_as="generator_unordered")(tasks)
     for _ in progress(finished, total=len(missing), label="fitting the true structure", unit="case"):
@@ -44,7 +45,9 @@ def rule(cases: Sequence[Case], blind: Path, folder: Path, workers: int) -> dict
 
 
 def _keep(case: Case, recordings: Path, path: Path) -> None:
-    scratch = path.with_suffix(".part")
+    if path.exists():
+        return
+    scratch = path.with_suffix(f".{os.getpid()}")
     scratch.write_text(json.dumps(ruling(case, recordings)), encoding="utf-8")
     os.replace(scratch, path)
 
