@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
@@ -25,6 +26,7 @@ from hydro_bridge.console import UserError, add_json_argument, command, progress
 from hydro_bridge.recording_run import code_version
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.configurations import configuration
+from hydro_policy.environment import Transitions
 from hydro_policy.policy import Policy
 from hydro_policy.pretrain_report import curve_table, draw_curve
 from hydro_policy.pretraining import Pretraining, PretrainSettings
@@ -174,11 +176,33 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
     total = settings.episodes * settings.task.steps_per_episode
     bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
     bar.update(pretraining.episode * settings.task.steps_per_episode)
+    stop = _StopRequest()
+
+    def each_step(transitions: Transitions) -> None:
+        stop.check()
+        bar.update(len(transitions.reward))
+
     while not pretraining.finished:
-        entry = pretraining.round(lambda transitions: bar.update(len(transitions.reward)))
+        entry = pretraining.round(each_step)
         _save(run, pretraining, source)
         bar.set_postfix_str(f"{entry['score']:.2f} of fixed gains' RMSE, best {pretraining.best_score:.2f}")
     bar.close()
+
+
+class _StopRequest:
+    """Ctrl-C, looked at between steps: raised anywhere, Python drops it where it happens to be in a finalizer."""
+
+    def __init__(self) -> None:
+        self._asked = False
+        signal.signal(signal.SIGINT, self._ask)
+
+    def _ask(self, number: int, frame: object) -> None:
+        self._asked = True
+
+    def check(self) -> None:
+        """Raise KeyboardInterrupt if it was asked for."""
+        if self._asked:
+            raise KeyboardInterrupt
 
 
 def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
