@@ -17,7 +17,6 @@ import multiprocessing
 import os
 import signal
 import time
-from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -181,23 +180,12 @@ def write_run(
     policy.save(run.policy, settings.task.gains, notes)
 
 
-def give_way() -> None:
-    """Compute in whatever time all others leave: whoever wakes up takes the core at once.
-
-    Nice values do not do that: the kernel lets an ordinary process finish its slice of some milliseconds, and the serial
-    line's data pass through a kernel thread that is an ordinary process, too.
-    """
-    os.nice(19)
-    with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
-
-
 def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection) -> None:
     """Body of the learning process; ends on None from the pipe, or when the acting process is gone."""
     signal.signal(
         signal.SIGINT, signal.SIG_IGN
     )  # Ctrl-C reaches the whole terminal; the acting process ends us in order
-    give_way()
+    os.nice(10)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
     learner = Learner(memory, settings)
