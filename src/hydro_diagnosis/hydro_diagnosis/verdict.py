@@ -24,8 +24,10 @@ MOST_OF_THE_GAP = 0.98
 """Share of the squared mismatch that names must explain where something remains."""
 MINOR = 0.1
 """Share below which a claim is dropped where something remains."""
-DECISIVE = 0.5
-"""Share of what remains that a minor claim must exceed to be kept, where the names explain nearly all of the gap."""
+EVERYDAY = frozenset({"friction_coulomb", "friction_viscous", "force_offset", "moving_mass"})
+"""Causes that every drive has: where names explain nearly all of the gap, these are believed beside a remainder."""
+EVERYDAY_SHARE = 0.5
+"""Of what remains, that such a cause must explain."""
 
 
 @dataclass(frozen=True)
@@ -69,9 +71,9 @@ def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
     Claims that show in other channels, in which nothing remains, are not in question.
     """
     suspects = _suspects(problem, found)
-    fewer, decisive = _without_minor(problem, found, nothing, suspects)
+    fewer, everyday = _without_minor(problem, found, nothing, suspects)
     left = [claim for claim in fewer.claims if claim.effect.label in suspects]
-    if left and explained_share(problem, fewer, nothing) >= MOST_OF_THE_GAP and (decisive or not _crowded(left)):
+    if left and explained_share(problem, fewer, nothing) >= MOST_OF_THE_GAP and (everyday or not _crowded(left)):
         return fewer
     return fit(problem, tuple(claim for claim in fewer.claims if claim.effect.label not in suspects))
 
@@ -109,10 +111,9 @@ def _judged(problem: Problem, found: Fit) -> npt.NDArray[np.bool_]:
 
 
 def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str]) -> tuple[Fit, bool]:
-    """Drop, one after the other, suspects without which hardly more remains.
+    """Drop, one after the other, suspects without which hardly more remains; those of `EVERYDAY` have it easier.
 
-    Where the names explain nearly all of the gap, a suspect stays that explains `DECISIVE` of what remains or more;
-    whether each of those that are left does is returned beside the fit.
+    Returned beside the fit: whether all suspects that are left are everyday causes that explain enough.
     """
     judged = _judged(problem, found)
     gap = float(np.sum(np.square(nothing.residual[judged])) - np.sum(np.square(found.residual[judged])))
@@ -125,12 +126,16 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str
         smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in open_]
         remains = float(np.sum(np.square(current.residual[judged])))
         losses = [float(np.sum(np.square(one.residual[judged]))) - remains for one in smaller]
-        least = int(np.argmin(losses))
-        excess = remains - float(np.count_nonzero(judged))
-        decisive = explained_share(problem, current, nothing) >= MOST_OF_THE_GAP and losses[least] > DECISIVE * excess
-        if decisive or losses[least] > MINOR * gap:
-            return current, decisive
-        current = smaller[least]
+        enough = EVERYDAY_SHARE * (remains - float(np.count_nonzero(judged)))
+        nearly_all = explained_share(problem, current, nothing) >= MOST_OF_THE_GAP
+        everyday = [
+            nearly_all and claim.effect.id in EVERYDAY and loss > enough
+            for claim, loss in zip(open_, losses, strict=True)
+        ]
+        minor = [k for k in range(len(open_)) if losses[k] <= MINOR * gap and not everyday[k]]
+        if not minor:
+            return current, all(everyday)
+        current = smaller[min(minor, key=lambda k: losses[k])]
 
 
 def _coincidence(claims: Sequence[Claim]) -> bool:
