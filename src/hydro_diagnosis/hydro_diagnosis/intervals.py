@@ -22,8 +22,7 @@ from hydro_diagnosis.problem import Problem
 
 QUANTILE = 1.96
 SYSTEMATIC = 0.03
-"""Of a parameter's smallest size worth claiming; of the value itself for shapes: `SYSTEMATIC_SHAPE`."""
-SYSTEMATIC_SHAPE = 0.003
+"""Of a parameter's smallest size worth claiming; shapes say theirs themselves: `Parameter.systematic`."""
 _BLOCK = 0.25
 
 
@@ -73,7 +72,8 @@ def _interval(
     for sign in (-1.0, 1.0):
         side = _profiled(problem, found, index, value, sign * reach, inflation)
         sides.append(side)
-    systematic = SYSTEMATIC * parameter.smallest if parameter.smallest > 0.0 else SYSTEMATIC_SHAPE * abs(value)
+    shape = parameter.smallest == 0.0
+    systematic = parameter.systematic * abs(value) if shape else SYSTEMATIC * parameter.smallest
     low, high = value - hypot(sides[0], systematic), value + hypot(sides[1], systematic)
     at_bound = min(value - parameter.low, parameter.high - value) <= 1e-3 * (parameter.high - parameter.low) * 1e-3
     flat = not np.isfinite(reach) or reach > 0.5 * (parameter.high - parameter.low)

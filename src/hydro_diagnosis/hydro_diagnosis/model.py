@@ -30,6 +30,8 @@ from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
 Kept = TypeVar("Kept")
 SHELF = 8
 """Intermediate results that a segment keeps at most."""
+HASTENED = 3
+"""Rounds in which pressures behind lagging sensors and the flows that they drive are brought together."""
 OBSERVER_MEMORY = 0.12
 """s. A shorter memory forgets the slow drift that a small leak builds up."""
 BLOCK = 100
@@ -118,23 +120,42 @@ class SegmentModel:
         """Innovations and arcs under the claims."""
         bench = self.bench(claims)
         oil = self.oil(claims)
-        into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
-        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
-        swept = bench.piston_area * np.diff(
-            self.channels["piston_position"], append=self.channels["piston_position"][-1]
-        )
-        built_a = stiff_a * (into_a * self.step - swept)
-        built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
+        stiff, (built_a, built_b) = self._built(bench, oil, claims)
+        lagging = any(claim.effect.rounds.startswith("pressure") for claim in claims)
+        for _ in range(HASTENED if lagging else 0):
+            oil = self._hastened(oil, (built_a, built_b), claims)
+            stiff, (built_a, built_b) = self._built(bench, oil, claims)
         innovations = tuple(
             self._innovation(channel, built, claims)
             for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
         )
         force = bench.piston_area * (built_a - bench.area_ratio * built_b)
-        return ChamberRun(
-            (innovations[0], innovations[1]),
-            chambers.force_arc(bench, oil, (stiff_a, stiff_b), self.a, self.step),
-            force,
-        )
+        arc = chambers.force_arc(bench, oil, stiff, self.a, self.step)
+        return ChamberRun((innovations[0], innovations[1]), arc, force)
+
+    def _built(
+        self, bench: Bench, oil: Oil, claims: Sequence[Claim]
+    ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
+        into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
+        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
+        position = self.channels["piston_position"]
+        swept = bench.piston_area * np.diff(position, append=position[-1])
+        built_a = stiff_a * (into_a * self.step - swept)
+        built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
+        return (stiff_a, stiff_b), (built_a, built_b)
+
+    def _hastened(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
+        """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
+        others = [claim for claim in claims if not claim.effect.rounds.startswith("pressure")]
+        pressures = list(oil.pressures)
+        for index, channel in enumerate(("pressure_a", "pressure_b")):
+            late = [claim for claim in claims if claim.effect.rounds == channel]
+            if late:
+                integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
+                swallowed = integral - self.reading(channel, integral, late)
+                pressures[index] = chambers.middle(self.true_signal(channel, others) + swallowed)
+        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool)
 
     def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
@@ -232,11 +253,21 @@ class SegmentModel:
         return self._kept(smooth(self.channels["load_force"] - self.reading("load_force", force, claims)))
 
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
-        """N, means over blocks."""
+        """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
         bench = self.bench(claims)
-        p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
+        late = [claim for claim in claims if claim.effect.rounds.startswith("pressure")]
+        others = [claim for claim in claims if claim not in late]
+
+        def delayed(signal: FloatArray, but: str) -> FloatArray:
+            for claim in late:
+                if claim.effect.rounds != but:
+                    signal = claim.effect.measure(claim.effect.rounds, signal, self.memory, claim.values)
+            return signal
+
+        channels = ("pressure_a", "pressure_b")
+        p_a, p_b = (delayed(self.true_signal(channel, others), channel) for channel in channels)
         force = bench.piston_area * (p_a - bench.area_ratio * p_b)
-        off = self.channels["hydraulic_force"] - self.reading("hydraulic_force", force, claims)
+        off = delayed(self.channels["hydraulic_force"], "") - self.reading("hydraulic_force", force, others)
         off = off[self.settle :]
         return off[: len(off) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
 

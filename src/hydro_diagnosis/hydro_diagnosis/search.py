@@ -44,7 +44,7 @@ class SearchSettings:
     """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
     openings: int = 3
     """First claims that are tried, one search each, as long as something remains unexplained, [1, 10]."""
-    effort: int = 7000
+    effort: int = 9000
     """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before the
     search begins again: some 4 ms each for 60 s of data, [100, 1000000]."""
 

@@ -50,6 +50,8 @@ class Parameter:
     """Values at which the search looks first, in the interior."""
     smallest: float = 0.0
     """Distance from `neutral` below which a difference is not worth claiming; 0 for shape parameters."""
+    systematic: float = 0.003
+    """Of a shape parameter: share of its value that the residuals' own discretisation may be off by."""
     reported: bool = True
     """False for shape parameters that are fitted but not part of the contract."""
 

@@ -107,7 +107,9 @@ class SensorLag(_Sensor):
 
     id = "sensor_lag"
     parameters = (
-        Parameter(name="bandwidth", unit="Hz", low=2.0, high=400.0, neutral=400.0, probes=(15.0, 40.0, 120.0)),
+        Parameter(
+            name="bandwidth", unit="Hz", low=2.0, high=400.0, neutral=400.0, probes=(15.0, 40.0, 120.0), systematic=0.01
+        ),
         Parameter(name="damping", unit="-", low=0.3, high=1.5, neutral=0.7071, probes=(0.7071,), reported=False),
     )
 
