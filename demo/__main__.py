@@ -72,6 +72,8 @@ def parser() -> argparse.ArgumentParser:
                          help="the bench, a truth.yaml of the emulator (docs/emulator.md)")  # fmt: skip
     options.add_argument("--seeds", type=int, default=Plan.seeds, help="policies trained in either simulation")
     options.add_argument("--episodes", type=int, default=Plan.episodes, help="of each training")
+    options.add_argument("--configuration", choices=("wide", "paper"), default=Plan.configuration,
+                         help="what policies may do: K_p up to 300, or up to 90")  # fmt: skip
     options.add_argument("--jobs", type=int, default=Plan.jobs, help="trainings side by side")
     add_json_argument(options)
     return options
@@ -81,7 +83,14 @@ def parser() -> argparse.ArgumentParser:
 def main() -> int:
     """Tell the story."""
     chosen = parser().parse_args()
-    plan = Plan(folder=chosen.out, truth=chosen.truth, seeds=chosen.seeds, episodes=chosen.episodes, jobs=chosen.jobs)
+    plan = Plan(
+        folder=chosen.out,
+        truth=chosen.truth,
+        seeds=chosen.seeds,
+        episodes=chosen.episodes,
+        configuration=chosen.configuration,
+        jobs=chosen.jobs,
+    )
     story = Story(plan)
     stages.believe(plan)
     _say(f"1  {plan.seeds} policies are pretrained in a simulation of {plan.believed}")
@@ -137,8 +146,8 @@ def _mismatch(story: Story) -> None:
     foretold = np.mean([entry.simulated.mean for entry in tried])
     trips, runs = sum(entry.bench.trips for entry in tried), len(tried) * len(trial.SETTINGS.cases)
     met = [entry.bench.mean for entry in tried if not entry.bench.trips]
-    tracked = f"; where it does not, {np.mean(met):.3g} N" if met else ""
-    _say(f"2  the simulation foretells {foretold:.3g} N; on the bench the box trips in {trips} of {runs} runs{tracked}")
+    tracked = f"; where it does not, {np.mean(met):.2f} N" if met else ""
+    _say(f"2  the simulation foretells {foretold:.2f} N; on the bench the box trips in {trips} of {runs} runs{tracked}")
 
 
 def _named(report: dict[str, Any]) -> None:

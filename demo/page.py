@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+from hydro_bridge.signals import Flag
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure
 
 if TYPE_CHECKING:
     from demo.__main__ import Entry, Story
@@ -21,7 +22,7 @@ _COLORS = {"believed": RED, "corrected": BLUE, "-": GRAY}
 
 def draw(story: Story, path: Path) -> None:
     """Write the page, a PNG or PDF by the suffix of `path`."""
-    with figure(path, 4, size=(8.3, 10.5), height_ratios=(1.1, 1.0, 1.0, 1.2)) as (
+    with figure(path, 4, size=(8.3, 10.0), height_ratios=(0.5, 1.0, 1.0, 1.2)) as (
         drawing,
         (words, before, after, bars),
     ):
@@ -51,27 +52,26 @@ def _words(axes: Any, story: Story) -> None:
             text = "Held-out {}, 70 ms ahead: {:.3g} {unit} before, {:.3g} after, noise {:.3g}."
             lines.append(text.format(*shown, unit=error["unit"]))
     axes.axis("off")
-    wrapped = "\n".join("\n".join(textwrap.wrap(line, 112, subsequent_indent="    ")) for line in lines[:9])
+    wrapped = "\n".join("\n".join(textwrap.wrap(line, 100, subsequent_indent="    ")) for line in lines[:7])
     axes.text(0.0, 1.0, wrapped, va="top", fontsize=9, linespacing=1.5, transform=axes.transAxes)
 
 
 def _force(axes: Any, title: str, entries: list[Entry]) -> None:
-    """Force at 1 Hz of each seed, or that there is none to be drawn."""
+    """Force at 1 Hz of each seed, from arming on; a cross marks where the box tripped."""
     axes.set_title(title)
-    traced = [entry for entry in entries if entry.bench.trace is not None]
-    for k, entry in enumerate(traced):
-        states = entry.bench.trace
-        assert states is not None
-        shown = states[states["time"] <= SHOWN]
+    for k, entry in enumerate(entries):
+        states = entry.bench.trace[entry.bench.trace["time"] <= SHOWN]
+        color, tripped = (BLUE, ORANGE, GREEN)[k % 3], bool(states["flags"][-1] & Flag.TRIPPED)
         if k == 0:
-            axes.plot(shown["time"], shown["reference_force"], color=GRAY, linestyle="--", label="reference, 1 Hz")
-        label = f"{entry.name.split(', ')[1]}: {entry.bench.rmse['1 Hz']:.1f} N"
-        axes.plot(shown["time"], shown["load_force"], color=(BLUE, ORANGE, GREEN)[k % 3], linewidth=0.9, label=label)
-    if len(traced) < len(entries):
-        text = f"{len(entries) - len(traced)} of {len(entries)} policies: the box tripped"
-        axes.text(0.5, 0.5, text, ha="center", va="center", color=RED, fontsize=13, transform=axes.transAxes)
+            asked = entry.simulated.trace
+            axes.plot(asked["time"], asked["reference_force"], color=GRAY, linestyle="--", label="reference, 1 Hz")
+        outcome = "tripped" if tripped else f"{entry.bench.rmse['1 Hz']:.1f} N"
+        label = f"{entry.name.split(', ')[1]}: {outcome}"
+        axes.plot(states["time"], states["load_force"], color=color, linewidth=0.9, label=label)
+        if tripped:
+            axes.plot(states["time"][-1], states["load_force"][-1], "x", color=color, markersize=9, markeredgewidth=2)
     axes.set(ylabel="load force [N]", xlim=(0.0, SHOWN))
-    legend(axes)
+    axes.legend(loc="lower right", ncols=2)
 
 
 def _bars(axes: Any, story: Story) -> None:

@@ -37,6 +37,8 @@ class Plan:
     """Policies trained in either simulation."""
     episodes: int = 80
     """Of each training."""
+    configuration: str = "wide"
+    """What policies may do: `wide`, K_p up to 300, or `paper`, K_p up to 90 (docs/training.md)."""
     jobs: int = 2
     """Trainings side by side."""
 
@@ -63,13 +65,13 @@ def believe(plan: Plan) -> None:
 
 
 def pretrain(plan: Plan, name: str, bench: Path) -> None:
-    """Policies with K_p up to 300 and K_i up to 100, trained in a simulation of `bench`."""
+    """Policies trained in a simulation of `bench`."""
     commands = []
     for seed, run in enumerate(plan.policies(name)):
         if (run / "curve.json").exists():
             continue
         where = ["--resume", str(run)] if (run / "config.yaml").exists() else ["--out", str(run)]
-        simulated = ["--bench", str(bench), "--box", str(plan.believed), "--configuration", "wide"]
+        simulated = ["--bench", str(bench), "--box", str(plan.believed), "--configuration", plan.configuration]
         how = ["--episodes", str(plan.episodes), "--seed", str(seed)]
         arguments = where if where[0] == "--resume" else [*where, *simulated, *how]
         commands.append(["hydro_policy", "pretrain", *arguments, "--json", str(run / "curve.json")])

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.guard import GuardSettings
-from hydro_bridge.signals import StateArray
+from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
 from hydro_policy import fleet_runs
 from hydro_policy.configurations import WIDE
 from hydro_policy.controllers import Controller
@@ -26,6 +26,9 @@ SETTINGS = EvaluationSettings()
 GRID = (15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0, 150.0, 200.0, 250.0, 300.0)
 """1/s, K_p of the fixed gains that a simulation is asked for the best of, K_i = 15 1/s^2."""
 INTEGRAL = 15.0
+SHOWN = 1.0
+"""Hz, of the sine whose samples are kept."""
+SEEN = Flag.ARMED | Flag.TRIPPED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,8 +37,8 @@ class Outcome:
 
     rmse: dict[str, float]
     """N, by sine; NaN where the box tripped."""
-    trace: StateArray | None
-    """Samples at 1 Hz; None if it tripped there."""
+    trace: StateArray
+    """Samples at `SHOWN`, from arming to the end or to where the box tripped; time from 0."""
 
     @property
     def mean(self) -> float:
@@ -69,10 +72,27 @@ def best_fixed(simulated: Bench, believed: Bench) -> float:
     return GRID[int(np.nanargmin(mean))]
 
 
+class _Watched(OfflineGraph):
+    """Keeps the armed samples of the run at `SHOWN`, and the first in which the box tripped."""
+
+    def __init__(self, plant: Plant, believed: Bench, seed: int) -> None:
+        guard = GuardSettings(delta_kp_max=WIDE.delta_kp_max, delta_ki_max=WIDE.delta_ki_max)
+        super().__init__(plant, believed, guard=guard, seed=seed)
+        self.seen: list[np.void] = []
+
+    def sample(self) -> np.void:
+        """See `OfflineGraph.sample`."""
+        record = super().sample()
+        ended = bool(self.seen) and bool(self.seen[-1]["flags"] & Flag.TRIPPED)
+        if self.references and self.references[-1].frequency == SHOWN and record["flags"] & SEEN and not ended:
+            self.seen.append(record.copy())
+        return record
+
+
 def _trial(controller: Controller, plant: Plant, believed: Bench, seed: int) -> Outcome:
-    guard = GuardSettings(delta_kp_max=WIDE.delta_kp_max, delta_ki_max=WIDE.delta_ki_max)
-    graph = OfflineGraph(plant, believed, guard=guard, seed=seed)
+    graph = _Watched(plant, believed, seed)
     session = EvaluationSession(SETTINGS, [controller], graph)
     graph.run(session, 4.0 * session.seconds)
-    traces = {trace.case: trace.states for trace in session.traces}
-    return Outcome(rmse={score.case: score.rmse for score in session.scores}, trace=traces.get("1 Hz"))
+    trace = np.array(graph.seen, dtype=STATE_DTYPE)
+    trace["time"] -= trace["time"][0]
+    return Outcome(rmse={score.case: score.rmse for score in session.scores}, trace=trace)

@@ -36,6 +36,7 @@ def test_what_the_simulation_likes_best_trips_the_bench_that_it_does_not_know() 
     assert trial.on_bench(before, TRUTH, BELIEVED).trips == 1
     met = trial.on_bench(after, TRUTH, BELIEVED)
     assert met.trips == 0
+    assert met.trace["time"][-1] == pytest.approx(2.0, abs=0.01)
     assert met.mean == pytest.approx(trial.in_simulation(after, KNOWN, BELIEVED).mean, rel=0.1)
 
 
