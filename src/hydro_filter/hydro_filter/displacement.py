@@ -63,7 +63,7 @@ def begin(memory):
     memory.reference_rate, memory.running = 0.0, False
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def settle(loop, memory, x, current, reference_rate):
     """Take in the first sample: hidden states that the current and velocity of now lead to."""
     if not memory.running:
@@ -71,7 +71,7 @@ def settle(loop, memory, x, current, reference_rate):
         memory.reference_rate, memory.running = reference_rate, True
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def follow(loop, memory, x, current, reference_rate):
     """Move the memory to the next sample, over which the valve holds `current` [A]."""
     model_kernels.follow(loop.model[0], x[VELOCITY], current, memory.hidden)
@@ -84,7 +84,7 @@ def bend(memory, reference_rate):
     return min(max((reference_rate - memory.reference_rate) / SAMPLE, -BEND_MAX), BEND_MAX)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def displace(loop, memory, x, reference, reference_rate, v):
     """Write v, shape (8,), of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
     c, bent, hidden = loop.model[0], bend(memory, reference_rate), memory.hidden

@@ -87,7 +87,7 @@ def space(parts: LoopParts) -> Space:
     return Space(loop_step(), metric_value(parts.metric), np.zeros(LOOP), np.zeros(LOOP), np.zeros(LOOP))
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def integral_term(bench, gain_floor, x, nominal_current, reference, reference_rate, proportional_gain):
     """K_i int e dt [N/s] and g [N/s/A], from the current that the law made of it (`hydro_sim.force_law`)."""
     position = min(max(x[POSITION], 0.0), bench.stroke)
@@ -96,7 +96,7 @@ def integral_term(bench, gain_floor, x, nominal_current, reference, reference_ra
     return driven - reference_rate - proportional_gain * (reference - x[LOAD_FORCE]), gain
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def pose(parts, memory, x, nominal, current, reference, reference_rate, gain, room):
     """The problem of one sample, all finite, of an armed bench. Moves the memory on."""
     loop, value, step = parts.loop, room.value, room.step
@@ -153,7 +153,7 @@ def finite(x, nominal, current, reference, reference_rate, gain):
     return good
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, armed, room):
     """Decide about a sample: `Decision`.
 

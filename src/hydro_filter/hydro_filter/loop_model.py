@@ -156,7 +156,7 @@ def hydraulic_slopes(c, pressure_a, pressure_b, position, spool):
     return c[BULK] * gain, c[BULK] * (area**2 / volume_a + area_b**2 / volume_b)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
     """Fill `step` at x (8,), hidden states (3,), for a nominal current and the one that the valve got [A]."""
     c, scale = loop.model[0], loop.scale

@@ -79,13 +79,13 @@ def metric_value(parts: MetricParts) -> MetricValue:
                        np.zeros(ENTRIES), np.zeros(ENTRIES))  # fmt: skip
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def foreign(parts, gain):
     """Whether K_p [1/s] lies outside of the certified range; NaN does."""
     return not parts.gains[0] <= gain <= parts.gains[-1]
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def evaluate(parts, x, state_rate, gain, value):
     """Fill `value` at x (8,) along x' (8,), both in SI units, for K_p [1/s]."""
     layers, outside = parts.layers, foreign(parts, gain)
@@ -95,17 +95,16 @@ def evaluate(parts, x, state_rate, gain, value):
     value.inputs[STATES] = 0.0 if outside else gain / GAIN_UNIT
     value.inputs[STATES + 1] = 1.0 if outside else 0.0
     value.nudge[STATES:] = 0.0
-    mlp.forward(layers, value.inputs, value.first, value.second, value.factor)
-    _push(layers.w1, value.nudge, value.first_nudge)
-    _mask(value.first, value.first_nudge)
-    _push(layers.w2, value.first_nudge, value.second_nudge)
-    _mask(value.second, value.second_nudge)
-    _push(layers.w3, value.second_nudge, value.factor_nudge)
+    _affine(layers.w1, layers.b1, value.inputs, value.nudge, value.first, value.first_nudge)
+    _relu(value.first, value.first_nudge)
+    _affine(layers.w2, layers.b2, value.first, value.first_nudge, value.second, value.second_nudge)
+    _relu(value.second, value.second_nudge)
+    _affine(layers.w3, layers.b3, value.second, value.second_nudge, value.factor, value.factor_nudge)
     _add_table(parts, gain, outside, value.factor)
     _square(value.factor, value.factor_nudge, parts.floor, value.matrix, value.rate)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _add_table(parts, gain, outside, factor):
     """L_0, between the table's factors by straight lines."""
     rows = len(parts.gains)
@@ -122,20 +121,23 @@ def _add_table(parts, gain, outside, factor):
 
 
 @njit(cache=True, fastmath=mlp.LOOSE)
-def _push(w, x, y):
-    y[:] = 0.0
+def _affine(w, b, x, dx, y, dy):
+    """y = x W + b, and its derivative dy along dx, in one pass over the weights."""
+    for j in range(y.shape[0]):
+        y[j], dy[j] = b[j], 0.0
     for i in range(x.shape[0]):
-        weight = x[i]
-        if weight != 0.0:  # half of the units are off
+        value, nudge = x[i], dx[i]
+        if value != 0.0 or nudge != 0.0:  # half of the units are off
             for j in range(y.shape[0]):
-                y[j] += w[i, j] * weight
+                y[j] += w[i, j] * value
+                dy[j] += w[i, j] * nudge
 
 
 @njit(cache=True)
-def _mask(activations, nudge):
-    for i in range(nudge.shape[0]):
-        if activations[i] <= 0.0:
-            nudge[i] = 0.0
+def _relu(y, dy):
+    for i in range(y.shape[0]):
+        if y[i] <= 0.0:
+            y[i] = dy[i] = 0.0
 
 
 @njit(cache=True)

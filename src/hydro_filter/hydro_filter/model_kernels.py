@@ -99,7 +99,7 @@ def _lift_nudges(c, d):
     d[0, 2] = d[1, 3] = d[2, 4] = d[3, 5] = d[9, 6] = 1.0
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def nudge(model, full, current, d, rates):
     """`structured.advance_full` of the full state, shape (12,), in place, and of nudges d, shape (10, 8), of s and u.
 
@@ -123,7 +123,7 @@ def nudge(model, full, current, d, rates):
     _shown(c, d, memories, 1.0, rates)
 
 
-@njit(cache=True)
+@njit(cache=True, inline="always")
 def _added(layers, center, scale, s, d, r, dr):
     """What the network adds, r, and its nudges dr, shape (3, 8), zero before."""
     slopes = np.empty((OUTPUTS, INPUTS))
@@ -212,7 +212,9 @@ def flow(model, ages, x, bristle, current, state_matrix, input_vector, rate):
     d[4, 6] = 1.0
     _added(layers, center, scale, y, d, r, dr)
     tangent.rates(c, y[:8], bristle, current, r, slope, p)
-    tangent.push(p, c[SPOOL_OMEGA] ** 2, d, d, dr, 1.0, 0.0, moved, np.empty((SOURCES, WIDTH)))
+    flat = d.reshape(SOURCES * WIDTH)
+    flat_r, summed = dr.reshape(OUTPUTS * WIDTH), moved.reshape(8 * WIDTH)
+    tangent.push(p, c[SPOOL_OMEGA] ** 2, flat, flat, flat_r, 1.0, 0.0, summed, np.empty(SOURCES * WIDTH))
     hydraulic = c[GAIN_H] * c[AREA]
     rate[HYDRAULIC_FORCE] = hydraulic * (slope[0] - c[RATIO] * slope[1])
     rate[HYDRAULIC_FORCE_RATE] = (rate[HYDRAULIC_FORCE] - x[HYDRAULIC_FORCE_RATE]) / ages[0]
