@@ -25,6 +25,8 @@ setup(
     entry_points={
         "console_scripts": [
             "filter = hydro_filter.nodes.filter:main",
+            "learn_metric = hydro_filter.learn_metric:main",
+            "validate = hydro_filter.validate:main",
         ],
     },
 )

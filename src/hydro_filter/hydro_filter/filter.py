@@ -84,6 +84,9 @@ class ContractionFilter:
         )
         return cls(certificate, settings)
 
+    def reset(self) -> None:
+        """Begin anew: the next sample does not follow the last one. Nothing here remembers samples."""
+
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide about a sample that is `age` [s] old."""
         if self.settings.bypass:

@@ -15,6 +15,7 @@ from hydro_filter import displacement
 from hydro_filter.displacement import MEMORY_DTYPE
 from hydro_filter.learned_metric import LearnedMetric
 from hydro_filter.loop_decision import integral_term
+from hydro_filter.metric_data import STABLE, Rollout
 from hydro_filter.loop_model import LOOP, LoopModel, linearize, loop_step
 from hydro_sim.plant import Plant
 
@@ -58,3 +59,10 @@ def integral_terms(loop: LoopModel, states: StateArray) -> FloatArray:
         law = (record["nominal_valve_current"], record["reference_force"], record["reference_force_rate"])
         out[k] = integral_term(loop.bench[0], loop.gain_floor, x, *law, record["proportional_gain"])[0]
     return out
+
+
+def integral_allowance(loop: LoopModel, rollouts: list[Rollout], gains: FloatArray) -> float:
+    """Largest that a stable rollout's integral asked for after its first half second [N/s]."""
+    low, high = gains[0], gains[-1]
+    wanted = [run for run in rollouts if run.label == STABLE and low <= run.gains[0] <= high]
+    return float(max(np.abs(integral_terms(loop, run.states[500:])).max() for run in wanted))

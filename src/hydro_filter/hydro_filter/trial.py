@@ -12,17 +12,27 @@ Gains change at 100 Hz. The five numbers of the paper's Table val_cont come from
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from hydro_bridge.signals import STATE_DTYPE, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, StateArray
-from hydro_filter.filter import ContractionFilter, Result
+from hydro_filter.filter import Result
 from hydro_filter.sample import Sample
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box
 from hydro_sim.plant import Plant
 from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
+
+
+class Corrector(Protocol):
+    """A filter: one sample in, one correction out."""
+
+    def reset(self) -> None:
+        """Begin anew: the next sample does not follow the last one."""
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """Decide about a sample that is `age` [s] old."""
 
 
 class Run(NamedTuple):
@@ -52,8 +62,9 @@ class Trial:
     """Of the plant's noise."""
 
 
-def run(trial: Trial, plant: Plant, contraction_filter: ContractionFilter) -> Run:
+def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
     """Run a trial; a filter with `bypass` set shows what happens without it."""
+    contraction_filter.reset()
     box = Box(trial.bench)
     changes = np.asarray(trial.gains) - (box.config.base_kp, box.config.base_ki)
     states = np.empty(len(changes) * POLICY_SAMPLES, STATE_DTYPE)

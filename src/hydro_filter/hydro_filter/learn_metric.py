@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ros2 run hydro_filter learn_metric --out METRIC: train the contraction metric on the learned bench.
+
+Rolls out, labels, solves a metric for each gain, trains the network on top, and judges on rollouts not trained on. Ctrl-C keeps the checkpoint beside
+METRIC; `--resume` goes on from it. Data and training depend on nothing but the words of the command.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from hydro_bridge.console import UserError, command, progress
+from hydro_bridge.settings import SettingsError, check
+from hydro_bridge.signals import FloatArray
+from hydro_filter.learned_metric import LearnedMetric, Thresholds
+from hydro_filter.loop_model import Q_SPOOL_RATE, LoopModel, loop_model
+from hydro_filter.metric_certificate import certificate_table
+from hydro_filter.metric_curves import draw_metric_curves
+from hydro_filter.metric_data import (
+    NEITHER,
+    STABLE,
+    UNSTABLE,
+    DataSettings,
+    Rollout,
+    Windows,
+    certified_range,
+    collect,
+    joined,
+)
+from hydro_filter.metric_design import MetricDesign, correcting_feedback, rest_loop
+from hydro_filter.metric_levels import integral_allowance, noise_sizes
+from hydro_filter.metric_loss import LossSettings, Samples
+from hydro_filter.metric_polish import polished_rows
+from hydro_filter.metric_training import Progress, TrainingSettings, corrected, questions, train
+from hydro_sim.bench import Bench
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.learned.weights import WeightsError
+
+HELD_OUT = 5
+"""Every fifth rollout is not trained on."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Material:
+    """What the rollouts gave."""
+
+    training: Windows
+    held_out: Windows
+    rollouts: list[Rollout]
+
+
+@command(WeightsError, ValueError)
+def main() -> None:
+    """Entry point."""
+    options = arguments(sys.argv[1:])
+    data, settings = _settings(options)
+    torch.set_num_threads(options.threads or torch.get_num_threads())
+    out, began = Path(options.out), time.monotonic()
+    learned = Learned.load(options.model)
+    if not isinstance(learned.model, StructuredModel):
+        raise UserError("the metric needs a structured model: the network's states hold no spool and no load cell")
+    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    loop = loop_model(learned.model, bench)
+    material = gather(LearnedPlant(learned), bench, loop, data)
+    low, high = certified_range(material.rollouts)
+    _say(f"{_told(material.rollouts)}; certified range: K_p {low:.0f} to {high:.0f} 1/s")
+    design = replace(MetricDesign(), gain_low=round(low), gain_high=round(high))
+    metric = _polished(LearnedMetric.designed(loop, bench, design, seed=options.seed), material, loop, design, settings)
+    correcting, push = correction(loop, design)
+    how = settings.loss
+    samples = questions(material.training, metric, correcting, push, how)
+    held_out = questions(material.held_out, metric, correcting, push, how)
+    last, best = _train(
+        metric, samples, held_out, data.horizon, settings, out.with_suffix(".checkpoint"), options.resume
+    )
+    sizes = noise_sizes(best, loop, LearnedPlant(learned), LearnedPlant(learned, noise=0.0))
+    allowance = integral_allowance(loop, material.rollouts, best.gains)
+    facts = {
+        "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "settings": asdict(settings),
+        "design": asdict(design), "model": _digest(learned.model), "epochs": last.epoch, "best_epoch": last.best_epoch,
+        "validation_loss": last.best_loss, "seconds": round(time.monotonic() - began, 1),
+        "history": [list(row) for row in last.history],
+    }  # fmt: skip
+    levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
+    replace(best, thresholds=levels, training=facts).save(out)
+    draw_metric_curves(np.array(last.history), out.with_suffix(".png"))
+    out.with_suffix(".checkpoint").unlink(missing_ok=True)
+    still = LearnedMetric.designed(loop, bench, design)
+    stages = {"still": still, "solved": metric, "learned": best}
+    certificate_table(stages, lambda one: questions(material.held_out, one, correcting, push, how), how).show(
+        options.json
+    )
+    print(
+        f"{out}: best of {last.epoch} epochs is {last.best_epoch}; noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
+    )
+
+
+def gather(plant: LearnedPlant, bench: Bench, loop: LoopModel, data: DataSettings) -> Material:
+    """All rollouts, every fifth held out."""
+    kept, held_out, rollouts = [], [], []
+    bar = progress(collect(plant, bench, loop, data), total=data.rollouts, label="rollouts", unit="run")
+    for index, (rollout, windows) in enumerate(bar):
+        rollouts.append(rollout)
+        if windows is not None and rollout.label != NEITHER:
+            (held_out if index % HELD_OUT == HELD_OUT - 1 else kept).append(windows)
+    return Material(training=joined(kept), held_out=joined(held_out), rollouts=rollouts)
+
+
+def correction(loop: LoopModel, design: MetricDesign) -> tuple[FloatArray, float]:
+    """K [A] of the best correction about the still bench, and G's entry of the spool's rate there."""
+    return correcting_feedback(loop, design), float(rest_loop(loop, design.gain_low)[1][Q_SPOOL_RATE])
+
+
+def _polished(
+    metric: LearnedMetric, material: Material, loop: LoopModel, design: MetricDesign, settings: TrainingSettings
+) -> LearnedMetric:
+    """The table made to hold on samples of the rollouts."""
+    windows, how = material.training, settings.loss
+    best = corrected(windows, *correction(loop, design))
+    foreign = windows.transition + windows.push[..., np.newaxis] * best[..., np.newaxis, :]
+    rates = how.rate + 2.0 * how.margin, how.foreign_rate + 2.0 * how.margin
+    rows = polished_rows(metric, windows, foreign, rates, settings.seed)
+    table = list(progress(rows, total=len(metric.table), label="solving", unit="metric"))
+    return replace(metric, table=np.array(table))
+
+
+def _train(
+    metric: LearnedMetric, samples: Samples, held_out: Samples, horizon: int, settings: TrainingSettings,
+    checkpoint: Path, resume: bool,
+) -> tuple[Progress, LearnedMetric]:  # fmt: skip
+    bar: tqdm[Any] = progress(total=settings.epochs, label="training", unit="epoch")
+    for last in train(metric, samples, held_out, horizon, settings, checkpoint, resume=resume):
+        state, row = last[0], last[0].history[-1]
+        bar.update(state.epoch - bar.n)
+        bar.set_postfix_str(f"loss {row[1]:.4g}, held out {row[2]:.4g}, violated {100 * row[3]:.2f} %")
+    bar.close()
+    return last
+
+
+def _told(rollouts: list[Rollout]) -> str:
+    counts = Counter(rollout.label for rollout in rollouts)
+    return f"{counts[STABLE]} rollouts are stable, {counts[UNSTABLE]} unstable, {counts[NEITHER]} neither"
+
+
+def _digest(model: StructuredModel) -> str:
+    """SHA-256 of the learned bench's constants and network."""
+    return sha256(np.concatenate((model.theta, model.flat)).tobytes()).hexdigest()
+
+
+def _say(sentence: str) -> None:
+    print(sentence, file=sys.stderr)
+
+
+def _settings(options: argparse.Namespace) -> tuple[DataSettings, TrainingSettings]:
+    """Settings of the words; refuses before the work what cannot work."""
+    folder = Path(options.out).absolute().parent
+    if not os.access(folder, os.W_OK) or Path(options.out).is_dir():
+        raise SettingsError(f"--out {options.out} cannot be written: it names a file in a folder that exists")
+    data = DataSettings(rollouts=options.rollouts, seed=options.seed)
+    loss = LossSettings(rate=options.contraction_rate, unstable_weight=options.unstable_weight)
+    training = TrainingSettings(
+        epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate, patience=options.patience,
+        seed=options.seed, loss=loss,
+    )  # fmt: skip
+    for each in (data, loss, training):
+        check(each)
+    return data, training
+
+
+def arguments(given: list[str]) -> argparse.Namespace:
+    """Parse the command line."""
+    parser = argparse.ArgumentParser(
+        prog="learn_metric", description="Train the contraction metric on the learned bench."
+    )
+    parser.add_argument(
+        "--out", required=True, metavar="METRIC", help="file to write, .safetensors; its curve beside it"
+    )
+    parser.add_argument("--model", metavar="WEIGHTS", help="the learned bench; the shipped one by default")
+    parser.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
+    parser.add_argument("--rollouts", type=int, default=300, help="rollouts of 3 s; every fifth is not trained on")
+    parser.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")
+    parser.add_argument("--unstable-weight", type=float, default=1.0, help="of unstable samples beside stable ones")
+    parser.add_argument("--epochs", type=int, default=400, help="at most")
+    parser.add_argument("--patience", type=int, default=40, help="epochs without a better validation before it stops")
+    parser.add_argument("--batch", type=int, default=1024, help="windows per step (Table training_metric)")
+    parser.add_argument("--learning-rate", type=float, default=1e-3, help="of Adam (Table training_metric)")
+    parser.add_argument("--seed", type=int, default=0, help="of gains, references, noise, weights and shuffles")
+    parser.add_argument("--resume", action="store_true", help="go on from METRIC's checkpoint, if there is one")
+    parser.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
+    parser.add_argument("--json", metavar="FILE", help="also write the certificate's table to FILE")
+    asked = parser.parse_args(given)
+    if asked.seed < 0 or asked.threads < 0:
+        parser.error("--seed and --threads need 0 or more")
+    return asked

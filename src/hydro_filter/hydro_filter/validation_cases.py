@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `validate` tries: gains over time, and a reference, by case and seed (paper, section Learned Metric Validation)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+FAST = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0)
+Box = tuple[tuple[float, float], tuple[float, float]]
+"""Ranges of K_p [1/s] and K_i [1/s^2]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Case:
+    """Gains, how they come about, and what is tracked."""
+
+    name: str
+    about: str
+    gains: Callable[[np.random.Generator, int], FloatArray]
+    """Generator and policy steps to K_p, K_i, shape (steps, 2)."""
+    reference: ReferenceSignal = SINE
+    stable: bool = False
+    """Whether the unfiltered loop is stable: there the filter is to do nothing."""
+
+    def draw(self, seed: int, seconds: float) -> FloatArray:
+        """Gains of a run, shape (policy steps, 2)."""
+        return self.gains(np.random.default_rng(seed), round(seconds / (POLICY_SAMPLES * SAMPLE)))
+
+
+def held(kp: float, ki: float) -> Callable[[np.random.Generator, int], FloatArray]:
+    """One pair of gains."""
+    return lambda rng, steps: np.tile((kp, ki), (steps, 1))
+
+
+def drawn(box: Box, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
+    """Gains drawn anew every so many policy steps of 10 ms; 0: once."""
+
+    def gains(rng: np.random.Generator, steps: int) -> FloatArray:
+        span = every or steps
+        draws = -(-steps // span)
+        pairs = np.column_stack([rng.uniform(*box[0], draws), rng.uniform(*box[1], draws)])
+        return np.repeat(pairs, span, axis=0)[:steps]
+
+    return gains
+
+
+def switched(low: float, high: float, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
+    """K_p between two values, changed every so many policy steps, from a random step on."""
+
+    def gains(rng: np.random.Generator, steps: int) -> FloatArray:
+        phase = (np.arange(steps) + int(rng.integers(2 * every))) // every % 2
+        return np.column_stack([np.where(phase == 0, low, high), np.full(steps, 15.0)])
+
+    return gains
+
+
+UNSTABLE: Box = ((-40.0, 40.0), (-5.0, 5.0))
+NEGATIVE: Box = ((-40.0, 0.0), (-5.0, 0.0))
+POSITIVE: Box = ((0.0, 40.0), (0.0, 5.0))
+HIGH: Box = ((100.0, 300.0), (5.0, 15.0))
+WIDE: Box = ((-40.0, 300.0), (-5.0, 15.0))
+
+CASES: dict[str, Case] = {
+    case.name: case
+    for case in (
+        Case(name="stable", about="K_p 90, K_i 15 (paper)", gains=held(90.0, 15.0), stable=True),
+        Case(name="stable-fast", about="the same, 300 N at 2 Hz", gains=held(90.0, 15.0), reference=FAST, stable=True),
+        Case(name="base", about="K_p 15, K_i 5", gains=held(15.0, 5.0), stable=True),
+        Case(name="unstable", about="K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)", gains=drawn(UNSTABLE, 1)),
+        Case(name="unstable-slow", about="the same, drawn every 0.5 s", gains=drawn(UNSTABLE, 50)),
+        Case(name="negative", about="K_p -40 to 0, K_i -5 to 0, drawn every 10 ms", gains=drawn(NEGATIVE, 1)),
+        Case(name="negative-held", about="the same, drawn once", gains=drawn(NEGATIVE, 0)),
+        Case(name="positive", about="K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", gains=drawn(POSITIVE, 1)),
+        Case(name="high", about="K_p 100 to 300, K_i 5 to 15, drawn once", gains=drawn(HIGH, 0)),
+        Case(name="high-fast", about="the same, 300 N at 2 Hz", gains=drawn(HIGH, 0), reference=FAST),
+        Case(name="highest", about="K_p 300, K_i 15", gains=held(300.0, 15.0)),
+        Case(name="wide", about="K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", gains=drawn(WIDE, 1)),
+        Case(name="wide-slow", about="the same, drawn every 0.5 s", gains=drawn(WIDE, 50)),
+        Case(name="switched", about="K_p 15 and 300 in turn, each for 10 ms", gains=switched(15.0, 300.0, 1)),
+        Case(name="switched-slow", about="K_p 15 and 300 in turn, each for 0.5 s", gains=switched(15.0, 300.0, 50)),
+    )
+}

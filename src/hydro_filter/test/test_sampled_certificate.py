@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The sampled certificate is what it says: two samples moved on, compared, and the smallest current that restores it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydro_filter import qp, sampled_certificate
+from hydro_filter.learned_metric import LearnedMetric
+from hydro_filter.loop_model import LOOP, loop_step
+from hydro_filter.metric_network import metric_value
+
+T = 1e-3
+
+
+def test_the_quadratic_is_two_samples_moved_on() -> None:
+    rng, step, value = np.random.default_rng(0), loop_step(), metric_value(LearnedMetric.load().parts)
+    for _ in range(100):
+        root = rng.standard_normal((LOOP, LOOP))
+        value.matrix[:], value.rate[:] = root @ root.T, root + root.T
+        step.transition[:], step.push[:] = rng.standard_normal((LOOP, LOOP)), rng.standard_normal(LOOP)
+        step.feedback[:] = rng.standard_normal(LOOP)
+        v, known, asked = rng.standard_normal(LOOP), rng.standard_normal(), rng.standard_normal()
+        one, two = np.empty(LOOP), np.empty(LOOP)
+        bent, slope, level, size = sampled_certificate.quadratic(step, value, v, known, asked, 3.0, one, two)
+        moved = step.transition @ v + step.push * (step.feedback @ v + known)
+        assert size == pytest.approx(moved @ value.matrix @ moved)
+        for change in (0.0, 0.7, -2.0):
+            last = step.transition @ moved + step.push * (step.feedback @ moved + asked + change)
+            wanted = last @ (value.matrix + T * value.rate) @ last - np.exp(-6.0 * T) * moved @ value.matrix @ moved
+            assert bent * change**2 + 2.0 * slope * change + level == pytest.approx(wanted, rel=1e-9, abs=1e-9)
+
+
+def test_the_half_line_gives_the_smallest_du_of_the_interval() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(2000):
+        bent, slope = 10.0 ** rng.uniform(-6, 6), rng.standard_normal() * 10.0 ** rng.uniform(-6, 6)
+        level = slope**2 / bent * rng.uniform(-2.0, 1.0)  # with an answer
+        a, b, _ = sampled_certificate.half_line(bent, slope, level)
+        change, _ = qp.closed_form(a, b, -1e15, 1e15)
+        left = bent * change**2 + 2.0 * slope * change + level
+        assert left <= 1e-9 * abs(level)
+        if level > 0.0:
+            nearer = 0.999 * change
+            assert bent * nearer**2 + 2.0 * slope * nearer + level > 0.0
+
+
+def test_where_no_du_helps_the_nearest_is_told() -> None:
+    a, b, best = sampled_certificate.half_line(1.0, 1.0, 2.0)
+    assert np.isnan(a)
+    assert np.isnan(b)
+    assert best == -1.0
+
+
+def test_noise_fades_out_smoothly() -> None:
+    sizes = np.linspace(0.0, 3.0, 3001)
+    shares = np.array([sampled_certificate.fade(size, 1.0) for size in sizes])
+    assert shares[sizes <= 1.0].max() == 0.0
+    assert shares[sizes >= 2.0].min() == 1.0
+    assert np.abs(np.diff(shares)).max() < 2e-3
+    assert sampled_certificate.fade(1e-9, 0.0) == 1.0
+
+
+def test_the_integral_may_ask_for_its_allowance() -> None:
+    assert sampled_certificate.unasked(250.0, 300.0) == 0.0
+    assert sampled_certificate.unasked(450.0, 300.0) == 150.0
+    assert sampled_certificate.unasked(-450.0, 300.0) == -150.0
