@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from types import ModuleType
 
@@ -34,6 +36,12 @@ def emps() -> ModuleType:
     return module
 
 
+@pytest.fixture(scope="module")
+def diagnosed(emps: ModuleType) -> Callable[[float], Diagnosis]:
+    """From a baseline with this viscous friction; each is diagnosed once."""
+    return cache(lambda viscous: emps.diagnosed(DATA, viscous))
+
+
 def interval(found: Diagnosis, effect: str, parameter: str, base: float = 0.0) -> tuple[float, float]:
     one = next(one for one in found.report.effects if one.id == effect)
     bounds = one.parameters[parameter].ci95
@@ -46,8 +54,10 @@ def holds(bounds: tuple[float, float], published: float) -> bool:
 
 
 @pytest.mark.parametrize("baseline", [0.0, 203.5], ids=["mass", "mass and viscous friction"])
-def test_direction_dependent_friction_is_found_with_the_published_values(baseline: float, emps: ModuleType) -> None:
-    found = emps.diagnosed(DATA, baseline)
+def test_direction_dependent_friction_is_found_with_the_published_values(
+    baseline: float, emps: ModuleType, diagnosed: Callable[[float], Diagnosis]
+) -> None:
+    found = diagnosed(baseline)
     assert {effect.id for effect in found.report.effects} == {"friction_coulomb", "friction_viscous"}
     assert holds(interval(found, "friction_coulomb", "force_positive"), 20.14)
     assert holds(interval(found, "friction_coulomb", "force_negative"), 20.63)
@@ -79,8 +89,8 @@ def test_errors_of_the_published_model_are_the_published_errors(emps: ModuleType
     assert emps.relative_error(FILES[1], numbers) == pytest.approx(5.98, abs=0.2)
 
 
-def test_equation_errors_stand_in_for_a_simulation(emps: ModuleType) -> None:
-    fit = emps.diagnosed(DATA, 203.5).report.fit
+def test_equation_errors_stand_in_for_a_simulation(diagnosed: Callable[[float], Diagnosis]) -> None:
+    fit = diagnosed(203.5).report.fit
     assert fit["holdout"] == {} and "pressures" in fit["why"]
     motion = fit["equations"]["motion"]
     assert motion["rmse_after"] < 0.25 * motion["rmse_before"]
