@@ -32,8 +32,8 @@ TRUTHS: dict[str, dict[str, Any]] = {
     "worn valve": {
         "profile": "nominal",
         "effects": {
-            "valve_deadband": {"half_width": 4e-4},
-            "leakage_internal": {"coefficient": 2e-12},
+            "valve_deadband": {"half_width": 1e-4},
+            "leakage_internal": {"coefficient": 1e-12},
             "friction_coulomb": {"force": 15.0},
         },
     },
