@@ -17,6 +17,7 @@ from torch import Tensor
 from hydro_bridge.signals import FloatArray
 from hydro_policy.mlp import FlatAdam
 from hydro_policy.sac import Sac, SacSettings
+from hydro_policy.task import ACTIONS, OBSERVATIONS
 
 
 def dump(sac: Sac) -> bytes:
@@ -51,6 +52,14 @@ def restore(sac: Sac, blob: bytes) -> None:
 def actor_parameters(blob: bytes) -> FloatArray:
     """The actor's flat parameters in a dump, float64: what `Policy.load_flat` takes."""
     return np.asarray(load(blob)["actor.parameters"].numpy(), np.float64)
+
+
+def as_beginning(blob: bytes) -> bytes:
+    """The same agent with no updates counted: what is owed in a new run is owed for its own transitions."""
+    sac = Sac(OBSERVATIONS, ACTIONS, settings_of(blob))
+    restore(sac, blob)
+    sac.updates = 0
+    return dump(sac)
 
 
 def settings_of(blob: bytes) -> SacSettings:

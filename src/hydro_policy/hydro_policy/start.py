@@ -11,7 +11,7 @@ from typing import Any
 from hydro_policy.policy import load_policy
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import SacSettings
-from hydro_policy.snapshot import settings_of
+from hydro_policy.snapshot import as_beginning, settings_of
 from hydro_policy.task import GainRange
 
 AGENT = "learner.safetensors"
@@ -73,4 +73,4 @@ def load_start(path: Path) -> Start:
     _, gains, notes = load_policy(run.policy)
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
-    return Start(agent, sac, gains, reward, path)
+    return Start(as_beginning(agent), sac, gains, reward, path)

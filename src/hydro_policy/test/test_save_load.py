@@ -14,8 +14,9 @@ from hydro_policy.policy import Policy, load_policy
 from hydro_policy.replay import ReplayBuffer
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import Sac, SacSettings
-from hydro_policy.snapshot import dump, restore, settings_of
-from hydro_policy.task import OBSERVATIONS, GainRange, TaskSettings
+from hydro_policy.snapshot import actor_parameters, dump, restore, settings_of
+from hydro_policy.start import AGENT, load_start
+from hydro_policy.task import ACTIONS, OBSERVATIONS, GainRange, TaskSettings
 
 
 def trained(updates: int) -> tuple[Sac, ReplayBuffer]:
@@ -122,3 +123,26 @@ def test_settings_survive_the_yaml_file(tmp_path: Path) -> None:
         run.create()
     with pytest.raises(ValueError, match="no run to resume"):
         RunDirectory(tmp_path / "b").load_settings()
+
+
+def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past(tmp_path: Path) -> None:
+    settings = SacSettings(hidden_size=16, seed=5)
+    sac = Sac(OBSERVATIONS, ACTIONS, settings)
+    sac.updates = 280_000
+    (tmp_path / AGENT).write_bytes(dump(sac))
+    policy = Policy(16)
+    policy.load_flat(actor_parameters(dump(sac)))
+    policy.save(RunDirectory(tmp_path).policy, GainRange(delta_kp_max=285.0), {"task": {"trip_penalty": 100.0}})
+    start = load_start(tmp_path)
+    np.testing.assert_array_equal(actor_parameters(start.agent), actor_parameters(dump(sac)))
+    again = Sac(OBSERVATIONS, ACTIONS, settings)
+    restore(again, start.agent)
+    assert again.updates == 0
+    adopted = start.adopted(TrainingSettings())
+    assert adopted.sac.hidden_size == 16 and adopted.task.trip_penalty == 100.0
+    assert adopted.task.gains == GainRange(delta_kp_max=285.0)
+    with pytest.raises(ValueError, match="holds no learner.safetensors"):
+        load_start(tmp_path / "nowhere")
+    (tmp_path / AGENT).write_bytes(b"no agent")
+    with pytest.raises(ValueError, match="is not an agent"):
+        load_start(tmp_path)

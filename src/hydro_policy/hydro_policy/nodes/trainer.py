@@ -37,7 +37,7 @@ from hydro_policy.start import AGENT, Start, load_start, shipped_start
 from hydro_policy.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.training import TrainingSession
 
-DEMO = {"plant": "emulator", "episodes": 12, "updates_per_step": 2.0, "evaluate": True}
+DEMO = {"plant": "emulator", "configuration": "wide", "episodes": 6, "exam_every": 2, "evaluate": True}
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
 
 SCRATCH = "scratch"
@@ -92,9 +92,9 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--configuration",
         choices=("paper", "wide"),
-        default="paper",
         help="paper: Table training_agent, K_p up to 90; wide: K_p up to 300 (default paper)",
     )
+    run.add_argument("--exam-every", type=int, metavar="N", help="episodes between examinations, 0: none (default 4)")
     run.add_argument("--seed", type=int, metavar="N", help="of networks, exploration and references (default 0)")
     run.add_argument("--evaluate", action="store_true", help="afterwards compare the policy with fixed gains")
     files = result.add_argument_group("files")
@@ -116,6 +116,7 @@ def main() -> int:
         for name, value in DEMO.items():
             if getattr(options, name) in (None, False, "external"):
                 setattr(options, name, value)
+    options.configuration = options.configuration or "paper"
     torch.set_num_threads(1)
     start_ros(ros)
     try:
@@ -246,6 +247,8 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
     if options.seed is not None:
         settings = replace(settings, sac=replace(settings.sac, seed=options.seed))
+    if options.exam_every is not None:
+        settings = replace(settings, exam=replace(settings.exam, every=options.exam_every))
     settings = declare_settings(node, settings)
     refuse_unknown_parameters(node)
     if options.resume is None:
