@@ -141,7 +141,7 @@ def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past
     adopted = start.adopted(TrainingSettings())
     assert adopted.sac.hidden_size == 16 and adopted.task.trip_penalty == 100.0
     assert adopted.task.gains == GainRange(delta_kp_max=285.0)
-    with pytest.raises(ValueError, match="holds no learner.safetensors"):
+    with pytest.raises(ValueError, match=r"holds no learner\.safetensors"):
         load_start(tmp_path / "nowhere")
     (tmp_path / AGENT).write_bytes(b"no agent")
     with pytest.raises(ValueError, match="is not an agent"):
