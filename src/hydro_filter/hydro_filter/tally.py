@@ -28,12 +28,12 @@ class Tally:
     _sequence: int | None = None
     _told: Counter[CorrectionStatus] = field(default_factory=Counter)
 
-    def expect(self, sequence: int) -> None:
-        """Note a sample's sequence number, wrapping at 2^32."""
-        if self._sequence is not None:
-            gap = (sequence - self._sequence - 1) & 0xFFFFFFFF
-            self.missing += gap if gap < 0x80000000 else 0  # a restarted source counts from zero
+    def expect(self, sequence: int) -> bool:
+        """Note a sample's sequence number, wrapping at 2^32; whether it follows on the last one."""
+        gap = -1 if self._sequence is None else (sequence - self._sequence - 1) & 0xFFFFFFFF
+        self.missing += gap if 0 < gap < 0x80000000 else 0  # a restarted source counts from zero
         self._sequence = sequence
+        return gap == 0
 
     def add(self, status: CorrectionStatus, work: float, age: float) -> None:
         """Count one correction; durations in s."""

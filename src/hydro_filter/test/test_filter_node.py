@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -27,11 +28,20 @@ from hydro_bridge.ros import (  # noqa: E402
     Companion,
     StateMessage,
 )
-from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, CorrectionStatus, FloatArray  # noqa: E402
+from hydro_bridge.signals import (  # noqa: E402
+    PLANT_FIELDS,
+    STATE_FIELDS,
+    CorrectionStatus,
+    FloatArray,
+    ReferenceSignal,
+    Waveform,
+)
+from hydro_filter.choice import Choice  # noqa: E402
 from hydro_filter.filter import ContractionFilter  # noqa: E402
 from hydro_filter.sample import Sample  # noqa: E402
 from hydro_msgs.msg import Correction  # noqa: E402
 from hydro_sim.bench import Bench  # noqa: E402
+from hydro_sim.offline import Schedule, simulate  # noqa: E402
 from hydro_sim.plant import AnalyticPlant  # noqa: E402
 
 
@@ -67,7 +77,8 @@ class Source:
     def publish(self, sequence: int, sample: Sample, age: float = 0.0) -> None:
         values = dict(zip(PLANT_FIELDS, sample.state, strict=True))
         values |= {"nominal_valve_current": sample.nominal_current, "reference_force": sample.reference_force}
-        values |= {"proportional_gain": sample.proportional_gain}
+        values |= {"proportional_gain": sample.proportional_gain, "valve_current": sample.valve_current}
+        values |= {"reference_force_rate": sample.reference_rate}
         numbers = [float(values.get(name, 0.0)) for name in STATE_FIELDS]
         self.states.publish(self._message.fill(time.time_ns() - round(1e9 * age), sequence, numbers, 1))
 
@@ -108,12 +119,13 @@ def samples(still: FloatArray, count: int) -> list[Sample]:
 
 # an old state in a test on a busy machine is not the node's fault: only the tests about age keep the 5 ms
 PATIENT = ("--state-age-max", "0.1")
+CONSTANT = ("--metric", "constant", *PATIENT)
 
 
 def test_every_state_gets_exactly_one_correction_with_the_cores_numbers(
     started: Callable[..., Source], still: FloatArray
 ) -> None:
-    source = started(*PATIENT)
+    source = started(*CONSTANT)
     sent = samples(still, 300)
     first = 2**32 - 100  # the sequence wraps under way
     for k, sample in enumerate(sent):
@@ -144,7 +156,7 @@ def test_a_backlog_of_old_states_is_answered_stale_each_once(started: Callable[.
 
 
 def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started(*PATIENT)
+    source = started(*CONSTANT)
     good = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
     for sequence, sample in enumerate([good, good._replace(state=np.full(8, np.nan)), good]):
         source.publish(sequence, sample)
@@ -157,7 +169,7 @@ def test_a_broken_state_is_answered_nan_and_the_next_as_ever(started: Callable[.
 
 
 def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started("--bypass", *PATIENT)
+    source = started("--bypass", *CONSTANT)
     source.publish(0, samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0))
     source.wait(lambda: bool(source.corrections))
     assert source.corrections[0].status == CorrectionStatus.BYPASSED
@@ -177,7 +189,7 @@ def test_every_tenth_sample_is_a_hundred_hertz(started: Callable[..., Source], s
 
 
 def test_diagnostics_count_what_happened(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started(*PATIENT)
+    source = started(*CONSTANT)
     for sequence in (0, 1, 5):
         source.publish(sequence, samples(still, 1)[0]._replace(proportional_gain=90.0))
     source.wait(lambda: any(dict_of(status).get("pass") == "3" for status in source.diagnostics))
@@ -185,6 +197,59 @@ def test_diagnostics_count_what_happened(started: Callable[..., Source], still: 
     assert values["missing_states"] == "3"
     assert values["nan"] == values["stale"] == values["qp_fallbacks"] == "0"
     assert 0.0 < float(values["work_p50_ms"]) <= float(values["age_p99_9_ms"])
+
+
+def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after_a_gap(
+    started: Callable[..., Source],
+) -> None:
+    """A run of the emulated bench's analytic kin under gains that have to be corrected, ten samples of it left out."""
+    source, core = started("--metric", "learned", *PATIENT), Choice(bench=Bench.nominal())
+    contraction_filter = core.make(core.default_settings())
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=4.0)
+    schedule = Schedule(reference=signal, gains=(-5.0, 0.0), seconds=0.4)
+    records = simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), schedule, seed=3)
+    seen = set()
+    for k, record in enumerate(records):
+        if 200 <= k < 210:
+            continue
+        sample = Sample.of(record)
+        source.publish(k, sample)
+        source.wait(lambda wanted=k + 1 if k < 200 else k - 9: len(source.corrections) >= wanted, timeout=5.0)
+        if k == 210:
+            contraction_filter.reset()
+        expected, message = contraction_filter.correct(sample), source.corrections[-1]
+        assert (message.sequence, message.status) == (k, expected.status)
+        assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
+        assert message.certificate_before == pytest.approx(expected.before, rel=1e-9, abs=1e-12)
+        seen.add(expected.status)
+    assert seen >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
+    source.wait(lambda: any("sha256" in dict_of(status).get("metric", "") for status in source.diagnostics))
+    assert "default_weights.safetensors, sha256" in dict_of(source.diagnostics[-1])["model"]
+
+
+def test_two_plants_are_an_error(started: Callable[..., Source]) -> None:
+    source = started(*CONSTANT)
+    rival = source.node.create_publisher(StateMessage().message.__class__, STATE, STATE_QOS)
+    source.wait(lambda: "2 nodes publish /hydro/state" in source.diagnostics[-1].message)
+    assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
+    source.node.destroy_publisher(rival)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--metric", "/nowhere.safetensors"), "cannot be read as weights"),
+        (("--metric", "constant", "--foreign-rate", "3"), "--foreign-rate is no setting of this metric"),
+        (("--metric", "constant", "--model", "x"), "--model needs a learned one"),
+    ],
+)
+def test_what_does_not_go_together_is_one_sentence_and_status_2(words: tuple[str, ...], sentence: str) -> None:
+    output = io.StringIO()
+    companion = Companion("hydro_filter", "filter", words, output=output)
+    assert companion.process.wait(20.0) == 2
+    companion.stop()
+    assert sentence in output.getvalue()
+    assert "Traceback" not in output.getvalue()
 
 
 def dict_of(status: DiagnosticStatus) -> dict[str, str]:

@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter: a Correction for every BenchState, also when there is nothing to correct, so that silence means dead.
 
-ros2 run hydro_filter filter [--bench FILE] [--contraction-rate 0.1] [--every 10] [--bypass] [--realtime] [--ros-args]
+ros2 run hydro_filter filter [--metric learned|constant|FILE] [--model FILE] [--bench FILE] [--every 10] [--bypass]
 
 States are answered in order, each once. After a hold-up those older than `state_age_max` are answered STALE without
-being evaluated, which takes the backlog away faster than it grows.
+being acted upon. The filter with the learned metric follows the valve's spool from sample to sample: where samples are
+missing it begins anew.
 """
 
 from __future__ import annotations
 
 import argparse
+import threading
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -27,17 +30,27 @@ from hydro_bridge.ros import (
     Status,
     be_prompt,
     declare_parameters,
+    rivals,
     ros_arguments,
     run_node,
     seconds,
+    with_rivals,
 )
 from hydro_bridge.settings import check, describe
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag
-from hydro_filter.filter import ContractionFilter, FilterSettings, Result
+from hydro_filter.choice import CONSTANT, DEFAULT, LEARNED, Choice, Settings, warm_up
+from hydro_filter.filter import FilterSettings, Result
+from hydro_filter.loop_filter import LoopFilterSettings
 from hydro_filter.sample import Sample
 from hydro_filter.tally import TROUBLE, Tally, sentence
 from hydro_msgs.msg import BenchState, Correction
 from hydro_sim.bench import Bench
+
+NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "noise_floor", "state_age_max")
+"""Settings that are options, too; each metric has some of them."""
+
+PATIENCE = 2.0
+"""s after which somebody who waits is told why."""
 
 
 class FilterNode(Node):
@@ -45,8 +58,8 @@ class FilterNode(Node):
 
     Parameters
     ----------
-    bench
-        What the filter believes.
+    choice
+        Which filter.
     settings
         Defaults of the ROS parameters.
     every
@@ -55,29 +68,44 @@ class FilterNode(Node):
         Ask for SCHED_FIFO.
     """
 
-    def __init__(self, bench: Bench, settings: FilterSettings, *, every: int = 1, realtime: bool = False) -> None:
+    def __init__(self, choice: Choice, settings: Settings, *, every: int = 1, realtime: bool = False) -> None:
         super().__init__("filter")
         self.settings = declare_parameters(self, settings)
-        self.filter = ContractionFilter.for_bench(bench, self.settings)
+        self.filter = choice.make(self.settings)
         self.tally = Tally()
         self._every = every
         self._message = Correction()
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
+        self._compile(choice)
+        self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self.filter.correct(Sample(np.zeros(len(PLANT_FIELDS)), 0.0, 0.0, 0.0))  # compiles now, not at the first sample
         scheduling = be_prompt(realtime=realtime)
-        self.get_logger().info(f"contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
+        told = "; ".join(f"{name}: {value}" for name, value in self._told.items())
+        self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)  # last: states wait from now on
 
+    def _compile(self, choice: Choice) -> None:
+        """Compile now, not at the first sample, and say so if it takes its time: numba keeps it for the next start."""
+        say = self.get_logger().info
+        begin = time.monotonic()
+        late = threading.Timer(PATIENCE, say, ["compiling the filter; this happens once and takes up to a minute"])
+        late.daemon = True
+        late.start()
+        warm_up(self.filter, choice.bench)
+        late.cancel()
+        if (taken := time.monotonic() - begin) > PATIENCE:
+            say(f"compiled in {taken:.0f} s")
+
     def _on_state(self, message: BenchState) -> None:
         begin = time.perf_counter()
-        self.tally.expect(message.sequence)
-        if message.sequence % self._every:
-            return
+        if not self.tally.expect(message.sequence):
+            self.filter.reset()
         stamp = seconds(message.header.stamp)
         result = self.filter.correct(sample_of(message), self._now() - stamp)
+        if message.sequence % self._every:
+            return
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
 
@@ -106,7 +134,8 @@ class FilterNode(Node):
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
-        return Status(level=level, message=told, values=self.tally.values(self.filter.qp.counts))
+        values = {**self._told, **self.tally.values(self.filter.qp.counts)}
+        return with_rivals(Status(level=level, message=told, values=values), rivals(self, STATE))
 
 
 def sample_of(message: BenchState) -> Sample:
@@ -118,39 +147,49 @@ def sample_of(message: BenchState) -> Sample:
     )  # fmt: skip
 
 
-def arguments(given: list[str]) -> argparse.Namespace:
-    """Parse the command line; its options and the ROS parameters of the same names have one meaning."""
-    docs, default = describe(FilterSettings), FilterSettings()
-    parser = argparse.ArgumentParser(
+def parser() -> argparse.ArgumentParser:
+    """The command line; its options and the ROS parameters of the same names have one meaning."""
+    result = argparse.ArgumentParser(
         prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
     )
-    parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml; default: the nominal bench")
-    for name in ("contraction_rate", "noise_floor", "state_age_max"):
-        option = "--" + name.replace("_", "-")
-        parser.add_argument(option, type=float, default=getattr(default, name), metavar="NUMBER", help=docs[name].text)
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="answer every Nth sample; 10 is 100 Hz")
-    parser.add_argument("--bypass", action="store_true", help=docs["bypass"].text)
-    parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
-    asked = parser.parse_args(given)
+    result.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml; default: the nominal bench")
+    text = f"{LEARNED} (the shipped one), {CONSTANT} (solved for the bench file, on the analytic model), or a file"
+    result.add_argument("--metric", default=DEFAULT, metavar="METRIC", help=f"{text}; default {DEFAULT}")
+    result.add_argument("--model", type=Path, metavar="FILE", help="the learned bench; default: the shipped one")
+    for name in NUMBERS:
+        docs = {**describe(LoopFilterSettings), **describe(FilterSettings)}
+        result.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=docs[name].text)
+    result.add_argument("--every", type=int, default=1, metavar="N", help="answer every Nth sample; 10 is 100 Hz")
+    result.add_argument("--bypass", action="store_true", help=describe(FilterSettings)["bypass"].text)
+    result.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
+    return result
+
+
+def arguments(given: list[str]) -> tuple[Choice, Settings, argparse.Namespace]:
+    """Parse the command line: which filter, its settings, and the rest."""
+    asked = parser().parse_args(given)
     if asked.every < 1:
-        parser.error("--every needs 1 or more")
-    return asked
+        parser().error("--every needs 1 or more")
+    if asked.metric == CONSTANT and asked.model:
+        parser().error("the constant metric is solved for the bench file; --model needs a learned one")
+    bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
+    choice = Choice(bench=bench, metric=asked.metric, model=asked.model)
+    settings = choice.default_settings()
+    numbers = {name: value for name in NUMBERS if (value := getattr(asked, name)) is not None}
+    for name in numbers:
+        if name not in describe(type(settings)):
+            parser().error(f"--{name.replace('_', '-')} is no setting of this metric")
+    return choice, replace(settings, bypass=asked.bypass, **numbers), asked
 
 
 @command(ValueError)
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    asked = arguments(own)
-    bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
-    settings = FilterSettings(
-        contraction_rate=asked.contraction_rate,
-        noise_floor=asked.noise_floor,
-        state_age_max=asked.state_age_max,
-        bypass=asked.bypass,
-    )
+    choice, settings, asked = arguments(own)
     check(settings)
-    run_node(lambda: FilterNode(bench, settings, every=asked.every, realtime=asked.realtime), ros)
+    choice.describe()  # a file that is not there is refused before ROS starts
+    run_node(lambda: FilterNode(choice, settings, every=asked.every, realtime=asked.realtime), ros)
 
 
 if __name__ == "__main__":

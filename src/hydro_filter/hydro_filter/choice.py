@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which filter runs: the learned metric on the learned model, or the constant one on the analytic model.
+
+=============== ============================================= ==========================================
+metric          learned (a file of `learn_metric`)            constant (solved for the bench file)
+model           learned (a file of `learn`)                   analytic, the bench file
+certificate     sampled, of the whole loop, with its delay    the paper's, in continuous time
+displacement    of the whole loop from its reference          of the load force alone (eq. v)
+settings        `LoopFilterSettings`                          `FilterSettings`
+=============== ============================================= ==========================================
+
+What each holds and does not: docs/safety.md.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hydro_filter import learned_metric
+from hydro_filter.filter import ContractionFilter, FilterSettings
+from hydro_filter.learned_metric import LearnedMetric
+from hydro_filter.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
+from hydro_filter.qp import QpCounts
+from hydro_filter.sample import Sample
+from hydro_filter.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
+from hydro_sim.bench import Bench
+from hydro_sim.hydraulics import rest_state
+from hydro_sim.learned import weights
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.learned.weights import WeightsError
+
+LEARNED, CONSTANT = "learned", "constant"
+DEFAULT = LEARNED
+
+Settings = FilterSettings | LoopFilterSettings
+Filter = ContractionFilter | LoopFilter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A filter by what was asked for."""
+
+    bench: Bench
+    """What the box believes."""
+    metric: str = DEFAULT
+    """`learned` (the shipped one), `constant`, or a file."""
+    model: Path | None = None
+    """Of the learned bench; None: the shipped one. The constant metric has none."""
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is the constant one."""
+        return self.metric == CONSTANT
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Weights by what they are; none of the constant metric."""
+        if self.constant:
+            return {}
+        metric = learned_metric.shipped() if self.metric == LEARNED else Path(self.metric)
+        return {"metric": metric, "model": self.model or weights.shipped()}
+
+    def describe(self) -> dict[str, str]:
+        """What it is, with the files' digests: for logs and /diagnostics."""
+        if self.constant:
+            return {"metric": "constant, solved for the bench file", "model": "analytic, the bench file"}
+        return {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
+
+    def default_settings(self) -> Settings:
+        """Defaults of the settings that this filter has."""
+        return FilterSettings() if self.constant else LoopFilterSettings()
+
+    def make(self, settings: Settings) -> Filter:
+        """The filter.
+
+        Raises
+        ------
+        WeightsError
+            A file is missing, unreadable, or of a model that has no certificate.
+        ValueError
+            There is no constant metric for this bench.
+        """
+        if isinstance(settings, FilterSettings):
+            return ContractionFilter.for_bench(self.bench, settings)
+        files = self.files
+        model = Learned.load(files["model"]).model
+        if not isinstance(model, StructuredModel):
+            raise WeightsError(f"{files['model']} is a network alone: the learned metric needs a structured model")
+        return LoopFilter(loop_parts(LearnedMetric.load(files["metric"]), model, self.bench, settings), settings)
+
+
+def warm_up(contraction_filter: Filter, bench: Bench) -> None:
+    """Run what a filter can come across, so that nothing is compiled later; afterwards it is as new."""
+    still, x = rest_state(bench.constants()[0]), np.zeros(STATES)
+    x[PRESSURE_A], x[PRESSURE_B], x[POSITION] = still[:3]
+    limit = bench.valve_current_max
+    for gain, error, current in (
+        (60.0, 5.0, 0.0),
+        (-40.0, 100.0, 0.0),
+        (-40.0, 500.0, limit),
+        (-40.0, 500.0, 0.9 * limit),
+    ):
+        sample = Sample(x, current, error, gain, min(current, limit), 100.0, True)
+        for armed in (False, True):
+            contraction_filter.correct(sample._replace(armed=armed))
+    contraction_filter.correct(sample._replace(nominal_current=np.nan))
+    contraction_filter.reset()
+    contraction_filter.qp.counts = QpCounts()
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    except OSError as error:
+        raise WeightsError(f"{path} cannot be read as weights: {error.strerror}") from None
