@@ -57,11 +57,16 @@ class Plan:
         return [self.folder / f"{name}-{seed}" for seed in range(self.seeds)]
 
 
-def believe(plan: Plan) -> None:
+def believed_bench() -> Bench:
     """The nominal bench, but for the load cell's amplifier: what somebody without a data sheet would simulate."""
+    return replace(Bench.nominal(), load_cell_bandwidth=None)
+
+
+def believe(plan: Plan) -> None:
+    """Write believed.yaml."""
     plan.folder.mkdir(parents=True, exist_ok=True)
-    bench = replace(Bench.nominal(), load_cell_bandwidth=None)
-    plan.believed.write_text(yaml.safe_dump(bench.to_mapping(), sort_keys=False), encoding="utf-8")
+    content = yaml.safe_dump(believed_bench().to_mapping(), sort_keys=False)
+    plan.believed.write_text(content, encoding="utf-8")
 
 
 def pretrain(plan: Plan, name: str, bench: Path) -> None:
