@@ -71,8 +71,8 @@ class ExamSettings:
 
     every: int = 4
     """Training episodes between two examinations, one before the first and one at the end; 0: none. [0, 1e6]."""
-    settle: float = 1.0
-    """s left out at the start of each sine. [0.5, 60]."""
+    settle: float = 2.0
+    """s left out at the start of each sine, as in an evaluation. [0.5, 60]."""
     measure: float = 2.0
     """s measured at least of each sine; rounded up to whole periods. [0.1, 600]."""
     reference_kp: float = 90.0

@@ -17,9 +17,10 @@ _SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridg
 _RETRY = 1.0  # s
 
 _HINT_AFTER = 8.0  # s
-_FILTER_WITHIN = 10.0  # s after arming, to compile and connect
+_FILTER_HINT, _FILTER_WITHIN = 8.0, 90.0  # s after arming: to say so; to go on without (its first start compiles)
 
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
+AWAITING_FILTER = "waiting for the filter to answer: where it starts for the first time it compiles, up to a minute"
 NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
 HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
 
@@ -44,7 +45,7 @@ class PlantWatch:
         self._told: str | None = None
         self._hint_at = math.inf  # when to say that nobody publishes
         self._armed_at = math.inf
-        self._filter_missed = False
+        self._hints: set[str] = set()  # given already, each once
 
     @property
     def lost(self) -> bool:
@@ -80,11 +81,12 @@ class PlantWatch:
         """Whether an episode or a run may begin: armed, and the filter answers or has been waited for."""
         if not self.armed or not self._flags & Flag.FILTER_STALE:
             return self.armed
-        waited = now - self._armed_at > _FILTER_WITHIN
-        if waited and not self._filter_missed:
-            self._filter_missed = True
-            self._outputs.say(NO_FILTER, warning=True)
-        return waited
+        waited = now - self._armed_at
+        for after, sentence in ((_FILTER_HINT, AWAITING_FILTER), (_FILTER_WITHIN, NO_FILTER)):
+            if waited > after and sentence not in self._hints:
+                self._hints.add(sentence)
+                self._outputs.say(sentence, warning=True)
+        return waited > _FILTER_WITHIN
 
     def on_tick(self, now: float) -> None:
         """Call some twenty times a second: notices a loss, asks for arming."""

@@ -16,6 +16,7 @@ pytest.importorskip("rclpy")
 from hydro_bridge.recording import read_bag
 from hydro_bridge.ros import executable_path
 from hydro_bridge.signals import Flag
+from hydro_filter.choice import DEFAULT
 from hydro_policy.checkpoint import load_checkpoint
 from hydro_policy.nodes.companions import PlantOptions, commands
 from hydro_policy.policy import Policy, load_policy
@@ -129,7 +130,7 @@ def test_companions_of_each_plant() -> None:
     }
     wide = commands(PlantOptions(plant="sim"), GainRange(delta_kp_max=285.0), Path("run"))
     assert "guard.delta_kp_max:=285.0" in wide[-1][2]
-    assert wide[-1][2][-1] == "guard.relies_on:=the filter's defaults", "nothing opens the guard in silence"
+    assert wide[-1][2][-1] == f"guard.relies_on:=--metric {DEFAULT}", "nothing opens the guard in silence"
     named = PlantOptions(plant="sim", filter=("--contraction-rate", "2"))
     started = commands(named, GainRange(delta_kp_max=285.0), Path("run"))
     assert started[0][2][-2:] == ["--contraction-rate", "2"]

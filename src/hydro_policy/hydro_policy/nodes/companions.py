@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from hydro_bridge.guard import GuardSettings
 from hydro_bridge.ros import Companion
+from hydro_filter.choice import DEFAULT
 from hydro_policy.nodes import provenance
 from hydro_policy.task import GainRange
 
@@ -137,7 +138,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.plant == "external":
         return []
     bench = ["--bench", str(options.bench)] if options.bench else []
-    guard = guard_parameters(gains, " ".join(options.filter) or "the filter's defaults")
+    guard = guard_parameters(gains, " ".join(options.filter) or f"--metric {DEFAULT}")
     started: list[tuple[str, str, list[str]]] = []
     if options.recording is not None:
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
