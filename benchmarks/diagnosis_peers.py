@@ -132,7 +132,7 @@ def _row(folder: Path, case: Case, method: str) -> dict[str, Any]:
     about = {"method": method, "case": case.name, "kind": case.kind, "label": case.label}
     if method == "diagnosis":
         answer = json.loads((folder / BLIND / case.name / ANSWER).read_text())
-        result = Result(case=case, answer=answer, ruling={})
+        result = Result(case=case, answer=answer)
         truth, claimed = set(case.effects), set(result.claimed)
         return {**about, "named": result.exact if case.kind != "outside" else not claimed, "said": sorted(claimed),
                 "found": truth <= claimed, "extra": len(result.spurious), "held_out": result.held_out,

@@ -39,7 +39,7 @@ def answer(
 
 
 def result(case: Case, said: dict[str, Any]) -> Result:
-    return Result(case=case, answer=said, ruling={})
+    return Result(case=case, answer=said)
 
 
 def single(**effects: dict[str, Any]) -> Case:

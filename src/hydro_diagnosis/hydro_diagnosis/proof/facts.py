@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -70,8 +70,8 @@ class Result:
     case: Case
     answer: Mapping[str, Any]
     """answer.json of `blind`."""
-    ruling: Mapping[str, Any]
-    """Held-out errors of the true structure by channel; empty where there is none."""
+    ruling: Mapping[str, Any] = field(default_factory=dict)
+    """Held-out errors of the true structure by channel, where the diagnosis has not fitted it itself."""
 
     @property
     def refused(self) -> bool:
@@ -162,8 +162,8 @@ class Result:
 
     @property
     def held_out_true(self) -> float | None:
-        """The same for the true structure."""
-        return _over(self.ruling)
+        """The same for the fit of the true structure; None where the library does not have it."""
+        return self.held_out if self.exact else _over(self.ruling)
 
     def worst_channel(self) -> str:
         """Channel whose held-out error is largest over its noise floor."""

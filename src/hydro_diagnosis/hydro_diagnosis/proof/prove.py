@@ -130,12 +130,10 @@ def _asked(result: Result, kinds: Sequence[str] | None) -> bool:
 
 
 def _results(cases: Sequence[Case], folder: Path, workers: int) -> list[Result]:
-    rulings = rule(cases, folder / BLIND, folder / OPENED, workers)
-    return [
-        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text()),
-               ruling=rulings.get(case.name, {}))
-        for case in cases
-    ]  # fmt: skip
+    results = [
+        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text())) for case in cases
+    ]
+    return rule(results, folder / BLIND, folder / OPENED, workers)
 
 
 def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
