@@ -16,6 +16,9 @@ from hydro_policy.task import GainRange
 
 AGENT = "learner.safetensors"
 
+CARE = 0.1
+"""Share of the actor's learning rate that is left on the bench."""
+
 REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
 """Fields of `TaskSettings` that make the reward."""
 
@@ -35,15 +38,21 @@ class Start:
     source: Path
 
     def adopted(self, settings: TrainingSettings) -> TrainingSettings:
-        """The settings, with what this agent needs: the networks' size, the range of gains, the reward."""
+        """The settings, with what this agent needs: the networks' size, the range of gains, the reward.
+
+        What is good already is changed with care: the replay buffer holds an episode of the bench before anything is
+        learnt from it, and the actor's step is a tenth of what it was.
+        """
         sac = replace(
             settings.sac,
+            actor_learning_rate=CARE * settings.sac.actor_learning_rate,
             hidden_size=self.sac.hidden_size,
             log_std_min=self.sac.log_std_min,
             log_std_max=self.sac.log_std_max,
             reward_scale=self.sac.reward_scale,
         )
-        return replace(settings, sac=sac, task=replace(settings.task, gains=self.gains, **self.reward))
+        task = replace(settings.task, gains=self.gains, **self.reward)
+        return replace(settings, sac=sac, task=task, warmup_steps=max(settings.warmup_steps, task.steps_per_episode))
 
 
 def shipped_start(authority: str) -> Start | None:
