@@ -88,7 +88,7 @@ def main() -> None:
         metric, samples, held_out, data.horizon, settings, out.with_suffix(".checkpoint"), options.resume
     )
     sizes = noise_sizes(best, loop, LearnedPlant(learned), LearnedPlant(learned, noise=0.0))
-    allowance = integral_allowance(loop, material.rollouts, best.gains)
+    allowance = integral_allowance(loop, LearnedPlant(learned), bench)
     facts = {
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "settings": asdict(settings),
         "design": asdict(design), "model": _digest(learned.model), "epochs": last.epoch, "best_epoch": last.best_epoch,

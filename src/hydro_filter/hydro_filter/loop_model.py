@@ -67,6 +67,11 @@ INPUT = Q_BOX_VELOCITY
 CURRENT = SOURCES - 1
 """The current's row of nudges (`tangent`)."""
 
+CLOSED = 1e-9
+"""A: where the spool is taken to stand, still, in a sample in which it passes zero. g differs on both sides, and a sample
+with a part of each has the derivatives of neither; so it is linearized on the side that the spool comes from.
+"""
+
 LOOP_RATE = 130.0
 """rad/s: sqrt(k_s / m) of the nominal bench; force rates and speeds are scaled with it."""
 
@@ -167,18 +172,25 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
     gain = hydraulic_slopes(c, before[0], before[1], before[2], hidden[SPOOL])[0]
     _embed(c, scale, share_a, share_b, gain, step.nudges)
     model_kernels.nudge(loop.free, after, current, step.nudges, step.rates)
+    _state_rate(c, before, after, step.state_rate)
+    side = math.copysign(1.0, hidden[SPOOL] + c[OFFSET])
+    if side * (after[4] + c[OFFSET]) < 0.0:  # the spool passes zero: see CLOSED
+        closed = side * CLOSED - c[OFFSET]
+        after[:] = before
+        after[4], after[5] = closed, 0.0
+        _embed(c, scale, share_a, share_b, gain, step.nudges)
+        model_kernels.nudge(loop.free, after, closed, step.nudges, step.rates)
     gain = hydraulic_slopes(c, after[0], after[1], after[2], hidden[SPOOL])[0]
     _read(c, scale, gain, step.nudges, step.rates, step.transition, step.push)
     step.transition[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = loop.model[4][1]  # the differentiator's memory
     law, feedback = step.law, step.feedback
-    side = math.copysign(nominal_current, hidden[SPOOL] + c[OFFSET])
-    controller.gradient(loop.bench, x, side, proportional_gain, loop.gain_floor, law)
+    nominal = math.copysign(nominal_current, side)
+    controller.gradient(loop.bench, x, nominal, proportional_gain, loop.gain_floor, law)
     feedback[:] = 0.0
     feedback[Q_HYDRAULIC] = (law[PRESSURE_A] * share_a + law[PRESSURE_B] * share_b) * scale[Q_HYDRAULIC]
     feedback[Q_LOAD] = law[LOAD_FORCE] * scale[Q_LOAD]
     feedback[Q_POSITION] = law[POSITION] * scale[Q_POSITION]
     feedback[Q_BOX_VELOCITY] = law[VELOCITY] * scale[Q_BOX_VELOCITY]
-    _state_rate(c, step.full, step.after, step.state_rate)
 
 
 @njit(cache=True)

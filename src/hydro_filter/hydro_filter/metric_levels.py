@@ -2,21 +2,24 @@
 """The thresholds of a metric, measured: what of v'Mv is the sensors' noise, and what stable loops ask of the integral.
 
 Noise: the still bench with a closed valve, once with its sensors' noise and once without; the difference of both v, moved by
-one sample as the certificate moves it. Integral: rollouts under gains of the certified range; what K_i int e dt asks for, friction,
+one sample as the certificate moves it. Integral: runs of an episode's length under stable gains; what K_i int e dt asks for, friction,
 leakage and lags in it.
 """
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 
-from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray
+from hydro_bridge.signals import PLANT_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter import displacement
 from hydro_filter.displacement import MEMORY_DTYPE
 from hydro_filter.learned_metric import LearnedMetric
 from hydro_filter.loop_decision import integral_term
-from hydro_filter.metric_data import STABLE, Rollout
 from hydro_filter.loop_model import LOOP, LoopModel, linearize, loop_step
+from hydro_sim.bench import Bench
+from hydro_sim.offline import Schedule, simulate
 from hydro_sim.plant import Plant
 
 SAMPLES = 4000
@@ -61,8 +64,22 @@ def integral_terms(loop: LoopModel, states: StateArray) -> FloatArray:
     return out
 
 
-def integral_allowance(loop: LoopModel, rollouts: list[Rollout], gains: FloatArray) -> float:
-    """Largest that a stable rollout's integral asked for after its first half second [N/s]."""
-    low, high = gains[0], gains[-1]
-    wanted = [run for run in rollouts if run.label == STABLE and low <= run.gains[0] <= high]
-    return float(max(np.abs(integral_terms(loop, run.states[500:])).max() for run in wanted))
+ASKING = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
+"""K_p, K_i [1/s], [1/s^2] of the runs that show what the integral asks for."""
+ASKED_BY = (
+    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0),
+    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, offset=150.0, frequency=0.5),
+    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, offset=-150.0, frequency=0.5),
+    ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=300.0, frequency=1.0),
+)
+ASKED_FOR = 18.0
+"""s: the integral takes some K_p / K_i = 6 s to get where it is needed."""
+
+
+def integral_allowance(loop: LoopModel, plant: Plant, bench: Bench, seed: int = 0) -> float:
+    """Largest that the integral of stable loops asks for after the first second [N/s], a quarter on top."""
+    largest = 0.0
+    for gains, reference in product(ASKING, ASKED_BY):
+        states = simulate(plant, bench, Schedule(reference=reference, gains=gains, seconds=ASKED_FOR), seed=seed)
+        largest = max(largest, float(np.abs(integral_terms(loop, states[1000:])).max()))
+    return 1.25 * largest
