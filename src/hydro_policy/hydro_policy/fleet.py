@@ -21,7 +21,8 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, ReferenceSignal, StateArray
-from hydro_policy import fleet_plants
+from hydro_policy import fleet_filter, fleet_plants
+from hydro_policy.fleet_filter import FleetFilter, NoFilter
 from hydro_policy.fleet_plants import PlantRows
 from hydro_sim import box_kernel
 from hydro_sim.bench import Bench
@@ -47,10 +48,18 @@ class Fleet:
         The bench behind each box, all of one kind.
     config
         Settings of the boxes.
+    filters
+        The filter between policy and box; None: none.
     """
 
-    def __init__(self, benches: Sequence[Bench], plants: Sequence[Plant], config: BoxConfig | None = None) -> None:
-        self.config = config or BoxConfig()
+    def __init__(
+        self,
+        benches: Sequence[Bench],
+        plants: Sequence[Plant],
+        config: BoxConfig | None = None,
+        filters: FleetFilter | None = None,
+    ) -> None:
+        self.config, self.filters = config or BoxConfig(), filters or NoFilter()
         self.rows: PlantRows = fleet_plants.rows(plants)
         count = len(plants)
         self.benches = np.concatenate([bench.constants() for bench in benches])
@@ -82,30 +91,39 @@ class Fleet:
         fill_command(self.commands[one], Command())
         box_kernel.receive(self.settings[one], self.boxes[one], self.commands[one], 0.0)
         fill_command(
-            self.commands[one], Command(arm=True, reference=reference, delta_kp=changes[0], delta_ki=changes[1])
+            self.commands[one],
+            Command(
+                arm=True,
+                reference=reference,
+                delta_kp=changes[0],
+                delta_ki=changes[1],
+                filter_fresh=self.filters.fresh,
+            ),
         )
         self.links[index]["held"] = 0.0
+        fleet_filter.forget(self.filters, index)
         box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
-        _exchange(*box, fleet_plants.measurements(self.rows)[index], self.samples[index, -1:])
+        _exchange(*box, self.filters, index, fleet_plants.measurements(self.rows)[index], self.samples[index, -1:])
 
     def step(self, changes: FloatArray) -> StateArray:
         """Ten samples with gain changes (delta_kp, delta_ki), shape (benches, 2); returns `samples`."""
         box = self.benches, self.settings, self.boxes, self.commands
         noise = fleet_plants.noise(self.rows, POLICY_SAMPLES)
-        _step(*box, self.rows.arrays, self.links, np.ascontiguousarray(changes), noise, self.samples)
+        _step(*box, self.filters, self.rows.arrays, self.links, np.ascontiguousarray(changes), noise, self.samples)
         return self.samples
 
 
 @njit(cache=True)
-def _exchange(bench, settings, box, command, measurement, sample):
-    """The box's millisecond: a command down, a sample up; all but `measurement` of shape (1,)."""
+def _exchange(bench, settings, box, command, filters, i, measurement, sample):
+    """The box's millisecond: a command down, a sample up; and the filter's word on it, for the next command."""
     time = box[0].sequence * SAMPLE
     box_kernel.receive(settings, box, command, time)
     box_kernel.tick(bench, settings, box, measurement, time, sample)
+    command[0].delta_u = fleet_filter.correct(filters, i, measurement, sample[0])
 
 
 @njit(cache=True)
-def _step(benches, settings, boxes, commands, plants, links, changes, noise, samples):
+def _step(benches, settings, boxes, commands, filters, plants, links, changes, noise, samples):
     count, length = samples.shape
     for i in range(count):
         one, link = slice(i, i + 1), links[i]
@@ -116,7 +134,7 @@ def _step(benches, settings, boxes, commands, plants, links, changes, noise, sam
                 commands[i].delta_kp, commands[i].delta_ki = changes[i, 0], changes[i, 1]
             sample = samples[i, k : k + 1]
             measurement = fleet_plants.measurement(plants, i)
-            _exchange(benches[one], settings[one], boxes[one], commands[one], measurement, sample)
+            _exchange(benches[one], settings[one], boxes[one], commands[one], filters, i, measurement, sample)
             current = sample[0].valve_current
 
 

@@ -27,6 +27,7 @@ from hydro_bridge.recording_run import code_version
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.configurations import configuration
 from hydro_policy.environment import Transitions
+from hydro_policy.fleet_filter import FILTERS
 from hydro_policy.policy import Policy
 from hydro_policy.pretrain_report import curve_table, draw_curve
 from hydro_policy.pretraining import Pretraining, PretrainSettings
@@ -54,6 +55,8 @@ class Source:
     box: str | None = None
     """bench.yaml that the box believes in; None: the nominal bench."""
     randomise: bool = False
+    filter: str = "none"
+    """A name of `fleet_filter.FILTERS`."""
     benches: int = 8
 
     def simulated(self) -> Bench | Learned:
@@ -69,7 +72,9 @@ class Source:
     def pretraining(self, training: TrainingSettings) -> Pretraining:
         """A pretraining at its beginning."""
         randomisation = Randomisation() if self.randomise else None
-        settings = PretrainSettings(training=training, benches=self.benches, randomisation=randomisation)
+        settings = PretrainSettings(
+            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter
+        )
         return Pretraining(settings, self.simulated(), self.believed())
 
 
@@ -91,6 +96,9 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--bench", metavar="FILE", help="bench.yaml or a diagnosis' corrected.yaml to simulate")
     what.add_argument("--box", metavar="FILE", help="bench.yaml that the box believes in (default: the nominal bench)")
     what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
+    what.add_argument(
+        "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"
+    )
     how = result.add_argument_group("how")
     how.add_argument("--configuration", choices=("paper", "wide"), default="paper", help="see docs/training.md")
     how.add_argument("--episodes", type=int, metavar="N", help="default 160")
@@ -143,7 +151,8 @@ def _source(options: argparse.Namespace) -> Source:
         raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
     files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
-    return Source(model=model, randomise=options.randomise, benches=options.benches, **files)
+    chosen = {"randomise": options.randomise, "filter": options.filter, "benches": options.benches}
+    return Source(model=model, **chosen, **files)
 
 
 def _create(run: RunDirectory, settings: TrainingSettings, source: Source) -> None:

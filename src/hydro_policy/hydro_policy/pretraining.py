@@ -27,6 +27,7 @@ from hydro_policy.cases import EvaluationSettings
 from hydro_policy.checkpoint import Checkpoint
 from hydro_policy.environment import Environment, Transitions
 from hydro_policy.fleet import Fleet
+from hydro_policy.fleet_filter import fleet_filter
 from hydro_policy.policy import Policy
 from hydro_policy.randomisation import Randomisation, draw
 from hydro_policy.replay import ReplayBuffer
@@ -52,6 +53,8 @@ class PretrainSettings:
     """Benches side by side; each plays its share of the episodes. [1, 256]."""
     randomisation: Randomisation | None = None
     """None: the same bench always."""
+    filter: str = "none"
+    """The filter between policy and box: none, constant, learned (`fleet_filter`)."""
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
 
     def __post_init__(self) -> None:
@@ -160,7 +163,8 @@ class Pretraining:
         return fleet_runs.rmse(self._fleet(len(evaluation.cases)), evaluation.cases, choose, evaluation)
 
     def _fleet(self, count: int) -> Fleet:
-        return Fleet([self._believed] * count, [self._plant() for _ in range(count)])
+        filters = fleet_filter(self.settings.filter, self._believed, count)
+        return Fleet([self._believed] * count, [self._plant() for _ in range(count)], filters=filters)
 
     def _plant(self) -> Plant:
         return AnalyticPlant(self._source) if isinstance(self._source, Bench) else LearnedPlant(self._source)

@@ -8,16 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
+from hydro_bridge.signals import STATE_FIELDS, Command, Flag, ReferenceSignal, Waveform
+from hydro_filter.compiled import FilterBank
+from hydro_filter.filter import ContractionFilter
+from hydro_filter.loop_filter import LoopBank, default_filter
 from hydro_policy import fleet_runs
 from hydro_policy.cases import EvaluationSettings
 from hydro_policy.environment import Environment
 from hydro_policy.fleet import Fleet, records
+from hydro_policy.fleet_filter import fleet_filter
 from hydro_policy.fleet_runs import fixed
 from hydro_policy.offline import OfflineGraph
 from hydro_policy.steps import StepClock
 from hydro_policy.task import GainRange, TaskSettings, observe
 from hydro_sim.bench import Bench
+from hydro_sim.box import Box
 from hydro_sim.learned.mlp import initial
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.network import INPUTS, STATES
@@ -154,6 +159,33 @@ def test_rmse_is_that_of_the_offline_simulation() -> None:
     assert found[1] == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.01)  # one sample at K_p = 15 in the beginning
     tripped = fleet_runs.rmse(fleet, settings.cases, fixed(np.array((-60.0, 5.0))), settings)
     assert np.isnan(tripped).all()
+
+
+@pytest.mark.parametrize("kind", ["constant", "learned"])
+def test_a_filter_in_the_fleet_is_the_filter_beside_the_box(kind: str) -> None:
+    """Sample by sample with `Box` and the bank of `hydro_filter`, a correction acting one sample late: to the bit."""
+    cell = replace(BENCH, load_cell_bandwidth=25.0)
+    fleet = Fleet([BENCH] * 2, [AnalyticPlant(cell) for _ in range(2)], filters=fleet_filter(kind, BENCH, 2))
+    for index in range(2):
+        fleet.begin(index, SINE, index)
+    changes = np.array([[0.0, 0.0], [120.0, 10.0]])
+    got = np.concatenate([fleet.samples[1, -1:].copy()] + [fleet.step(changes)[1].copy() for _ in range(40)])
+    source = ContractionFilter.for_bench(BENCH).certificate
+    bank = FilterBank(source, 1) if kind == "constant" else LoopBank(default_filter(BENCH).parts, 1)
+    box, plant = Box(BENCH), AnalyticPlant(cell)
+    box.receive(Command(), 0.0)
+    measurement, delta_u = plant.reset(1), 0.0
+    for k, sample in enumerate(got):
+        kp, ki = (0.0, 0.0) if k == 0 else (120.0, 10.0)
+        command = Command(arm=True, delta_kp=kp, delta_ki=ki, delta_u=delta_u, reference=SINE, filter_fresh=True)
+        box.receive(command, 0.001 * k)
+        want = box.tick(measurement, 0.001 * k)
+        assert sample["valve_current"] == want["valve_current"], k
+        assert sample["flags"] == want["flags"], k
+        delta_u = float(bank.correct(np.array([want])).delta_u[0])
+        measurement = plant.step(float(want["valve_current"]))
+    corrected = np.abs(got["valve_current"] - got["nominal_valve_current"]).max()
+    assert corrected > 1e-4 or kind == "constant", "the learned metric corrects K_p = 135"
 
 
 def test_a_fleet_refuses_plants_of_several_kinds() -> None:

@@ -1,0 +1,68 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The emulated bench as a plant of `hydro_policy.fleet`: many truth plants in one compiled loop. Import registers it.
+
+Benchmarks alone may do this: no package may import the truth (docs/emulator.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba.extending import overload
+
+from hydro_policy import fleet_plants
+from hydro_policy.fleet import Fleet
+from hydro_sim.bench import Bench
+from hydro_sim.emulator import truth
+from hydro_sim.emulator.truth import TruthPlant
+from hydro_sim.emulator.truth_config import TruthConfig, profile
+
+
+class Truth(NamedTuple):
+    """Rows of `TruthPlant`."""
+
+    parameters: npt.NDArray[np.void]
+    differentiation: npt.NDArray[np.void]
+    state: npt.NDArray[np.void]
+    chain: npt.NDArray[np.void]
+    x: npt.NDArray[np.float64]
+    work: npt.NDArray[np.float64]
+
+
+@overload(fleet_plants.advance)
+def _advance(plants, i, noise, current):
+    if getattr(plants, "instance_class", None) is not Truth:
+        return None
+
+    def advance(plants, i, noise, current):
+        one = slice(i, i + 1)
+        truth.advance(
+            plants.parameters[one], plants.differentiation[one], plants.state[one], plants.chain[one], plants.work,
+            noise, current,
+        )  # fmt: skip
+        plants.x[i] = plants.chain[i].measurement
+
+    return advance
+
+
+def _rows(plants: Sequence[TruthPlant]) -> Truth:
+    records = [np.concatenate([getattr(plant, name) for plant in plants]) for name in Truth._fields[:4]]
+    return Truth(*records, np.zeros((len(plants), 8)), np.zeros((3, 8)))
+
+
+def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:
+    for name in Truth._fields[:4]:
+        getattr(arrays, name)[index] = getattr(plant, name)[0]
+    arrays.x[index] = plant.measurement()
+
+
+fleet_plants.KINDS[TruthPlant] = (_rows, _copy)
+
+
+def truth_fleet(count: int, config: TruthConfig | None = None) -> Fleet:
+    """So many emulated benches; the boxes believe in the nominal bench."""
+    truth_config = config or profile("default")
+    return Fleet([Bench.nominal()] * count, [TruthPlant(truth_config) for _ in range(count)])

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Soft Actor-Critic against stable-baselines3, skrl and SBX: updates and environment steps per second, final return.
+
+All learn the same environment (`_sac_environment`: one bench, the learned model) with the paper's sizes and values, one
+update a step, on one core of one process. Updates per second are timed in turns after that, many updates a call, which
+each library offers. Peers: `make bench-peers`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import sys
+import time
+import warnings
+from collections.abc import Callable
+
+os.environ.setdefault("XLA_FLAGS", "--xla_cpu_multi_thread_eigen=false intra_op_parallelism_threads=1")
+os.environ.setdefault("JAX_PLATFORMS", "cpu")
+
+import numpy as np
+import torch
+
+from hydro_bridge.console import Table, add_json_argument, progress
+
+PEERS = ("gymnasium", "stable_baselines3", "skrl", "sbx")
+FREQUENCIES = (0.5, 1.0, 1.5, 2.0)
+EXAM = 500  # steps of an examination at one frequency
+ROUNDS, UPDATES = 7, 256
+
+
+def main() -> int:
+    """Run."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.sac_peers", description=__doc__)
+    parser.add_argument("--steps", type=int, default=9000, metavar="N", help="environment steps of a training (9000)")
+    parser.add_argument("--batch", type=int, nargs="+", default=[64, 256], metavar="N", help="default 64 and 256")
+    parser.add_argument("--seed", type=int, default=0, metavar="N")
+    add_json_argument(parser)
+    options = parser.parse_args()
+    missing = [name for name in PEERS if importlib.util.find_spec(name) is None]
+    if missing:
+        print(f"{', '.join(missing)} not installed here: `make bench-peers` compares with the peers", file=sys.stderr)
+        return 0
+    warnings.filterwarnings("ignore")
+    torch.set_num_threads(1)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    columns = {
+        "batch": "transitions per update",
+        "learner": "",
+        "updates_per_second": f"median of {ROUNDS} turns of {UPDATES} updates",
+        "ours_over_it": "our updates per second over its",
+        "steps_per_second": f"environment steps per second of a training of {options.steps} steps, an update each",
+        "final_return": "of the mean action, 4 sines of 300 N, 5 s each, reward / 50",
+    }
+    table = Table(columns, title="Soft Actor-Critic: 13 observations, 2 actions, 2 x 32 ReLU, one core")
+    for batch in options.batch:
+        compare(table, batch, options.steps, options.seed)
+    table.show(options.json)
+    return 0
+
+
+def compare(table: Table, batch: int, steps: int, seed: int) -> None:
+    """Rows of one batch size."""
+    import sbx
+    import stable_baselines3
+
+    from benchmarks._sac_environment import HydroEnv
+    from benchmarks._sac_learners import Baselines, Learner, Ours, Skrl
+
+    makers: dict[str, Callable[[], Learner]] = {
+        "ours": lambda: Ours(batch, seed),
+        "stable-baselines3": lambda: Baselines(stable_baselines3, batch, seed),
+        "skrl": lambda: Skrl(batch, seed),
+        "SBX": lambda: Baselines(sbx, batch, seed),
+    }
+    learners = {name: make() for name, make in makers.items()}
+    rates: dict[str, float] = {}
+    for name in progress(list(learners), label=f"batch {batch}", unit="learner"):
+        learners[name].train(HydroEnv(seed), 2 * 500)  # compiles; counted by nobody
+        learners[name] = makers[name]()
+        begin = time.perf_counter()
+        learners[name].train(HydroEnv(seed), steps)
+        rates[name] = steps / (time.perf_counter() - begin)
+    timed = updates_per_second(learners)
+    for name, learner in learners.items():
+        table.add(
+            batch=batch, learner=name, updates_per_second=round(timed[name]), steps_per_second=round(rates[name]),
+            ours_over_it=timed["ours"] / timed[name], final_return=examine(learner, HydroEnv),
+        )  # fmt: skip
+
+
+def updates_per_second(learners: dict[str, object]) -> dict[str, float]:
+    """Medians over rounds in which the learners take turns: what else the machine does meets all alike."""
+    seconds: dict[str, list[float]] = {name: [] for name in learners}
+    for turn in range(ROUNDS + 1):
+        for name, learner in learners.items():
+            begin = time.perf_counter()
+            learner.update(UPDATES)  # type: ignore[attr-defined]
+            if turn:  # the first compiles for this number of updates
+                seconds[name].append(time.perf_counter() - begin)
+    return {name: UPDATES / float(np.median(values)) for name, values in seconds.items()}
+
+
+def examine(learner: object, make: Callable[..., object]) -> float:
+    """Return of the mean action over the four sines."""
+    total = 0.0
+    for frequency in FREQUENCIES:
+        environment = make(seed=0, frequency=frequency, steps=EXAM)
+        observation, _ = environment.reset()  # type: ignore[attr-defined]
+        over = terminated = False
+        while not (over or terminated):
+            action = learner.act(observation)  # type: ignore[attr-defined]
+            observation, reward, terminated, over, _ = environment.step(action)  # type: ignore[attr-defined]
+            total += reward
+    return total
+
+
+if __name__ == "__main__":
+    sys.exit(main())
