@@ -10,6 +10,9 @@ With F(x, u) = h + g u the right side of eq. q13, dh/dx + u dg/dx is dF/dx at he
 f_l. As in `hydro_sim.force_law`, g is no less than a floor (there dg/dx = 0) and the position is one within the
 stroke. The integral is the law's own memory and no function of x: K_i has no place in K, and the certificate does not
 see it.
+
+K is that of the law before the valve's limit. Beyond the limit the valve passes none of it on: what the correction can
+still do there is in the QP's bounds (`filter`, `loop_decision`), not in K.
 """
 
 from __future__ import annotations
