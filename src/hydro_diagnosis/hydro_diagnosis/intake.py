@@ -9,13 +9,15 @@ from pathlib import Path
 from joblib import Parallel, delayed
 
 from hydro_diagnosis.columns import ColumnMap
-from hydro_diagnosis.quality import checked
+from hydro_diagnosis.quality import SHORTEST, checked
 from hydro_diagnosis.recording import Recording, Segment
+from hydro_diagnosis.survey import read_bag_within
 from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
+from hydro_diagnosis.windows import WINDOW, Visits, telling
 from hydro_sim.bench import Bench
 
-LONGEST = 90.0
-"""s of recordings that are fitted; of more, the stretches with the most motion are taken, and the report says so."""
+LONGEST = 100.0
+"""s of recordings that are fitted, and that are checked on; of more, the telling windows, and the report says so."""
 
 
 def taken(
@@ -34,7 +36,8 @@ def taken(
         If nothing of them can be diagnosed.
     """
     fitted, held, quality = _split(*_read(recordings, bench, columns), *_read(holdout, bench, columns))
-    return _informative(fitted, quality), held, quality
+    fitted = _informative(fitted, "fitted", bench, quality)
+    return fitted, _informative(held, "checked on", bench, quality), quality
 
 
 def _read(paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None) -> tuple[list[Recording], list[str]]:
@@ -50,6 +53,8 @@ def _read(paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None) 
 
 def _look(path: str | Path, bench: Bench, columns: ColumnMap | None) -> Recording | UnusableRecordingError:
     try:
+        if Path(path).exists() and (Path(path).is_dir() or Path(path).suffix == ".mcap"):
+            return read_bag_within(Path(path), bench)
         return checked(read_table(path, columns), bench)
     except UnusableRecordingError as error:
         return error
@@ -68,25 +73,38 @@ def _split(
     first = [segment for recording in fitted for segment in recording.segments]
     if held:
         return first, [segment for recording in held for segment in recording.segments], quality
-    longest = max(first, key=len)
-    cut = len(longest) * 2 // 3
     quality.append("the last third of the only recording was held back to check on")
-    return [*(s for s in first if s is not longest), longest.cut(0, cut)], [longest.cut(cut, len(longest))], quality
+    return *_parted(first), quality
 
 
-def _informative(segments: list[Segment], quality: list[str]) -> list[Segment]:
-    """At most `LONGEST` seconds: pieces of 10 s in the order of how much moves in them."""
+def _parted(segments: list[Segment]) -> tuple[list[Segment], list[Segment]]:
+    """The first two thirds of what a recording's segments hold, and the last."""
+    border = sum(map(len, segments)) * 2 // 3
+    first, last = [], []
+    for segment in segments:
+        cut = min(max(border, 0), len(segment))
+        border -= len(segment)
+        if cut and (len(segment) == cut or cut * segment.step >= SHORTEST):
+            first.append(segment.cut(0, cut))
+        if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= SHORTEST):
+            last.append(segment.cut(cut, len(segment)))
+    return first, last
+
+
+def _informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:
+    """At most `LONGEST` seconds: the windows that tell most."""
     total = sum(len(segment) * segment.step for segment in segments)
     if total <= LONGEST:
         return segments
-    pieces = []
+    pieces, visits = [], Visits(bench)
     for segment in segments:
-        length = round(10.0 / segment.step)
-        pieces += [segment.cut(at, at + length) for at in range(0, max(len(segment) - length + 1, 1), length)]
-    lively = sorted(
-        pieces,
-        key=lambda piece: -float(piece.channels.get("piston_position", next(iter(piece.channels.values()))).std()),
+        length = round(WINDOW / segment.step)
+        for at in range(0, max(len(segment) - length + 1, 1), length):
+            pieces.append(segment.cut(at, at + length))
+            visits.add(pieces[-1])
+    kept = telling(visits, int(LONGEST / WINDOW))
+    quality.append(
+        f"of {total:.0f} s the {len(kept)} windows of {WINDOW:g} s were {what} which together visit most positions, "
+        "velocities, currents and pressures"
     )
-    kept = lively[: int(LONGEST / 10.0)]
-    quality.append(f"of {total:.0f} s the {10 * len(kept)} s in which most moves were fitted, in pieces of 10 s")
-    return kept
+    return [pieces[k] for k in kept]

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: Apache-2.0
+"""report.json is a contract: its keys and their types, for every verdict, by the schema that the package ships."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import fastjsonschema
+import pandas as pd
+import pytest
+
+import hydro_diagnosis
+from hydro_bridge.signals import StateArray
+from hydro_diagnosis import diagnose
+from hydro_sim.bench import Bench
+
+SCHEMA = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
+
+
+@pytest.fixture(scope="module")
+def valid() -> Callable[[Any], Any]:
+    """Raises JsonSchemaValueException on what the contract does not allow."""
+    compiled: Callable[[Any], Any] = fastjsonschema.compile(json.loads(SCHEMA.read_text()))
+    return compiled
+
+
+def test_explained(valid: Callable[[Any], Any], written: Path) -> None:
+    report = json.loads((written / "report.json").read_text())
+    valid(report)
+    assert report["effects"] and report["location"] and report["fit"]["holdout"] and report["steps"]
+
+
+def test_no_mismatch(valid: Callable[[Any], Any], csv: Path) -> None:
+    report = json.loads(diagnose([csv]).report.to_json())
+    valid(report)
+    assert report["verdict"] == "no_mismatch"
+
+
+def test_something_left_that_nobody_knows(
+    valid: Callable[[Any], Any],
+    record: Callable[..., StateArray],
+    frame: Callable[[StateArray], pd.DataFrame],
+    tmp_path: Path,
+) -> None:
+    """A cell that is struck twice a second, and no current, no pressures: nothing can be simulated forward."""
+    states = record(Bench.nominal(), 7)
+    table = frame(states)[["time", "hydraulic_force", "load_force", "piston_position"]]
+    table.loc[(states["time"] % 0.5) < 0.02, "load_force"] += 40.0
+    table.to_csv(tmp_path / "struck.csv", index=False)
+    report = json.loads(diagnose([tmp_path / "struck.csv"]).report.to_json())
+    valid(report)
+    assert report["verdict"] == "unknown"
+    assert report["remainder"]["location"] and report["fit"]["why"]
+
+
+@pytest.mark.parametrize("key", ["verdict", "location", "effects", "fit", "next_recording", "checked", "not_checked",
+                                 "data_quality", "baseline", "versions", "seconds"])  # fmt: skip
+def test_a_missing_key_breaks_the_contract(valid: Callable[[Any], Any], written: Path, key: str) -> None:
+    report = json.loads((written / "report.json").read_text())
+    del report[key]
+    with pytest.raises(fastjsonschema.JsonSchemaValueException, match=key):
+        valid(report)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import subprocess
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hydro_diagnosis import intake, survey
+from hydro_diagnosis.quality import checked
+from hydro_diagnosis.recording import Recording, UnusableRecordingError
+from hydro_diagnosis.survey import read_bag_within
+from hydro_diagnosis.table import read_table
+from hydro_diagnosis.windows import Visits, telling
+from hydro_sim.bench import Bench
+
+BENCH = Bench.nominal()
+
+
+def bag(folder: Path, seconds: float) -> Path:
+    """A run of the truth plant: a slow sine, a pause, large steps, and so on."""
+    kinds = [("sine", 280.0, 1.5), ("hold", 0.0, 1.0), ("smooth_step", 250.0, 1.0), ("sine", 60.0, 0.5)]
+    segments = [
+        {"seconds": seconds / 12, "waveform": kind, "amplitude": amplitude, "frequency": frequency, "kp": 60, "ki": 10}
+        for kind, amplitude, frequency in kinds * 3
+    ]
+    (folder / "schedule.yaml").write_text(yaml.safe_dump({"segments": segments}))
+    (folder / "truth.yaml").write_text(yaml.safe_dump({"profile": "nominal"}))
+    command = ["ros2", "run", "hydro_sim", "emulator", "--offline", "--out", str(folder / "bag"), "--seed", "3"]
+    command += ["--truth", str(folder / "truth.yaml"), "--schedule", str(folder / "schedule.yaml")]
+    subprocess.run([*command, "--seconds", str(seconds)], check=True, stdout=subprocess.DEVNULL)
+    return folder / "bag"
+
+
+@pytest.fixture(scope="module")
+def minute(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
+    path = bag(tmp_path_factory.mktemp("minute"), 60.0)
+    return path, checked(read_table(path), BENCH)
+
+
+def test_bag_read_in_stretches_is_the_bag(minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch) -> None:
+    path, whole = minute
+    monkeypatch.setattr(survey, "STRETCH", 7_001)
+    monkeypatch.setattr(survey, "WHOLE", 9)
+    again = read_bag_within(path, BENCH)
+    assert again.quality == whole.quality
+    assert [one.start for one in again.segments] == [one.start for one in whole.segments]
+    for one, other in zip(again.segments, whole.segments, strict=True):
+        for name, values in other.channels.items():
+            np.testing.assert_array_equal(one.channels[name], values)
+
+
+def test_windows_of_a_long_bag_are_what_it_holds(
+    minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, whole = minute
+    monkeypatch.setattr(survey, "STRETCH", 5_000)
+    monkeypatch.setattr(survey, "WINDOW", 2.0)
+    kept = read_bag_within(path, BENCH)
+    assert len(kept.segments) == survey.FITTED + survey.HELD
+    assert sum(one.start >= 40.0 for one in kept.segments) == survey.HELD
+    assert "15 windows of 2 s were kept" in kept.quality[-1]
+    long = whole.segments[0]
+    for one in kept.segments:
+        begin = round((one.start - long.start) / long.step)
+        np.testing.assert_array_equal(one.channels["pressure_a"], long.channels["pressure_a"][begin : begin + len(one)])
+        assert one.channels["pressure_a"].base is None  # no view that holds a stretch in memory
+
+
+def test_long_bag_in_which_nothing_moves_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "s.yaml").write_text(
+        yaml.safe_dump({"segments": [{"seconds": 12, "waveform": "hold", "amplitude": 0}]})
+    )
+    command = ["ros2", "run", "hydro_sim", "emulator", "--offline", "--out", str(tmp_path / "bag"), "--seconds", "12"]
+    (tmp_path / "t.yaml").write_text(yaml.safe_dump({"profile": "nominal"}))
+    command += ["--schedule", str(tmp_path / "s.yaml"), "--truth", str(tmp_path / "t.yaml")]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    monkeypatch.setattr(survey, "STRETCH", 2_000)
+    monkeypatch.setattr(survey, "WHOLE", 3)
+    with pytest.raises(UnusableRecordingError, match="too short to be diagnosed"):
+        read_bag_within(tmp_path / "bag", BENCH)
+
+
+def test_windows_that_visit_other_places_are_preferred(minute: tuple[Path, Recording]) -> None:
+    _, whole = minute
+    visits = Visits(BENCH)
+    kinds = []
+    for start in range(0, 60, 5):
+        visits.add(whole.segments[0].cut(1000 * start + 500, 1000 * start + 4500))
+        kinds.append(("fast", "still", "steps", "slow")[start // 5 % 4])
+    assert "still" not in {kinds[k] for k in telling(visits, 3)}
+    assert telling(visits, 100) == list(range(12))
+    assert telling(visits, 1, [1, 5]) in ([1], [5])
+
+
+def test_last_third_is_held_out_over_gaps(minute: tuple[Path, Recording]) -> None:
+    segment = minute[1].segments[0]
+    pieces = [segment.cut(0, 20_000), segment.cut(21_000, 31_000), segment.cut(32_000, 47_000)]
+    first, last = intake._parted(pieces)
+    assert [len(one) for one in first] == [20_000, 10_000]
+    assert [len(one) for one in last] == [15_000]
+    first, last = intake._parted([segment.cut(0, 30_000)])
+    assert [len(one) for one in (*first, *last)] == [20_000, 10_000]
+    assert last[0].start == pytest.approx(first[0].start + 20.0)
+
+
+@pytest.mark.slow
+def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
+    """15 min are 113 MB of numbers; held are a stretch, its check and the windows."""
+    path = bag(tmp_path, 900.0)
+    tracemalloc.start()
+    fitted, held, notes = intake.taken([path], [], BENCH)
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert peak < 90e6
+    assert sum(map(len, fitted)) == 100_000 and sum(map(len, held)) == 50_000
+    assert any("of 900 s 15 windows" in note for note in notes)
