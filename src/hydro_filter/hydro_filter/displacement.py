@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Where the loop is beside where it should be: the displacement v of the whole loop from its reference trajectory.
 
-The paper projects v on the force error (eq. v), and what makes high gains unstable then has no place in the certificate.
-Here v = (q - q_r) / scale over all loop coordinates (`loop_model`), with q_r from f_r, f_r', f_r'' and the learned model
-(w, d: the load cell's frequency and damping)::
+The paper projects v on the force error (eq. v), and what makes high gains unstable then has no place in the
+certificate. Here v = (q - q_r) / scale over all loop coordinates (`loop_model`), with q_r from f_r, f_r', f_r'' and
+the learned model (w, d: the load cell's frequency and damping)::
 
-    spring force  F = f_r + 2 d/w f_r' + f_r''/w^2      x_p = x_rest + F/k_s      x_p' = F'/k_s     f_l, f_l' = f_r, f_r'
+    spring force  F = f_r + 2 d/w f_r' + f_r''/w^2     x_p = x_rest + F/k_s    x_p' = F'/k_s    f_l, f_l' = f_r, f_r'
     f_h = F + m F''/k_s + b x_p' + friction             spool: what holds f_h' = F' at that velocity
 
 Spool and bristle are not measured: `MEMORY_DTYPE` follows both from what is, the currents that the valve got and the
@@ -50,7 +50,7 @@ from hydro_sim.timing import SAMPLE
 MEMORY_DTYPE = np.dtype(
     [("hidden", np.float64, (HIDDEN,)), ("reference_rate", np.float64), ("running", np.bool_)], align=True
 )
-"""What the filter remembers of one bench: spool [A], its rate [A/s], bristle [m]; the last f_r' [N/s]; whether it ran."""
+"""What is remembered of one bench: spool [A], its rate [A/s], bristle [m]; the last f_r' [N/s]; whether it ran."""
 
 BEND_MAX = 2e5
 """N/s^2, largest f_r'' that is believed: 300 N at 4 Hz; a reference that is switched has any."""

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """ros2 run hydro_filter learn_metric --out METRIC: train the contraction metric on the learned bench.
 
-Rolls out, labels, solves a metric for each gain, trains the network on top, and judges on rollouts not trained on. Ctrl-C keeps the checkpoint beside
-METRIC; `--resume` goes on from it. Data and training depend on nothing but the words of the command.
+Rolls out, labels, solves a metric for each gain, trains the network on top, and judges on rollouts not trained on.
+Ctrl-C keeps the checkpoint beside METRIC; `--resume` goes on from it. Data and training depend on nothing but the
+words of the command.
 """
 
 from __future__ import annotations
@@ -104,14 +105,15 @@ def main() -> None:
     certificate_table(stages, lambda one: questions(material.held_out, one, correcting, push, how), how).show(
         options.json
     )
-    print(
-        f"{out}: best of {last.epoch} epochs is {last.best_epoch}; noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
-    )
+    told = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
+    print(f"{out}: best of {last.epoch} epochs is {last.best_epoch}; {told}")
 
 
 def gather(plant: LearnedPlant, bench: Bench, loop: LoopModel, data: DataSettings) -> Material:
     """All rollouts, every fifth held out."""
-    kept, held_out, rollouts = [], [], []
+    kept: list[Windows] = []
+    held_out: list[Windows] = []
+    rollouts: list[Rollout] = []
     bar = progress(collect(plant, bench, loop, data), total=data.rollouts, label="rollouts", unit="run")
     for index, (rollout, windows) in enumerate(bar):
         rollouts.append(rollout)

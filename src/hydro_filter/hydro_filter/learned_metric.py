@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learned metric as an object, with what the filter needs beside it, and its file (safetensors, as the learned bench's).
+"""The learned metric as an object, with what the filter needs beside it, and its file (safetensors).
 
-M(x, K_p) is `metric_network`'s. The thresholds beside it were measured with it, on held-out runs, and belong to it: what
-of a displacement is noise, what the law's integral asks for on stable runs, for which contraction rate it was trained.
+M(x, K_p) is `metric_network`'s. The thresholds beside it were measured with it, on held-out runs, and belong to it:
+what of a displacement is noise, what the law's integral asks for on stable runs, for which contraction rate it was
+trained.
 """
 
 from __future__ import annotations
@@ -101,7 +102,7 @@ class LearnedMetric:
         header = {
             "structure": STRUCTURE, "hidden": list(self.hidden), "activation": "relu", "floor": self.floor,
             "coordinates": list(LOOP_FIELDS), "thresholds": asdict(self.thresholds), "training": self.training,
-            "normalization": "inputs (x - center) / scale, K_p / 100 or 0, foreign 0 or 1; output: Cholesky factor by rows",
+            "normalization": "(x - center) / scale, K_p / 100 or 0, foreign 0 or 1; out: Cholesky factor by rows",
         }  # fmt: skip
         weights.save(path, {**views, **arrays}, header)
 

@@ -113,7 +113,7 @@ def pose(parts, memory, x, nominal, current, reference, reference_rate, gain, ro
         step, value, room.v, current - nominal + asked, asked, rate, room.next_v, room.after_v
     )
     share = sampled_certificate.fade(size, parts.foreign_noise_size if outside else parts.noise_size)
-    bent, slope, level = bent, share * slope, share * share * level
+    slope, level = share * slope, share * share * level
     a, b, best = sampled_certificate.half_line(bent, slope, level)
     limit = loop.current_max
     applied = min(max(nominal, -limit), limit)

@@ -9,8 +9,8 @@
     delta_u = bank.correct(records).delta_u               records of STATE_DTYPE, one per bench; the QP's closed form
     loop_decision.decide(parts, memory[i], x, ...)         the same call for a compiled loop
 
-Samples must follow one another, each once. A correction acts one sample after its own. Which gains are held, and what is
-not: docs/safety.md.
+Samples must follow one another, each once. A correction acts one sample after its own. Which gains are held, and what
+is not: docs/safety.md.
 """
 
 from __future__ import annotations
@@ -135,9 +135,7 @@ class LoopBank:
         self.memory[benches] = np.zeros(1, MEMORY_DTYPE)[0]
 
     def correct(self, records: StateArray) -> Decisions:
-        """Decide about one sample of each bench, records of `STATE_DTYPE`, shape (N,). The answer is overwritten by
-        the next.
-        """
+        """Decide about one sample of each bench, records of `STATE_DTYPE`, shape (N,); overwritten by the next call."""
         x = np.stack([records[name] for name in PLANT_FIELDS], axis=1)
         names = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate")
         signals = np.stack([records[name] for name in (*names, "proportional_gain")], axis=1)

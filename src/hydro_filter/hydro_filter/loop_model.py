@@ -68,8 +68,10 @@ CURRENT = SOURCES - 1
 """The current's row of nudges (`tangent`)."""
 
 CLOSED = 1e-9
-"""A: where the spool is taken to stand, still, in a sample in which it passes zero. g differs on both sides, and a sample
-with a part of each has the derivatives of neither; so it is linearized on the side that the spool comes from.
+"""A: where the spool is taken to stand, still, in a sample in which it passes zero.
+
+g differs on both sides, and a sample with a part of each has the derivatives of neither: it is linearized on the side
+that the spool comes from.
 """
 
 LOOP_RATE = 130.0

@@ -22,7 +22,7 @@ from hydro_sim.timing import SAMPLE
 
 QUANTILES = (0.5, 0.99, 0.999, 1.0)
 COLUMNS = {
-    "metric": "still: Lyapunov and Riccati equations of the still bench; solved: made to hold on samples; learned: with network",
+    "metric": "still: equations of the still bench; solved: made to hold on samples; learned: with the network",
     "gains": "certified: under the force law's own K_p of the range; foreign: under the best correction",
     "samples": "held-out samples",
     "violated": "%, samples in which some direction does not decay at lambda",
@@ -39,7 +39,7 @@ COLUMNS = {
 def certificate_table(
     metrics: dict[str, LearnedMetric], ask: Callable[[LearnedMetric], Samples], how: LossSettings
 ) -> Table:
-    """A row for each metric and kind of gains, without the training's margin; `ask`: the held-out samples for a metric."""
+    """A row for each metric and kind of gains, without the training's margin; `ask`: held-out samples of a metric."""
     table = Table(COLUMNS, title=f"Contraction at lambda = {how.rate:g} and {how.foreign_rate:g} 1/s, held out")
     for name, metric in metrics.items():
         samples = ask(metric)

@@ -1,14 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the metric is trained on: rollouts of the learned bench with its sensors' noise, labelled by what they do.
 
-A rollout is run twice with the same noise, the second time with a pulse of valve current after one second. **Label**: the
-distance between the twins, largest |difference of f_l| in a window, early and late::
+A rollout is run twice with the same noise, the second time with a pulse of valve current after one second. **Label**:
+the distance between the twins, largest |difference of f_l| in a window, early and late::
 
     stable      late < 0.6 early         unstable    late > early, or the box tripped       else: neither, not used
 
 Gains are drawn from all that the box takes; references are those of `hydro_sim.learned.schedule`. Every rollout gives
-windows of successive samples (paper: horizon H_m = 10) with what the certificate needs of each: x, x', v as the filter sees it,
-noise and all, and the exact F, G, K. None of these depends on the metric: they are computed once, not once per epoch.
+windows of successive samples (paper: horizon H_m = 10) with what the certificate needs of each: x, x', v as the
+filter sees it, noise and all, and the exact F, G, K. None of these depends on the metric: they are computed once, not
+once per epoch.
 """
 
 from __future__ import annotations
@@ -187,8 +188,10 @@ def joined(windows: list[Windows]) -> Windows:
 
 
 def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0, high_share: float = 0.8) -> tuple[float, float]:
-    """Range of K_p [1/s] that is to be left alone: from `low_reserve` above the highest small gain that is not stable, to
-    `high_share` of the lowest large gain that is not.
+    """Range of K_p [1/s] that is to be left alone.
+
+    From `low_reserve` above the highest small gain that is not stable to `high_share` of the lowest large one that is
+    not.
 
     Raises
     ------

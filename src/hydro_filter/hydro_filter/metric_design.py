@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics solved, not learned: of the learned model's loop about the still bench, one for each gain and one for all others.
+"""Metrics solved, not learned: of the loop about the still bench, one for each gain and one for all others.
 
-In the certified range of K_p, the frozen loop F + G K is what the metric must decay along, by itself: P solves the discrete
-Lyapunov equation of that loop, sped up by a part of its own decay. Outside, the correction closes the loop, so the
-metric is that of the best correction: P solves the discrete Riccati equation, and the loop under its feedback decays at some
-20 1/s. Both are for the nominal bench at rest; that they hold elsewhere is for the training and the certificate to show.
+In the certified range of K_p, the frozen loop F + G K is what the metric must decay along, by itself: P solves the
+discrete Lyapunov equation of that loop, sped up by a part of its own decay. Outside, the correction closes the loop,
+so the metric is that of the best correction: P solves the discrete Riccati equation, and the loop under its feedback
+decays at some 20 1/s. Both are for the nominal bench at rest; that they hold elsewhere is for the training and the
+certificate to show.
 """
 
 from __future__ import annotations
@@ -94,7 +95,9 @@ def design_table(loop: LoopModel, design: MetricDesign) -> Table:
     free, push, _ = rest_loop(loop, float(gains[0]))
     unit = 0.14 * loop.current_max
     rows.append(riccati(free, unit * push, np.array(design.foreign_weights), design.effort)[0])
-    return Table(gains, np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor)
+    return Table(
+        np.asarray(gains, np.float64), np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor
+    )
 
 
 def correcting_feedback(loop: LoopModel, design: MetricDesign) -> FloatArray:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The thresholds of a metric, measured: what of v'Mv is the sensors' noise, and what stable loops ask of the integral.
 
-Noise: the still bench with a closed valve, once with its sensors' noise and once without; the difference of both v, moved by
-one sample as the certificate moves it. Integral: runs of an episode's length under stable gains; what K_i int e dt asks for, friction,
-leakage and lags in it.
+Noise: the still bench with a closed valve, once with its sensors' noise and once without; the difference of both v,
+moved by one sample as the certificate moves it. Integral: runs of an episode's length under stable gains; what K_i
+int e dt asks for, friction, leakage and lags in it.
 """
 
 from __future__ import annotations

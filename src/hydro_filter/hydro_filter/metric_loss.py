@@ -4,18 +4,18 @@
 ::
 
     L = mean over samples and horizon of  W_l C_l + R_l
-    C_l   stable      ReLU(largest eigenvalue of the contraction matrix, relative to M)      every direction, not v alone
+    C_l   stable      ReLU(largest eigenvalue of the contraction matrix relative to M)      every direction, not v alone
           unstable    ReLU(-M_c) along the v that the filter saw
     R_l   l_F |M|_F + l_tr tr M - l_logdet log det(M + eps I)                                1e-3 each, eps 1e-6
 
-The contraction matrix is that of the sampled form: ((F + G K)' (M + T M') (F + G K) - exp(-2 lambda T) M) / T. For gains of
-the certified range K is the force law's; for all others the law is not to be certified, and K is the correction's:
-that there is one, from every state, which makes M decay at the foreign rate. So every sample asks twice: of the
-metric for its own gain if that is in the range, and of the metric for foreign gains.
+The contraction matrix is that of the sampled form: ((F + G K)' (M + T M') (F + G K) - exp(-2 lambda T) M) / T. For
+gains of the certified range K is the force law's; for all others the law is not to be certified, and K is the
+correction's: that there is one, from every state, which makes M decay at the foreign rate. So every sample asks
+twice: of the metric for its own gain if that is in the range, and of the metric for foreign gains.
 
-Eigenvalues are relative to M (of C^-1 ... C^-T with M = C C'): a small M does not pass for a good one. Both cases of C_l
-count linearly up to about `knee` and by their logarithm beyond: in the few samples in which the spool passes zero, the law
-divides by one side's g while the valve has the other's, and no metric helps there.
+Eigenvalues are relative to M (of C^-1 ... C^-T with M = C C'): a small M does not pass for a good one. Both cases of
+C_l count linearly up to about `knee` and by their logarithm beyond: in the few samples in which the spool passes
+zero, the law divides by one side's g while the valve has the other's, and no metric helps there.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class LossSettings:
     foreign_rate: float = 8.0
     """lambda [1/s] of all other gains, [0, 15]."""
     margin: float = 0.15
-    """1/s on top of both in training: what a state between the samples, or a bench that is not quite the model, may take
-    of the decay, [0, 5]."""
+    """1/s on top of both in training, [0, 5]: what a state between the samples, or a bench that is not quite the model,
+    may take of the decay."""
 
 
 class Samples(NamedTuple):

@@ -7,14 +7,14 @@
     (x - center) / scale  (8) --+                      +--> L --> M = L L' + floor I,   M' = L' L^T + L L'^T
     K_p / 100, foreign    (2) --+--> 10 -> 64 -> 64 -> 36 ReLU, L row by row
 
-M is symmetric and positive definite whatever the weights are. L' is the network's derivative along x', exact where no ReLU
-changes sides. K_p is an input because no one metric holds for all stable gains: the loop is about s^2 + d s + w^2 with
-w^2 proportional to K_p, and one quadratic form decays for all of w^2 in [p, q] only if sqrt(q) - sqrt(p) < d
-(docs/safety.md). `foreign` is 1 for gains outside of the certified range: those are corrected by one metric of their own,
-the table's last factor, and their K_p is not shown to the network.
+M is symmetric and positive definite whatever the weights are. L' is the network's derivative along x', exact where no
+ReLU changes sides. K_p is an input because no one metric holds for all stable gains: the loop is about s^2 + d s +
+w^2 with w^2 proportional to K_p, and one quadratic form decays for all of w^2 in [p, q] only if sqrt(q) - sqrt(p) < d
+(docs/safety.md). `foreign` is 1 for gains outside of the certified range: those are corrected by one metric of their
+own, the table's last factor, and their K_p is not shown to the network.
 
-The table holds solutions of Riccati and Lyapunov equations (`metric_design`): with the network's weights at zero they are
-the metric, the baseline that training starts from and is judged against.
+The table holds solutions of Riccati and Lyapunov equations (`metric_design`): with the network's weights at zero they
+are the metric, the baseline that training starts from and is judged against.
 """
 
 from __future__ import annotations
@@ -75,8 +75,8 @@ class MetricValue(NamedTuple):
 def metric_value(parts: MetricParts) -> MetricValue:
     """New space for one caller."""
     h1, h2 = parts.layers.b1.shape[0], parts.layers.b2.shape[0]
-    return MetricValue(*(np.zeros(n) for n in ((LOOP, LOOP), (LOOP, LOOP), INPUTS, INPUTS, h1, h1, h2, h2)),
-                       np.zeros(ENTRIES), np.zeros(ENTRIES))  # fmt: skip
+    shapes = ((LOOP, LOOP), (LOOP, LOOP), INPUTS, INPUTS, h1, h1, h2, h2, ENTRIES, ENTRIES)
+    return MetricValue(*(np.zeros(shape) for shape in shapes))
 
 
 @njit(cache=True, inline="always")

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Solved metrics, made to hold on samples: for each gain of the table the P with the least growth over many states.
 
-Lyapunov's equation makes P for one state. That it decays at all of some hundred states of the rollouts is a linear matrix
-inequality in P; it is solved here by descent on P = L_0 (I + X) (I + X)' L_0' from the equation's solution L_0 L_0', X lower
-triangular, on the mean and the largest violation. No network: what comes out is the table that training starts from, and the
-baseline that it is judged against.
+Lyapunov's equation makes P for one state. That it decays at all of some hundred states of the rollouts is a linear
+matrix inequality in P; it is solved here by descent on P = L_0 (I + X) (I + X)' L_0' from the equation's solution L_0
+L_0', X lower triangular, on the mean and the largest violation. No network: what comes out is the table that training
+starts from, and the baseline that it is judged against.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def polish(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
         if float(value.detach()) < best:
             best, found = float(value.detach()), factor.detach().numpy().copy()
         optimizer.zero_grad()
-        value.backward()  # type: ignore[no-untyped-call]
+        value.backward()
         optimizer.step()
     weight = found @ found.T
     return factor_entries(weight / weight[3, 3])

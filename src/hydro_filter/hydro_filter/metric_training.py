@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Training of the metric: windows into samples, Adam over shuffled batches, early stopping, a checkpoint to go on from.
 
-A, B and K do not depend on the metric and are in the windows already; M' comes from the network's own derivative along x'.
-An epoch is then matrix products and eigenvalues of 8 by 8 (`benchmarks.metric_training` measures it against finite
-differences).
+A, B and K do not depend on the metric and are in the windows already; M' comes from the network's own derivative
+along x'. An epoch is then matrix products and eigenvalues of 8 by 8 (`benchmarks.metric_training` measures it against
+finite differences).
 """
 
 from __future__ import annotations
@@ -74,8 +74,8 @@ def questions(
 ) -> Samples:
     """What windows ask of the metric; n H samples for each of up to three questions, along axis 0 as (question, n, H).
 
-    `correcting`, `push`: K [A] of the best correction about the still bench, and G's entry of the spool's rate there; the
-    correction is scaled by that entry, as the force law scales its own by g.
+    `correcting`, `push`: K [A] of the best correction about the still bench, and G's entry of the spool's rate there;
+    the correction is scaled by that entry, as the force law scales its own by g.
     """
     low, high = metric.gains[0], metric.gains[-1]
     inside = (windows.gain >= low) & (windows.gain <= high)
@@ -164,7 +164,7 @@ def train(
             rows = (batch[:, None] * horizon + torch.arange(horizon)).reshape(-1)
             value = metric_loss.loss(network, Samples(*(part[rows] for part in training)), floor, settings.loss)
             optimizer.zero_grad()
-            value.backward()  # type: ignore[no-untyped-call]
+            value.backward()
             optimizer.step()
             total += float(value.detach()) * len(rows) / len(training.v)
         assert size > 0

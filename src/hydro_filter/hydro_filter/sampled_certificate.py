@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate for a filter that acts sample by sample and late: what the correction does to v'Mv over its own sample.
+"""The certificate for a filter that acts sample by sample, and late: v'Mv over the correction's own sample.
 
 A correction that is decided at x_k reaches the valve with u_{k+1}. So the displacement is first moved to then, with the
 current that is known, and the certificate asks about the sample after it::
@@ -9,8 +9,8 @@ current that is known, and the certificate asks about the sample after it::
     M_c(du) = ( v_2' (M + T M') v_2 - exp(-2 lambda T) v_1' M v_1 ) / T  <=  margin       [1/s], quadratic in du
 
 As T -> 0 this is eq. cont_require_6 without a projection. w is what the integral asks for beyond what it is there for
-(`unasked`). The quadratic's interval of admissible du is exact; the QP gets its nearer end as half-line a du <= b, whose
-smallest solution is the interval's.
+(`unasked`). The quadratic's interval of admissible du is exact; the QP gets its nearer end as half-line a du <= b,
+whose smallest solution is the interval's.
 """
 
 from __future__ import annotations
@@ -63,8 +63,7 @@ def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
 
 @njit(cache=True)
 def half_line(bent, slope, level):
-    """a, b of the half-line a du <= b whose smallest solution is that of bent du^2 + 2 slope du + level <= 0, and
-    the du that comes nearest to it.
+    """a, b of the half-line with the smallest du of bent du^2 + 2 slope du + level <= 0; and the du nearest to that.
 
     The first two are NaN where no du satisfies it: then only the third is of use. `bent` is above 0.
     """

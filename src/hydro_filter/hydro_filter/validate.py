@@ -2,7 +2,7 @@
 """ros2 run hydro_filter validate: the paper's Table val_cont, with and without the filter, on emulator and simulation.
 
 Every case runs with several seeds, each once without and once with the filter, sample by sample in this process: the
-emulator's own plant and box, without the serial line. `--plots DIR` draws the paper's tracking figure of the first seed.
+emulator's own plant and box, without the serial line. `--plots DIR` draws the paper's tracking figure, first seed.
 """
 
 from __future__ import annotations
@@ -64,9 +64,9 @@ def _draw(options: argparse.Namespace) -> None:
     if chosen is None:
         raise UserError("--plots compares a filter with none: name one in --filters")
     for plant, case in product(options.plants, options.cases):
-        both = [perform(task(options, plant, case, name, 0))[0] for name in ("none", chosen)]
+        without, filtered = (perform(task(options, plant, case, name, 0))[0] for name in ("none", chosen))
         path = Path(options.plots) / f"{plant}_{case}.png".replace(" ", "_").replace("/", "-")
-        draw_tracking(*both, f"{plant}: {CASES[case].about}", path)
+        draw_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
 
 
 def arguments(given: list[str]) -> argparse.Namespace:

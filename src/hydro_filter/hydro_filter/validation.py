@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Table val_cont: runs of a case on a bench under a filter, and what they come to.
 
-Runs go sample by sample as the graph runs (`trial`): the correction acts one sample after its state. A run ends where the
-box trips (700 N, sensor ranges): that is not bounded.
+Runs go sample by sample as the graph runs (`trial`): the correction acts one sample after its state. A run ends where
+the box trips (700 N, sensor ranges): that is not bounded.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from hydro_sim.plant import Plant
 from hydro_sim.timing import SAMPLE
 
 FILTERS = ("none", "learned", "solved", "projected")
-"""none: bypassed, its certificate evaluated; learned: the default; solved: its metric with the network at zero; projected:
-the paper's v on the constant metric, lambda 2 1/s.
+"""none: bypassed, its certificate evaluated; learned: the default; solved: its metric with the network at zero;
+projected: the paper's v on the constant metric, lambda 2 1/s.
 """
 SETTLING = 2000
 """Samples left out of RMSE and chattering: the fade from rest."""
@@ -68,6 +68,7 @@ class Outcome:
 
 
 _MADE: dict[tuple[Any, ...], Any] = {}
+"""Plants and filters of this process, by what they were made of."""
 
 
 def make_filter(task: Task, bench: Bench) -> Corrector:
@@ -84,7 +85,7 @@ def make_filter(task: Task, bench: Bench) -> Corrector:
         rate = {} if task.rate is None else {"contraction_rate": task.rate}
         settings = LoopFilterSettings(bypass=task.filter == "none", **rate)
         _MADE[key] = LoopFilter(loop_parts(metric, model, bench, settings), settings)
-    return _MADE[key]  # type: ignore[no-any-return]
+    return _MADE[key]
 
 
 def make_plant(task: Task) -> Plant:
@@ -92,7 +93,7 @@ def make_plant(task: Task) -> Plant:
     key = ("plant", task.plant, task.model)
     if key not in _MADE:
         _MADE[key] = plant_named(task.plant, task.model)
-    return _MADE[key]  # type: ignore[no-any-return]
+    return _MADE[key]
 
 
 def perform(task: Task) -> tuple[Run, Case]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `validate` tries: gains over time, and a reference, by case and seed (paper, section Learned Metric Validation)."""
+"""What `validate` tries: gains over time and a reference, by case and seed (paper, Learned Metric Validation)."""
 
 from __future__ import annotations
 

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benches that `validate` runs: the emulator as the bench, and the learned simulation. Nothing else here imports it.
+"""The benches that `validate` runs: the emulator as the bench, and the learned simulation.
 
-The emulator's plant is the one that runs behind the serial line, sample for sample; only its clock is left out.
+The emulator's plant is the one that runs behind the serial line, sample for sample; only its clock is left out. Nothing
+else in this package imports the emulator.
 """
 
 from __future__ import annotations
 
-from hydro_sim.bench import Bench
 from hydro_sim.emulator.truth import TruthPlant
 from hydro_sim.emulator.truth_config import profile, truth_from_mapping
 from hydro_sim.learned.plant import LearnedPlant
@@ -30,8 +30,3 @@ def plant_named(name: str, model: str | None = None) -> Plant:
     if not CHANGES[name]:
         return TruthPlant(profile("default"))
     return TruthPlant(truth_from_mapping({"profile": "default", "bench": CHANGES[name]}))
-
-
-def believed(bench: Bench | None = None) -> Bench:
-    """What box and filter believe."""
-    return bench or Bench.nominal()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's figure unstable_track: force tracking under gains that the loop does not bear, without and with the filter."""
+"""The paper's figure unstable_track: force tracking under gains that the loop does not bear, with and without."""
 
 from __future__ import annotations
 

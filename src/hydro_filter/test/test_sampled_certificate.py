@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sampled certificate is what it says: two samples moved on, compared, and the smallest current that restores it."""
+"""The sampled certificate is what it says: two samples moved on, and the smallest current that restores it."""
 
 from __future__ import annotations
 
