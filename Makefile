@@ -14,7 +14,7 @@ CORES := setup $(wildcard src/hydro_*/hydro_*)
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
 
-.PHONY: help setup build train prove test check lint fast-tests colcon-test demo bench fuzz format clean
+.PHONY: help setup build train prove test check lint fast-tests colcon-test demo bench bench-peers fuzz format clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -53,6 +53,12 @@ demo: setup  ## a policy, a bench that its simulation did not know, the diagnosi
 
 bench: setup  ## the measured speeds (ARGS="NAME ..." for some of them)
 	@$(SOURCED) .venv/bin/python -m benchmarks $(ARGS)
+
+bench-peers: setup  ## peers of the learner in an environment of their own (.venv-bench), and the comparison
+	@[ -x .venv-bench/bin/python ] || $(PYTHON) -m venv .venv-bench
+	@.venv/bin/python -c 'import site; print(site.getsitepackages()[0])' > $$(echo .venv-bench/lib/python3*/site-packages)/hydro.pth
+	@.venv-bench/bin/python -m pip install -q -r requirements-bench.txt
+	@$(SOURCED) .venv-bench/bin/python -m benchmarks.sac_peers $(ARGS)
 
 fuzz: setup  ## a million hostile frames to the decoder
 	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)

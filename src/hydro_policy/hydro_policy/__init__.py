@@ -5,6 +5,8 @@ Mathematics: `task` (observation, reward, gains), `mlp` and `sac` (networks, alg
 Sessions: `steps` (samples to steps), `watch` (plant and arming), `training` and `episode`, `evaluation`, `controllers`,
 `report`; `offline` runs them without a graph. Learning: `learner` (the process), `supervisor` (its handle), `shared`
 (memory between the two). Files: `run`, `checkpoint`, `snapshot`. The ROS side is under `nodes`.
+Pretraining: `fleet` (many benches, `fleet_plants`, `fleet_filter`, `fleet_runs`), `environment`, `randomisation`,
+`pretraining`, `configurations`; `pretrain` is the command, `sac_kernel` the compiled updates.
 """
 
 from pathlib import Path

@@ -4,7 +4,7 @@
 ros2 run hydro_policy pretrain --out runs/pretrained
 ros2 run hydro_policy pretrain --out runs/wide --configuration wide
 ros2 run hydro_policy pretrain --out runs/corrected --bench corrected.yaml
-ros2 run hydro_policy trainer --plant emulator --start runs/pretrained
+ros2 run hydro_policy trainer --plant emulator --from runs/pretrained
 """
 
 from __future__ import annotations
@@ -94,7 +94,12 @@ def parser() -> argparse.ArgumentParser:
         "(default: shipped; with --bench: analytic)",
     )
     what.add_argument("--bench", metavar="FILE", help="bench.yaml or a diagnosis' corrected.yaml to simulate")
-    what.add_argument("--box", metavar="FILE", help="bench.yaml that the box believes in (default: the nominal bench)")
+    what.add_argument(
+        "--box",
+        "--box-bench",
+        metavar="FILE",
+        help="bench.yaml that the box believes in (default: the nominal bench)",
+    )
     what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
     what.add_argument(
         "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"

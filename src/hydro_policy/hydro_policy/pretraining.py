@@ -43,6 +43,8 @@ from hydro_sim.plant import AnalyticPlant, Plant
 REFERENCE_GAINS = (90.0, 15.0)
 """K_p, K_i of the paper's controller III, which scores are relative to."""
 
+Simulated = Bench | Learned | Callable[[], Plant]
+
 
 @dataclass(frozen=True, kw_only=True)
 class PretrainSettings:
@@ -69,12 +71,12 @@ class Pretraining:
     settings
         See `PretrainSettings`.
     source
-        What is simulated: a learned model, or a bench by the analytic equations.
+        What is simulated: a learned model, a bench by the analytic equations, or what makes any other plant.
     believed
         The bench that the box believes in.
     """
 
-    def __init__(self, settings: PretrainSettings, source: Bench | Learned, believed: Bench) -> None:
+    def __init__(self, settings: PretrainSettings, source: Simulated, believed: Bench) -> None:
         self.settings, self._source, self._believed = settings, source, believed
         training = settings.training
         self.fleet = self._fleet(settings.benches)
@@ -115,7 +117,7 @@ class Pretraining:
             trips += int(transitions.terminated[:count].sum())
             each_step(transitions)
         self.episode += count
-        self._remember(float(returns[:count].mean()), trips)
+        self.examine(float(returns[:count].mean()), trips)
         return self.history[-1]
 
     def state(self) -> dict[str, Any]:
@@ -124,6 +126,12 @@ class Pretraining:
             "episode": self.episode, "history": self.history, "best_score": self.best_score,
             "random_state": self.rng.bit_generator.state,
         }  # fmt: skip
+
+    def start_from(self, agent: bytes) -> None:
+        """Begin with this agent (`snapshot.dump`) instead of a new one; its updates do not count."""
+        restore(self.sac, agent)
+        self.sac.updates = 0
+        self._take_weights()
 
     def restore(self, checkpoint: Checkpoint, best: bytes | None) -> None:
         """Go on from a checkpoint that holds `state`, the agent and the replay buffer; `best` as it was then."""
@@ -145,7 +153,8 @@ class Pretraining:
     def _take_weights(self) -> None:
         self.policy.load_flat(self.sac.actor_parameters())
 
-    def _remember(self, mean_return: float, trips: int) -> None:
+    def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
+        """The mean action on the four sines: a new entry of `history`, and perhaps the best agent so far."""
         rmse = self._sines(fleet_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
         score = float(np.mean(rmse / self.reference_rmse))  # NaN if it trips
         if score < self.best_score:
@@ -167,7 +176,9 @@ class Pretraining:
         return Fleet([self._believed] * count, [self._plant() for _ in range(count)], filters=filters)
 
     def _plant(self) -> Plant:
-        return AnalyticPlant(self._source) if isinstance(self._source, Bench) else LearnedPlant(self._source)
+        if isinstance(self._source, Learned):
+            return LearnedPlant(self._source)
+        return AnalyticPlant(self._source) if isinstance(self._source, Bench) else self._source()
 
     def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
         """The episode's reference; with randomisation its bench is put in place, too."""
@@ -175,6 +186,7 @@ class Pretraining:
         reference = training.task.reference(episode, training.seed)
         if self.settings.randomisation is None:
             return reference
+        assert isinstance(self._source, (Bench, Learned)), "only what has constants can be drawn"
         drawn = draw(self.settings.randomisation, self._source, self._seed(episode, 2))
         self.fleet.replace(index, self._believed, drawn.plant, drawn.gain_delay, drawn.dead_time)
         return drawn.within_reach(reference)
