@@ -26,7 +26,7 @@ from hydro_bridge.signals import Flag, ReferenceSignal, StateArray, Waveform
 from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import mlp, network, observer, recordings, structured, torch_gradients, training
+from hydro_sim.learned import identification, mlp, network, observer, recordings, structured, torch_gradients, training
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.learned.schedule import draw
@@ -152,7 +152,7 @@ def default_training() -> float:
     began = time.monotonic()
     model = training.start(data, settings, Bench.nominal())
     assert isinstance(model, StructuredModel)
-    model = training.trusted(training.identified(model, data, settings, lambda _: None), data)
+    model = identification.identified(model, data, settings.identify_windows, settings.seed, lambda _: None)
     for _ in training.steps(model, data, settings):
         pass
     return time.monotonic() - began

@@ -13,8 +13,10 @@ from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.schedules import load_schedule
 from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import adam, constants, learn, recordings, schedule, training
+from hydro_sim.learned import adam, constants, identification, learn, observer, recordings, schedule, training
 from hydro_sim.learned.coverage import coverage
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.objectives import StructuredObjective, Windows
 from hydro_sim.learned.recordings import DataError
 
 
@@ -83,13 +85,27 @@ def test_training_stops_when_validation_no_longer_gets_better(data):
 @pytest.mark.slow
 def test_identification_finds_the_benchs_constants(data):
     chosen = training.Settings(identify_windows=90)
-    model = training.identified(training.start(data, chosen, Bench.nominal()), data, chosen, lambda _: None)
+    start = training.start(data, chosen, Bench.nominal())
+    model = identification.identified(start, data, chosen.identify_windows, chosen.seed, lambda _: None)
     c, _ = constants.values(model.table, model.theta)
     found = {entry.name: value for entry, value in zip(model.table, c, strict=True)}
     assert found["friction_coulomb"] == pytest.approx(12.0, rel=0.05)
     assert found["leakage_internal"] == pytest.approx(1e-13, rel=0.05)
     assert found["moving_mass"] == pytest.approx(1.2, rel=0.05)
     assert found["spool_frequency"] == pytest.approx(2.0 * np.pi * 110.0, rel=0.05)
+
+
+def test_readings_are_weighed_by_what_the_model_leaves_of_them(data):
+    shipped = Learned.load().model
+    np.testing.assert_allclose(identification.left(shipped, data) / observer.READING_NOISE, 1.0, rtol=0.1)
+    names = [entry.name for entry in shipped.table]
+    theta = shipped.theta.copy()
+    theta[names.index("viscous_friction")] += 0.7
+    wrong = shipped.with_parameters(theta, shipped.flat)
+    left = identification.left(wrong, data) / observer.READING_NOISE
+    assert left[0] > 2.0 and (left >= 1.0).all()
+    objective = StructuredObjective(replace(wrong, left=left), *[Windows(data.validation, 70, 35)] * 2, batch=1, seed=0)
+    np.testing.assert_array_equal(objective.weights, 1.0 / left)
 
 
 def test_splits_by_time_with_a_gap(recording):

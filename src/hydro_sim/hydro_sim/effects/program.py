@@ -11,7 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_sim.effects import lags, valve
-from hydro_sim.effects.catalogue import Form, form_of, label
+from hydro_sim.effects.catalogue import form_of, label
+from hydro_sim.effects.forms import Form
 from hydro_sim.effects.record import CAPACITY, COMMAND, EFFECTS_DTYPE, HISTORY, HOOKS, LAG, SUBSTEPS
 from hydro_sim.timing import SAMPLE
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, Protocol
 
 import numba
@@ -49,15 +50,19 @@ class OnTorch:
     def __init__(self, device: str) -> None:
         from hydro_sim.learned import torch_gradients  # who trains on the CPU does not wait for torch
 
-        self.name, self._gradients = device, torch_gradients
+        self.name = device
+        self._network: Callable[..., tuple[float, FloatArray]] = partial(torch_gradients.network_loss, device=device)
+        self._structured: Callable[..., tuple[float, FloatArray, FloatArray]] = partial(
+            torch_gradients.structured_loss, device=device
+        )
 
     def network(self, *batch: Any) -> tuple[float, FloatArray]:
         """See `Engine`."""
-        return self._gradients.network_loss(*batch, self.name)
+        return self._network(*batch)
 
     def structured(self, *batch: Any) -> tuple[float, FloatArray, FloatArray]:
         """See `Engine`."""
-        return self._gradients.structured_loss(*batch, self.name)
+        return self._structured(*batch)
 
 
 def engines(device: str) -> tuple[Engine, ...]:

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from hydro_bridge.console import command, progress
 from hydro_sim.bench import Bench
-from hydro_sim.learned import adam, engine, recordings, training
+from hydro_sim.learned import adam, engine, identification, recordings, training
 from hydro_sim.learned.curves import draw_curves
 from hydro_sim.learned.model import STRUCTURES, Model
 from hydro_sim.learned.recordings import DataError
@@ -48,10 +48,10 @@ def main() -> None:
     resume = options.resume and checkpoint.exists()
     model = training.start(data, settings, bench)
     if isinstance(model, StructuredModel) and not resume:
-        model = training.trusted(training.identified(model, data, settings, _say), data)
+        model = identification.identified(model, data, settings.identify_windows, settings.seed, _say)
     last, model = _train(model, data, settings, checkpoint, resume)
     if isinstance(model, StructuredModel):
-        model = training.trusted(model, data)
+        model = identification.trusted(model, data)
     facts = {
         "recordings": data.digests, "command": " ".join(["learn", *sys.argv[1:]]), "seed": settings.seed,
         "settings": asdict(settings), "code": _code_version(), "validation_error": last.best_error,

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.learned import observer, structured
+from hydro_sim.learned import structured
 from hydro_sim.learned.engine import Compiled, Engine
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.recordings import READING_COLUMNS, Run
@@ -109,7 +109,7 @@ class NetworkObjective:
 
 
 class StructuredObjective:
-    """Trains the network of a structured model on the readings, each weighed by its noise.
+    """Trains the network of a structured model on the readings, each weighed by what the model left of it.
 
     The constants stay as they were identified: against a reading as fine as the encoder's, a gradient step that suits
     the network is far too long for them.
@@ -121,7 +121,7 @@ class StructuredObjective:
         self.engine: Engine = Compiled()
         self.model, self.batch, self.seed = model, batch, seed
         self.training, self.validation = training, validation
-        self.weights = 1.0 / observer.READING_NOISE
+        self.weights = 1.0 / model.left
         self.states: FloatArray = np.empty((0, structured.FULL))
         self.validation_states: FloatArray = self.states
 
@@ -146,8 +146,12 @@ class StructuredObjective:
             yield float(loss), by_flat
 
     def validate(self, parameters: FloatArray) -> float:
-        """Root of the mean squared error over noise of the readings over the horizon."""
+        """Root of the mean squared error of the readings over the horizon, each over what was left of it."""
+        return float(np.sqrt(np.mean((self.errors(parameters) * self.weights) ** 2)))
+
+    def errors(self, parameters: FloatArray) -> FloatArray:
+        """RMS errors of each reading over the validation runs' horizons, shape (5,)."""
         model, starts = self.at(parameters), self.validation.starts()
         predicted = model.predict(self.validation_states[starts], self.validation.currents(starts))
-        errors = (predicted - self.validation.targets(starts))[:, :, READING_COLUMNS] * self.weights
-        return float(np.sqrt(np.mean(errors**2)))
+        difference = (predicted - self.validation.targets(starts))[:, :, READING_COLUMNS]
+        return np.asarray(np.sqrt(np.mean(difference**2, axis=(0, 1))))

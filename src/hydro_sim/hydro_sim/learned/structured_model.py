@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -45,6 +45,8 @@ class StructuredModel:
     """Full state of the still bench, shape (12,)."""
     trust: float = 1.0
     """Scale of what the observer believes the model to miss per sample, above 0."""
+    left: FloatArray = field(default_factory=observer.READING_NOISE.copy)
+    """Shape (5,): RMS of what 70-sample predictions leave of each reading, noise at least; weighs them in training."""
 
     name = "structured"
 
@@ -103,7 +105,7 @@ class StructuredModel:
         """What is saved."""
         views = mlp.layers(self.flat, INPUTS, self.hidden, OUTPUTS)._asdict()
         others = {"theta": self.theta, "center": self.center, "scale": self.scale, "rest": self.rest}
-        return {**views, **others, "trust": np.array([self.trust])}
+        return {**views, **others, "trust": np.array([self.trust]), "left": self.left}
 
     def header(self) -> dict[str, Any]:
         """What the tensors are."""
@@ -125,7 +127,8 @@ class StructuredModel:
         mlp.layers(flat, INPUTS, hidden, OUTPUTS)
         arrays = {name: np.asarray(tensors[name], np.float64) for name in ("theta", "center", "scale", "rest")}
         bench = Bench.from_mapping(header["bench"])
-        return cls(bench=bench, flat=flat, hidden=hidden, trust=float(tensors["trust"][0]), **arrays)
+        left = np.asarray(tensors.get("left", observer.READING_NOISE), np.float64)  # absent in older files
+        return cls(bench=bench, flat=flat, hidden=hidden, trust=float(tensors["trust"][0]), left=left, **arrays)
 
     def with_parameters(self, theta: FloatArray, flat: FloatArray) -> StructuredModel:
         """The same with other parameters."""
