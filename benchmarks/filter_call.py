@@ -4,7 +4,8 @@
 The samples are runs on the analytic bench under changing gains, half of the time unstable ones, with the filter in the
 loop. Filters see the same samples in turn, in one process; the differences are compiled, too, and central. Then the
 learned filter alone takes `--ticks` samples, and calls beyond 1 ms are counted: by the clock, and by the time that the
-process itself was running, which leaves out what other programs on the machine did to it.
+process itself was running, which leaves out what other programs on the machine did to it. Samples come round again and
+again; each one's best call shows whether a slow one was the sample's doing.
 """
 
 from __future__ import annotations
