@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter with the learned metric: the same by every path, decided whatever the sample holds, and in the loop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_DTYPE, CorrectionStatus, ReferenceSignal, StateArray, Waveform
+from hydro_filter.loop_filter import LoopBank, LoopFilter, LoopFilterSettings, default_filter
+from hydro_filter.sample import Sample
+from hydro_filter.trial import Run, Trial, gammas, run
+from hydro_sim.bench import Bench
+from hydro_sim.learned.plant import LearnedPlant
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+
+
+@pytest.fixture(scope="module")
+def plant() -> LearnedPlant:
+    return LearnedPlant()
+
+
+def closed(
+    bench: Bench, plant: LearnedPlant, gains: tuple[float, float], made: LoopFilter, seconds: float = 3.0
+) -> Run:
+    steps = round(100 * seconds)
+    return run(Trial(bench=bench, reference=SINE, gains=np.tile(gains, (steps, 1)), seed=4), plant, made)
+
+
+@pytest.fixture(scope="module")
+def states(bench: Bench, plant: LearnedPlant) -> StateArray:
+    """A second of a bench whose gains the filter corrects, shape (1000,)."""
+    return closed(bench, plant, (250.0, 15.0), default_filter(bench), 1.0).states
+
+
+def test_one_bench_and_many_decide_the_same(bench: Bench, states: StateArray) -> None:
+    one, bank = default_filter(bench), LoopBank(default_filter(bench).parts, 3)
+    corrected = 0
+    for record in states:
+        result = one.correct(Sample.of(record))
+        made = bank.correct(np.array([record, record, record], STATE_DTYPE))
+        np.testing.assert_allclose(made.delta_u, result.delta_u, rtol=1e-5, atol=1e-9)  # OSQP beside its closed form
+        np.testing.assert_allclose(made.before, result.before, rtol=1e-9, atol=1e-12)
+        assert set(made.status) == {int(result.status)}
+        corrected += result.status is CorrectionStatus.MODIFIED
+    assert corrected > 50
+
+
+def test_the_certificate_holds_after_every_correction(bench: Bench, states: StateArray) -> None:
+    made = default_filter(bench)
+    for record in states:
+        result = made.correct(Sample.of(record))
+        assert result.after <= 1e-6
+        assert result.status in (CorrectionStatus.PASS, CorrectionStatus.MODIFIED)
+        assert (result.before > 0.0) == (result.delta_u != 0.0)
+
+
+@pytest.mark.parametrize("field", range(8))
+def test_what_is_not_finite_gets_no_correction_and_is_forgotten(bench: Bench, states: StateArray, field: int) -> None:
+    made = default_filter(bench)
+    good = Sample.of(states[500])
+    for bad in (np.nan, np.inf):
+        x = good.state.copy()
+        x[field] = bad
+        assert made.correct(good._replace(state=x)).status is CorrectionStatus.NAN
+        assert made.correct(good._replace(state=x)).delta_u == 0.0
+        assert np.isfinite(made.correct(good).after)
+    assert made.correct(good._replace(reference_rate=np.nan)).status is CorrectionStatus.NAN
+
+
+def test_a_disarmed_bench_and_an_old_state_are_left_alone(bench: Bench, states: StateArray) -> None:
+    made, sample = default_filter(bench), Sample.of(states[500])
+    assert made.correct(sample._replace(armed=False)) == (0.0, 0.0, 0.0, CorrectionStatus.PASS)
+    assert made.correct(sample, age=0.006).status is CorrectionStatus.STALE
+    bypass = LoopFilter(made.parts, LoopFilterSettings(bypass=True))
+    assert bypass.correct(sample).status is CorrectionStatus.BYPASSED
+    assert bypass.correct(sample).delta_u == 0.0
+
+
+def test_a_run_is_forgotten_with_reset(bench: Bench, states: StateArray) -> None:
+    made = default_filter(bench)
+    first = [made.correct(Sample.of(record)).before for record in states[:50]]
+    made.reset()
+    assert [made.correct(Sample.of(record)).before for record in states[:50]] == first
+
+
+def test_gains_that_the_loop_does_not_bear_are_held(bench: Bench, plant: LearnedPlant) -> None:
+    for gains in ((300.0, 15.0), (-30.0, -3.0)):
+        bypass = LoopFilter(default_filter(bench).parts, LoopFilterSettings(bypass=True))
+        assert not closed(bench, plant, gains, bypass).bounded
+        held = closed(bench, plant, gains, default_filter(bench))
+        assert held.bounded
+        error = (held.states["reference_force"] - held.states["load_force"])[1000:]
+        assert np.sqrt(np.mean(error**2)) < 15.0
+
+
+@pytest.mark.parametrize("gains", [(90.0, 15.0), (45.0, 10.0), (15.0, 5.0)])
+def test_stable_gains_are_left_alone(bench: Bench, plant: LearnedPlant, gains: tuple[float, float]) -> None:
+    done = closed(bench, plant, gains, default_filter(bench))
+    assert done.bounded
+    assert 100.0 * gammas(done.results, bench.valve_current_max).correction < 0.005
+
+
+def test_the_integral_cannot_wind_up_without_end(bench: Bench, plant: LearnedPlant) -> None:
+    """What it asks for beyond its allowance is a displacement: at no allowance it is taken away altogether."""
+    made = default_filter(bench)
+    none = LoopFilter(made.parts._replace(integral_allowance=0.0))
+    sample = Sample.of(closed(bench, plant, (-30.0, 0.0), made, 0.5).states[-1])
+    wound = replace_integral(sample, 3000.0 / 1.2e7)
+    change = [each.correct(wound).delta_u - each.correct(sample).delta_u for each in (made, none)]
+    assert abs(change[1]) > abs(change[0])
+
+
+def replace_integral(sample: Sample, current: float) -> Sample:
+    """The same sample with more current from the integral."""
+    return sample._replace(
+        nominal_current=sample.nominal_current + current, valve_current=sample.valve_current + current
+    )
+
+
+def test_settings_out_of_range_are_refused() -> None:
+    with pytest.raises(ValueError, match="contraction_rate"):
+        replace(LoopFilterSettings(), contraction_rate=-1.0)

@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The metric: labels by what rollouts do, a loss that falls, a training that goes on where it stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
+from hydro_filter.learn_metric import arguments, correction
+from hydro_filter.learned_metric import LearnedMetric
+from hydro_filter.loop_model import LoopModel, loop_model
+from hydro_filter.metric_data import (
+    NEITHER,
+    STABLE,
+    UNSTABLE,
+    DataSettings,
+    Rollout,
+    Windows,
+    certified_range,
+    joined,
+    label_of,
+    roll_out,
+    windows_of,
+)
+from hydro_filter.metric_design import MetricDesign, decay_rate, rest_loop
+from hydro_filter.metric_loss import Samples
+from hydro_filter.metric_polish import polish
+from hydro_filter.metric_training import TrainingSettings, judge, network_of, questions, train
+from hydro_sim.bench import Bench
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+
+DATA = DataSettings(rollouts=8, windows=10)
+
+
+@pytest.fixture(scope="module")
+def loop(bench: Bench) -> LoopModel:
+    return loop_model(Learned.load().model, bench)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def rollouts(bench: Bench) -> list[Rollout]:
+    plant = LearnedPlant()
+    return [roll_out(plant, bench, DATA, index) for index in range(DATA.rollouts)]
+
+
+@pytest.fixture(scope="module")
+def windows(rollouts: list[Rollout], loop: LoopModel) -> Windows:
+    made = [windows_of(rollout, loop, DATA, index) for index, rollout in enumerate(rollouts)]
+    return joined([each for each in made if each is not None])
+
+
+@pytest.fixture(scope="module")
+def asked(windows: Windows, loop: LoopModel, bench: Bench) -> tuple[LearnedMetric, Samples]:
+    design = MetricDesign()
+    metric = LearnedMetric.designed(loop, bench, design)
+    return metric, questions(windows, metric, *correction(loop, design), TrainingSettings().loss)
+
+
+def twins(growth: float) -> tuple[StateArray, StateArray]:
+    """Two runs of 3 s whose distance grows at a rate [1/s] after the pulse."""
+    first, second = np.zeros(3000, STATE_DTYPE), np.zeros(3000, STATE_DTYPE)
+    second["load_force"][1000:] = 5.0 * np.exp(growth * 1e-3 * np.arange(2000))
+    return first, second
+
+
+@pytest.mark.parametrize(("growth", "label"), [(-2.0, STABLE), (-0.1, NEITHER), (0.5, UNSTABLE)])
+def test_twins_say_whether_gains_are_stable(growth: float, label: int) -> None:
+    assert label_of(*twins(growth)) == label
+
+
+def test_a_trip_is_unstable() -> None:
+    first, second = twins(-2.0)
+    second["flags"][2500:] = Flag.TRIPPED
+    assert label_of(first, second) == UNSTABLE
+
+
+def test_rollouts_are_labelled_as_the_bench_is(rollouts: list[Rollout]) -> None:
+    for rollout in rollouts:
+        kp = rollout.gains[0]
+        if kp < -5.0 or kp > 140.0:
+            assert rollout.label == UNSTABLE
+        elif 15.0 < kp < 90.0:
+            assert rollout.label == STABLE
+
+
+def test_the_certified_range_keeps_away_from_what_is_not_stable() -> None:
+    def rolled(kp: float, label: int) -> Rollout:
+        return Rollout(states=np.zeros(0, STATE_DTYPE), gains=(kp, 5.0), label=label)
+
+    runs = [rolled(kp, STABLE) for kp in (4.0, 30.0, 60.0, 110.0)] + [rolled(-3.0, UNSTABLE), rolled(2.0, NEITHER)]
+    assert certified_range([*runs, rolled(120.0, UNSTABLE)]) == (10.0, pytest.approx(96.0))
+    with pytest.raises(ValueError, match="no rollout is stable"):
+        certified_range([rolled(10.0, UNSTABLE)])
+
+
+def test_a_rollout_repeats_itself(bench: Bench, rollouts: list[Rollout]) -> None:
+    again = roll_out(LearnedPlant(), bench, DATA, 1)
+    assert again.gains == rollouts[1].gains
+    np.testing.assert_array_equal(again.states, rollouts[1].states)
+
+
+def test_a_solved_metric_decays_with_its_loop(loop: LoopModel, bench: Bench) -> None:
+    metric = LearnedMetric.designed(loop, bench, MetricDesign())
+    x = metric.center
+    for gain in metric.gains:
+        free, push, feedback = rest_loop(loop, float(gain))
+        assert decay_rate(free + np.outer(push, feedback), metric.matrix(x, float(gain))) > 0.1
+
+
+def test_the_law_makes_the_loop_nearly_the_same_everywhere(windows: Windows) -> None:
+    """What the coordinates are chosen for: on stable rollouts the slowest decay at K_p = 90 hardly varies."""
+    closed = at_gain(windows, 90.0)
+    decays = -np.log(np.abs(np.linalg.eigvals(closed)).max(axis=1)) / 1e-3
+    low, high = np.quantile(decays, [0.05, 0.95])
+    assert low > 0.7
+    assert high < 2.5
+
+
+def at_gain(windows: Windows, gain: float) -> np.ndarray:
+    """F + G K of one sample of every stable window, had K_p been `gain`, shape (n, 8, 8)."""
+    stable = windows.part((windows.label == STABLE) & (windows.gain > 10.0) & (windows.gain < 100.0))
+    feedback = stable.feedback[:, 0].copy()
+    feedback[:, 3] *= gain / stable.gain
+    return np.asarray(stable.transition[:, 0] + stable.push[:, 0][:, :, None] * feedback[:, None, :])
+
+
+def test_polishing_makes_a_metric_hold_on_samples(windows: Windows, loop: LoopModel, bench: Bench) -> None:
+    metric = LearnedMetric.designed(loop, bench, MetricDesign())
+    row = int(np.argmin(np.abs(metric.gains - 60.0)))
+    closed = at_gain(windows, float(metric.gains[row]))
+
+    def slowest(entries: np.ndarray) -> float:
+        lower = np.zeros((8, 8))
+        lower[np.tril_indices(8)] = entries
+        return float(np.quantile([decay_rate(one, lower @ lower.T) for one in closed], 0.1))
+
+    before, after = slowest(metric.table[row]), slowest(polish(metric.table[row], closed, 0.4))
+    assert before < 0.0 < after
+
+
+def test_training_lowers_the_held_out_loss_and_resumes(asked: tuple[LearnedMetric, Samples], tmp_path: Path) -> None:
+    metric, samples = asked
+    settings = TrainingSettings(epochs=4, batch=16)
+    whole = list(train(metric, samples, samples, 10, settings, tmp_path / "whole"))[-1]
+    assert whole[0].best_loss < 0.8 * whole[0].history[0][2]
+    shorter = TrainingSettings(epochs=2, batch=16)
+    list(train(metric, samples, samples, 10, shorter, tmp_path / "parts"))
+    resumed = list(train(metric, samples, samples, 10, settings, tmp_path / "parts", resume=True))[-1]
+    np.testing.assert_allclose(resumed[1].flat, whole[1].flat, rtol=1e-12, atol=1e-14)
+    assert resumed[0].history[1:] == whole[0].history[1:]
+
+
+def test_the_network_at_zero_is_the_solved_metric(asked: tuple[LearnedMetric, Samples]) -> None:
+    metric, samples = asked
+    how = TrainingSettings().loss
+    zero = metric.with_weights(np.zeros_like(metric.flat))
+    assert judge(network_of(zero), samples, metric.floor, how) == judge(network_of(metric), samples, metric.floor, how)
+
+
+def test_an_impossible_word_is_refused() -> None:
+    with pytest.raises(SystemExit):
+        arguments(["--out", "metric.safetensors", "--seed", "-1"])
