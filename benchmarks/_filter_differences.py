@@ -11,11 +11,9 @@ import numpy as np
 from numba import njit
 
 from hydro_filter import displacement, loop_decision, metric_network, model_kernels, sampled_certificate
-from hydro_filter.filter import Result
 from hydro_filter.loop_decision import Problem
 from hydro_filter.loop_filter import LoopFilter
 from hydro_filter.loop_model import LOOP, hydraulic_slopes, shares
-from hydro_filter.sample import Sample
 from hydro_filter.state import STATES
 from hydro_sim import force_law
 from hydro_sim.learned import integration, structured
@@ -27,18 +25,6 @@ STEP = 1e-4
 """Of the differences, in units of the loop's scale."""
 CURRENT_STEP = 1e-6
 """A."""
-
-
-class DifferencedLoopFilter(LoopFilter):
-    """`LoopFilter` by differences."""
-
-    def correct(self, sample: Sample, age: float = 0.0) -> Result:
-        """See `LoopFilter.correct`."""
-        exact, loop_decision.pose = loop_decision.pose, pose
-        try:
-            return super().correct(sample, age)
-        finally:
-            loop_decision.pose = exact
 
 
 @njit
@@ -174,3 +160,19 @@ def _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, fee
             )
             values = (values[1], current)
         feedback[k] = (values[0] - values[1]) / (2.0 * STEP)
+
+
+@njit
+def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
+    """`loop_filter.propose` by differences."""
+    parts, room = box[0]
+    if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    p = pose(parts, memory[0], x, nominal, current, reference, reference_rate, gain, room)
+    return True, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
+
+
+class DifferencedLoopFilter(LoopFilter):
+    """`LoopFilter` by differences."""
+
+    _propose = staticmethod(propose)

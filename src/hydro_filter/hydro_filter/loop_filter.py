@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+from numba import njit, typed
 
 from hydro_bridge.settings import check
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, FloatArray, StateArray
@@ -28,7 +28,7 @@ from hydro_filter import displacement, loop_decision
 from hydro_filter.displacement import MEMORY_DTYPE
 from hydro_filter.filter import Result
 from hydro_filter.learned_metric import LearnedMetric
-from hydro_filter.loop_decision import LoopParts
+from hydro_filter.loop_decision import LoopParts, Problem
 from hydro_filter.loop_model import loop_model
 from hydro_filter.qp import QpFilter
 from hydro_filter.sample import Sample
@@ -56,6 +56,29 @@ class LoopFilterSettings:
         check(self)
 
 
+judge, nearest, beyond = (each.py_func for each in (loop_decision.judge, loop_decision.nearest, loop_decision.beyond))
+"""Of one sample's numbers: a compiled call would take longer than they do."""
+
+
+@njit(cache=True)
+def boxed(parts, room):
+    """Parts and room where compiled code finds them: to hand seventy arrays over takes as long as all the rest."""
+    box = typed.List()
+    box.append((parts, room))
+    return box
+
+
+@njit(cache=True)
+def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
+    """Whether all is finite, and the `Problem` of one sample; moves the memory, shape (1,), on."""
+    parts, room = box[0]
+    if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
+        displacement.begin(memory[0])
+        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    p = loop_decision.pose(parts, memory[0], x, nominal, current, reference, reference_rate, gain, room)
+    return True, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
+
+
 class LoopFilter:
     """One bench's filter. Never raises on a sample.
 
@@ -67,12 +90,14 @@ class LoopFilter:
         Of these only age and bypass are used here; the rest went into the parts.
     """
 
+    _propose = staticmethod(propose)
+
     def __init__(self, parts: LoopParts, settings: LoopFilterSettings | None = None) -> None:
         self.parts = parts
         self.settings = settings or LoopFilterSettings()
         self.qp = QpFilter()
         self.memory = np.zeros(1, MEMORY_DTYPE)
-        self._room = loop_decision.space(parts)
+        self._box = boxed(parts, loop_decision.space(parts))
 
     def reset(self) -> None:
         """Begin anew: the next sample does not follow the last one."""
@@ -80,30 +105,27 @@ class LoopFilter:
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide about a sample that is `age` [s] old."""
-        x, memory = np.ascontiguousarray(sample.state), self.memory[0]
-        given = (sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate)
-        gain = sample.proportional_gain
-        if not loop_decision.finite(x, *given, gain):
-            displacement.begin(memory)
+        x, nominal = np.ascontiguousarray(sample.state), sample.nominal_current
+        signals = nominal, sample.valve_current, sample.reference_force, sample.reference_rate
+        usable, *numbers = self._propose(self._box, self.memory, x, *signals, sample.proportional_gain)
+        if not usable:
             status = CorrectionStatus.BYPASSED if self.settings.bypass else CorrectionStatus.NAN
             return Result(0.0, math.nan, math.nan, status)
-        problem = loop_decision.pose(
-            self.parts, memory, x, *given, gain, self._room
-        )  # also of an old sample: it moves on
+        problem = Problem(*numbers)  # also of an old sample: the memory moves on
         if self.settings.bypass:
-            before, _ = loop_decision.judge(problem, 0.0)
+            before, _ = judge(problem, 0.0)
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
         if not age <= self.settings.state_age_max:
             return Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
         if not sample.armed:
             return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
         if math.isnan(problem.a) and math.isfinite(problem.best):
-            change, number = loop_decision.nearest(problem)
+            change, number = nearest(problem)
             status = CorrectionStatus(number)
         else:
             change, status = self.qp.solve(problem.a, problem.b, problem.low, problem.high)
-        before, after = loop_decision.judge(problem, change)
-        delta_u = loop_decision.beyond(sample.nominal_current, change, self.parts.loop.current_max)
+        before, after = judge(problem, change)
+        delta_u = beyond(nominal, change, self.parts.loop.current_max)
         return Result(delta_u, before, after, status)
 
 
