@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import os
+import random
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -63,6 +64,7 @@ def main() -> None:
     (folder / PEERS).mkdir(exist_ok=True)
     until = time.monotonic() + 60.0 * chosen.minutes
     jobs = [(folder, name, method, solve) for name in names for method, solve in methods.items()]
+    random.shuffle(jobs)  # several can run side by side
     tasks = (delayed(_run)(*job, until) for job in jobs)
     finished = Parallel(chosen.workers, return_as="generator_unordered")(tasks)
     if not all(list(progress(finished, total=len(jobs), label="peers", unit="run"))):

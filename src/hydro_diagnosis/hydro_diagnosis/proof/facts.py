@@ -163,7 +163,7 @@ class Result:
     @property
     def held_out_true(self) -> float | None:
         """The same for the fit of the true structure; None where the library does not have it."""
-        return self.held_out if self.exact else _over(self.ruling)
+        return self.held_out if self.exact and not self.case.outside else _over(self.ruling)
 
     def worst_channel(self) -> str:
         """Channel whose held-out error is largest over its noise floor."""
