@@ -124,10 +124,10 @@ class EvaluationSession:
             self._run = None
             self._outputs.say("no samples: this run is begun anew", warning=True)
 
-    def on_correction(self, before: float, status: int) -> None:
-        """Take what the filter says of a sample: M_c [1/s] before its correction, and the status."""
+    def on_correction(self, after: float, status: int) -> None:
+        """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
         if self.monitor is not None:
-            self.monitor.on_correction(before, status)
+            self.monitor.on_correction(after, status)
 
     def _begin(self, sequence: int) -> _Run:
         repeat, case, controller = self.plan[len(self.scores)]

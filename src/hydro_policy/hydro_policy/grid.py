@@ -184,9 +184,9 @@ class GridSession:
             self._next()
         return acted
 
-    def on_correction(self, before: float, status: int) -> None:
+    def on_correction(self, after: float, status: int) -> None:
         """See `EvaluationSession`."""
-        self._running.on_correction(before, status)
+        self._running.on_correction(after, status)
 
     def on_tick(self, now: float) -> None:
         """Some twenty times a second."""

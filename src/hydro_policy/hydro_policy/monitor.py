@@ -3,7 +3,7 @@
 
 peak error    |e|, averaged over a policy step: one sick sample is none
 chatter       RMS of u' over a window: what wears valve and hoses, and the first sign of a loop that cycles
-violations    share of a window's samples whose certificate fails before the filter corrects it
+violations    share of a window's samples whose certificate fails although the filter has corrected what it can
 NaN           a sample, or what the policy makes of it, is not finite
 
 It judges a policy, not a person: overridden steps do not reach it.
@@ -32,12 +32,12 @@ class MonitorSettings:
 
     peak_error: float = 300.0
     """N, |e| in the mean over a policy step. [1, 1e5]."""
-    chatter: float = 0.5
+    chatter: float = 0.7
     """A/s, RMS of u' over the window. [1e-3, 1e3]."""
     chatter_window: float = 0.1
     """s that chatter is taken over. [0.02, 10]."""
     violations: float = 0.5
-    """Share of the window's samples with M_c > 0 before the filter's correction; 1 never stops. [0, 1]."""
+    """Share of the window's samples with M_c > 0 although the filter corrected; 1 never stops. [0, 1]."""
     violations_window: float = 0.5
     """s that violations are taken over. [0.02, 10]."""
     rollbacks_max: int = 3
@@ -76,11 +76,11 @@ class SafetyMonitor:
         count = sum(n for _, n in self._violated)
         return sum(v for v, _ in self._violated) / count if count else 0.0
 
-    def on_correction(self, before: float, status: int) -> None:
-        """Take a correction: M_c [1/s] before it, and its status."""
+    def on_correction(self, after: float, status: int) -> None:
+        """Take a correction: M_c [1/s] under it, and its status."""
         if status in _EVALUATED:
             self._answered += 1
-            self._failed += before > _TOLERANCE
+            self._failed += after > _TOLERANCE
 
     def add(self, step: Step) -> str | None:
         """Take a policy step; returns why the policy must be stopped, or None."""

@@ -23,8 +23,8 @@ class Session(Protocol):
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Take a sample; True if gains went out."""
 
-    def on_correction(self, before: float, status: int) -> None:
-        """Take what the filter says of a sample: M_c [1/s] before its correction, and the status."""
+    def on_correction(self, after: float, status: int) -> None:
+        """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
 
     def on_tick(self, now: float) -> None:
         """Take a moment, some twenty times a second."""

@@ -147,9 +147,9 @@ class TrainingSession:
             return self._examine(self.exam, sequence, sample, flags, now)
         return step is not None and self._act(step, now)
 
-    def on_correction(self, before: float, status: int) -> None:
-        """Take what the filter says of a sample: M_c [1/s] before its correction, and the status."""
-        self.monitor.on_correction(before, status)
+    def on_correction(self, after: float, status: int) -> None:
+        """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
+        self.monitor.on_correction(after, status)
 
     def on_tick(self, now: float) -> None:
         """Some twenty times a second: arming, loss of the plant, death of the learner."""

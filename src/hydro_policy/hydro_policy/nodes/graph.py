@@ -167,7 +167,7 @@ class GraphNode(Node):
 
     def _on_correction(self, message: Correction) -> None:
         if self._session is not None:
-            self._session.on_correction(message.certificate_before, message.status)
+            self._session.on_correction(message.certificate_after, message.status)
 
     def _on_override(self, request: OverrideGains.Request, answer: OverrideGains.Response) -> OverrideGains.Response:
         try:
