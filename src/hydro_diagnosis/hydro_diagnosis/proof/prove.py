@@ -24,7 +24,7 @@ from hydro_bridge.console import UserError, add_json_argument, command
 from hydro_diagnosis.proof import page, pictures, seal
 from hydro_diagnosis.proof.bench_graph import record_by_graph
 from hydro_diagnosis.proof.blind import ANSWER
-from hydro_diagnosis.proof.cases import PARTS, Case, draw
+from hydro_diagnosis.proof.cases import PARTS, Case, draw, draw_parts
 from hydro_diagnosis.proof.facts import Result
 from hydro_diagnosis.proof.recording import record
 from hydro_diagnosis.proof.referee import rule
@@ -41,6 +41,7 @@ def parser() -> argparse.ArgumentParser:
         prog="prove", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     options.add_argument("--cases", type=int, default=20, metavar="N", help="benches (default: 20; a proof: 224)")
+    options.add_argument("--parts", nargs="+", metavar="KIND=N", help="so many of each kind, in place of --cases")
     options.add_argument("--seed", type=int, required=True, metavar="S", help="of everything that is drawn")
     options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 14 MB a case")
     options.add_argument("--graph", type=int, default=0, metavar="K",
@@ -59,11 +60,11 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: Sequence[str]) -> int:
     """Prove; 0 when cases are scored, 3 when time was up before."""
     chosen = parser().parse_args(arguments)
-    _check(chosen)
+    cases = _drawn(chosen)
+    _check(chosen, len(cases))
     until = time.monotonic() + 60.0 * chosen.minutes
-    folder = chosen.out or Path("runs") / f"proof-{chosen.seed}-{chosen.cases}"
+    folder = chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}"
     folder = folder.absolute()
-    cases = draw(chosen.cases, chosen.seed)
     digest = seal.close(cases, folder / SEALED)
     print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
     recorded = _record(cases, folder / BLIND, chosen, until)
@@ -75,13 +76,13 @@ def run(arguments: Sequence[str]) -> int:
         print(f"time is up: {len(done)} of {len(cases)} cases are diagnosed; the same command goes on")
         if not (chosen.partial and done):
             return 3
-    cases = [case for case in seal.opened(folder / SEALED, digest) if case.name in done]
+    answers = [case for case in seal.opened(folder / SEALED, digest) if case.name in done]
     print("opened: the answers are those that were sealed")
-    results = [result for result in _results(cases, folder, chosen.workers) if _asked(result, chosen.kinds)]
+    results = [result for result in _results(answers, folder, chosen.workers) if _asked(result, chosen.kinds)]
     _show(
         results,
         folder,
-        {"seed": str(chosen.seed), "cases": f"{len(cases)} of {chosen.cases}", "SHA-256": digest},
+        {"seed": str(chosen.seed), "cases": f"{len(answers)} of {len(cases)}", "SHA-256": digest},
         chosen.json,
     )
     return 0
@@ -93,12 +94,22 @@ def main() -> int:
     return run(sys.argv[1:])
 
 
-def _check(chosen: argparse.Namespace) -> None:
+def _drawn(chosen: argparse.Namespace) -> list[Case]:
     if not 1 <= chosen.cases <= 100_000:
         raise UserError(f"--cases {chosen.cases}: 1 to 100000 is meant")
     if chosen.seed < 0:
         raise UserError(f"--seed {chosen.seed}: 0 or more is meant")
-    if not 0 <= chosen.graph <= chosen.cases:
+    if not chosen.parts:
+        return draw(chosen.cases, chosen.seed)
+    parts = dict(word.partition("=")[::2] for word in chosen.parts)
+    for kind, count in parts.items():
+        if kind not in PARTS or not count.isdigit():
+            raise UserError(f"--parts {kind}={count}: a kind ({', '.join(PARTS)}) and a number are meant")
+    return draw_parts({kind: int(count) for kind, count in parts.items()}, chosen.seed)
+
+
+def _check(chosen: argparse.Namespace, count: int) -> None:
+    if not 0 <= chosen.graph <= count:
         raise UserError(f"--graph {chosen.graph}: 0 to the number of cases is meant")
     if chosen.workers < 1:
         raise UserError(f"--workers {chosen.workers}: 1 or more is meant")
