@@ -25,7 +25,7 @@ from tests.graph_probe import Probe, Trainer, own_domain, trainer
 
 pytestmark = pytest.mark.graph
 
-SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100")
+SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 
 
 @pytest.fixture
@@ -42,7 +42,8 @@ def phase(probe: Probe) -> int:
 
 def start(run: Path, *words: str) -> AbstractContextManager[Trainer]:
     """A trainer on the emulator with short episodes."""
-    return trainer("--plant", "emulator", "--runs", str(run.parent), "--name", run.name, *words, *SHORT)
+    run_words = ("--runs", str(run.parent), "--name", run.name)
+    return trainer("--plant", "emulator", "--from", "scratch", *run_words, *words, *SHORT)
 
 
 def is_learning(probe: Probe) -> bool:
