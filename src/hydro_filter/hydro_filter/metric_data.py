@@ -44,7 +44,7 @@ SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "referen
 class DataSettings:
     """What is rolled out."""
 
-    rollouts: int = 300
+    rollouts: int = 160
     """How many, [8, 100000]."""
     seconds: float = 3.0
     """s, each, [2, 30]."""

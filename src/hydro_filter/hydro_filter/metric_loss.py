@@ -38,8 +38,8 @@ class LossSettings:
 
     contraction_weight: float = 100.0
     """W_l, [0, 1e6]."""
-    unstable_weight: float = 1.0
-    """Of unstable samples beside stable ones, [0, 100]."""
+    unstable_weight: float = 0.02
+    """Of unstable samples beside stable ones, [0, 100]. At 1 the network gives up stable gains for them."""
     frobenius: float = 1e-3
     """lambda_F, [0, 1]."""
     trace: float = 1e-3

@@ -144,10 +144,10 @@ def test_polishing_makes_a_metric_hold_on_samples(windows: Windows, loop: LoopMo
 
 def test_training_lowers_the_held_out_loss_and_resumes(asked: tuple[LearnedMetric, Samples], tmp_path: Path) -> None:
     metric, samples = asked
-    settings = TrainingSettings(epochs=4, batch=16)
+    settings = TrainingSettings(epochs=4, batch=16, learning_rate=1e-3)
     whole = list(train(metric, samples, samples, 10, settings, tmp_path / "whole"))[-1]
     assert whole[0].best_loss < 0.8 * whole[0].history[0][2]
-    shorter = TrainingSettings(epochs=2, batch=16)
+    shorter = TrainingSettings(epochs=2, batch=16, learning_rate=1e-3)
     list(train(metric, samples, samples, 10, shorter, tmp_path / "parts"))
     resumed = list(train(metric, samples, samples, 10, settings, tmp_path / "parts", resume=True))[-1]
     np.testing.assert_allclose(resumed[1].flat, whole[1].flat, rtol=1e-12, atol=1e-14)
