@@ -16,6 +16,7 @@ from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_diagnosis.simulate import Plant
 from hydro_sim.bench import Bench
+from hydro_sim.effects.catalogue import CATALOGUE, label
 from hydro_sim.offline import Schedule, simulate
 from hydro_sim.plant import AnalyticPlant
 
@@ -58,6 +59,14 @@ def apart(segment: Segment, states: FloatArray, claims: Sequence[Claim]) -> dict
         for name, signal in segment.channels.items()
         if name in MEASURED
     }
+
+
+@pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.label)
+def test_every_value_that_a_diagnosis_may_report_is_simulated(effect: Effect) -> None:
+    entry = Claim(effect, {one.name: one.probes[0] for one in effect.parameters}).to_mapping()
+    simulated = {quantity.name: quantity for quantity in CATALOGUE[label(entry)].quantities}
+    for one in effect.parameters:
+        assert simulated[one.name].low <= one.low and one.high <= simulated[one.name].high
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.label)
