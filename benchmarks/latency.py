@@ -141,24 +141,24 @@ def load(processes: int) -> Iterator[None]:
             process.join()
 
 
-def companions(folder: Path, *, realtime: bool) -> dict[str, tuple[str, list[str]]]:
+def companions(folder: Path, *, metric: str, realtime: bool) -> dict[str, tuple[str, list[str]]]:
     """Package and arguments by executable; the box and its bridge come last, when all others listen."""
     port, prompt = str(folder / "box"), ["--realtime"] if realtime else []
     return {
-        "filter": ("hydro_filter", prompt),
+        "filter": ("hydro_filter", ["--metric", metric, *prompt]),
         "recorder": ("hydro_bridge", ["--out", str(folder / "bag")]),
         "emulator": ("hydro_sim", ["--link", port]),
         "bridge": ("hydro_bridge", ["--port", port, *prompt]),
     }
 
 
-def start(stack: ExitStack, driver: Driver, folder: Path, *, realtime: bool) -> dict[str, Companion]:
+def start(stack: ExitStack, driver: Driver, folder: Path, *, metric: str, realtime: bool) -> dict[str, Companion]:
     """Start the graph one after the other; the percentiles in the diagnostics begin with a graph that is whole."""
     running: dict[str, Companion] = {}
-    for name, (package, arguments) in companions(folder, realtime=realtime).items():
+    for name, (package, arguments) in companions(folder, metric=metric, realtime=realtime).items():
         running[name] = stack.enter_context(Companion(package, name, arguments))
         if name == "filter":
-            driver.await_node(name)
+            driver.await_node(name, 120.0)  # which may have to compile
         if name == "emulator":
             driver.await_path(folder / "box")
     driver.arm()
@@ -170,7 +170,7 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
     with ExitStack() as stack:
         driver = Driver()
         stack.callback(driver.close)
-        running = start(stack, driver, folder, realtime=asked.realtime)
+        running = start(stack, driver, folder, metric=asked.metric, realtime=asked.realtime)
         stack.enter_context(load(asked.load))
         driver.run(2.0)
         before = {name: cpu_seconds(companion.process.pid) for name, companion in running.items()}
@@ -198,7 +198,8 @@ def measure(asked: argparse.Namespace, folder: Path) -> Table:
 
 def _title(asked: argparse.Namespace) -> str:
     kind = "SCHED_FIFO for bridge and filter" if asked.realtime else "ordinary scheduling"
-    return f"Graph for {asked.seconds:g} s on {os.cpu_count()} cores, {asked.load} computing besides, {kind}"
+    besides = f"{os.cpu_count()} cores, {asked.load} computing besides, {kind}"
+    return f"Graph with the {asked.metric} metric for {asked.seconds:g} s on {besides}"
 
 
 @command()
@@ -209,6 +210,7 @@ def main() -> None:
     parser.add_argument(
         "--ordinary", dest="realtime", action="store_false", help="bridge and filter do not ask for SCHED_FIFO"
     )
+    parser.add_argument("--metric", default="learned", help="of the filter: learned (default), constant or a file")
     parser.add_argument("--load", type=int, default=0, metavar="N", help="processes that compute without pause")
     add_json_argument(parser)
     asked = parser.parse_args()
