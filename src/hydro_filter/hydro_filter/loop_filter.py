@@ -18,9 +18,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 import numpy.typing as npt
-from numba import njit, typed
+from numba import njit
 
 from hydro_bridge.settings import check
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, FloatArray, StateArray
@@ -63,7 +64,7 @@ judge, nearest, beyond = (each.py_func for each in (loop_decision.judge, loop_de
 @njit(cache=True)
 def boxed(parts, room):
     """Parts and room where compiled code finds them: to hand seventy arrays over takes as long as all the rest."""
-    box = typed.List()
+    box = numba.typed.List()
     box.append((parts, room))
     return box
 
