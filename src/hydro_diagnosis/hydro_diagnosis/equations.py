@@ -1,21 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Held-out error equation by equation: what each leaves of the recordings, without simulating forward.
+"""What a diagnosis is worth on held-out recordings: simulated forward, and equation by equation.
 
-For rigs whose recordings cannot be simulated (no pressures, no current) this is the proof; the number to compare with
-the relative errors that the literature on inverse models gives is `rmse_after` over `signal`.
+`equation_errors` is what each equation leaves of the recordings, without simulating. For rigs whose recordings cannot
+be simulated (no pressures, no current) this is the proof; the number to compare with the relative errors that the
+literature on inverse models gives is `rmse_after` over `signal`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.heldout import FREE_RUN, HORIZON, WINDOWS, compare
+from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.problem import CHANNELS, Problem
+from hydro_diagnosis.report import channel_errors
 from hydro_diagnosis.smoothing import smooth
 
+_SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
+"""Channels without which nothing can be simulated."""
 _MEASURED = {"motion": "hydraulic_force", "load": "load_force", "hydraulic": "hydraulic_force"}
 _UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "hydraulic": "N"}
 
@@ -30,6 +37,28 @@ class EquationError:
     noise_floor: float
     signal: float
     """Root mean square of the measured signal that the equation explains."""
+
+
+def held_out(
+    problem: Problem, unseen: Problem, claims: Sequence[Claim], models: Sequence[SegmentModel]
+) -> dict[str, Any]:
+    """Errors of the baseline and of the corrected model as they stand in report.json under `fit`.
+
+    `unseen` and `models` are the held-out recordings; noise and baseline are those of `problem`.
+    """
+    equations = {name: asdict(error) for name, error in equation_errors(unseen, claims).items()}
+    if not models or not all(model.channels.keys() >= _SIMULATED for model in models):
+        why = "a forward simulation needs current, position and both pressures"
+        return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
+    before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
+    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True)
+    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False)
+    return {
+        "holdout": channel_errors(horizon),
+        "horizon_s": HORIZON,
+        "free_run": {"seconds": FREE_RUN, **channel_errors(free)},
+        "equations": equations,
+    }
 
 
 def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, EquationError]:

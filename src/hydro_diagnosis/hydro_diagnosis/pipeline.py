@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
@@ -19,14 +19,13 @@ from hydro_diagnosis.conclude import describe, location_of
 from hydro_diagnosis.corrected import claims_of
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
-from hydro_diagnosis.equations import equation_errors
-from hydro_diagnosis.heldout import FREE_RUN, HORIZON, WINDOWS, compare
+from hydro_diagnosis.equations import held_out
 from hydro_diagnosis.intake import taken
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.nextrec import next_recording
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.report import INTERRUPTED, DiagnosisInterrupted, Report, channel_errors
+from hydro_diagnosis.report import INTERRUPTED, DiagnosisInterrupted, Report
 from hydro_diagnosis.search import Outcome, Search, SearchSettings
 from hydro_diagnosis.table import InputError
 from hydro_diagnosis.verdict import Assessment, assess
@@ -126,7 +125,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         location=[location_of(place, problem) for place in assessment.places],
         effects=effects,
         remainder=_remainder(assessment, problem),
-        fit={**_fit(problem, assessment, models), "equations": _equations(unseen, assessment)},
+        fit=held_out(problem, unseen, assessment.fit.claims, models),
         next_recording=next_recording(problem, outcome, assessment),
         seconds=time.monotonic() - begun,
         steps=_steps(search),
@@ -172,31 +171,6 @@ def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | Non
         "depends_on": list(dict.fromkeys(form.variable for form in telling[:3])),
         "dropped": [claim.effect.id for claim in assessment.dropped],
     }
-
-
-def _fit(problem: Problem, assessment: Assessment, models: list[SegmentModel]) -> dict[str, Any]:
-    """Held-out errors of the baseline and of the corrected model."""
-    needed = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
-    if not models or not all(needed <= set(model.channels) for model in models):
-        return {
-            "holdout": {},
-            "horizon_s": HORIZON,
-            "free_run": {},
-            "why": "a forward simulation needs current, position and both pressures",
-        }
-    before, after = problem.baseline, (*problem.baseline, *assessment.fit.claims)
-    noise = problem.sensor_noise
-    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True)
-    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False)
-    return {
-        "holdout": channel_errors(horizon),
-        "horizon_s": HORIZON,
-        "free_run": {"seconds": FREE_RUN, **channel_errors(free)},
-    }
-
-
-def _equations(unseen: Problem, assessment: Assessment) -> dict[str, Any]:
-    return {name: asdict(error) for name, error in equation_errors(unseen, assessment.fit.claims).items()}
 
 
 def _candidates(without: Sequence[str]) -> list[Effect]:

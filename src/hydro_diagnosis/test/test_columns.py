@@ -12,7 +12,8 @@ import pytest
 from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.columns import UNITS, ColumnMap
+from hydro_diagnosis.column_source import UNITS
+from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.table import RawTable, read_table
@@ -93,7 +94,7 @@ def test_matrices_and_structs_become_columns(tmp_path: Path) -> None:
     [
         ("time=t,load_force=vir", "run.mat: there is no column named 't'; there are clock, pos, vir, out.p"),
         ("time=clok,load_force=vir", "did you mean 'clock'"),
-        ("time=clock,load_force=vir*gtua", "no single number named 'gtua', did you mean 'gtau'"),
+        ("time=clock,load_force=vir*gtua", "no single number named 'gtua' .did you mean 'gtau'"),
         (
             "time=clock,piston_positon=pos",
             "'piston_positon' is no field of a recording, did you mean 'piston_position'",
