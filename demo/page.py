@@ -22,7 +22,7 @@ _COLORS = {"believed": RED, "corrected": BLUE, "-": GRAY}
 
 def draw(story: Story, path: Path) -> None:
     """Write the page, a PNG or PDF by the suffix of `path`."""
-    with figure(path, 4, size=(8.3, 10.0), height_ratios=(0.5, 1.0, 1.0, 1.2)) as (
+    with figure(path, 4, size=(8.3, 10.0), height_ratios=(0.35, 1.0, 1.0, 1.2)) as (
         drawing,
         (words, before, after, bars),
     ):
@@ -71,7 +71,7 @@ def _force(axes: Any, title: str, entries: list[Entry]) -> None:
         if tripped:
             axes.plot(states["time"][-1], states["load_force"][-1], "x", color=color, markersize=9, markeredgewidth=2)
     axes.set(ylabel="load force [N]", xlim=(0.0, SHOWN))
-    axes.legend(loc="lower right", ncols=2)
+    axes.legend(loc="lower right", ncols=2, frameon=True, framealpha=0.9, edgecolor="none")
 
 
 def _bars(axes: Any, story: Story) -> None:
