@@ -130,14 +130,15 @@ def correction(loop: LoopModel, design: MetricDesign) -> tuple[FloatArray, float
 def _polished(
     metric: LearnedMetric, material: Material, loop: LoopModel, design: MetricDesign, settings: TrainingSettings
 ) -> LearnedMetric:
-    """The table made to hold on samples of the rollouts."""
+    """The table made to hold on samples of the rollouts, and the range of states that they show."""
     windows, how = material.training, settings.loss
     best = corrected(windows, *correction(loop, design))
     foreign = windows.transition + windows.push[..., np.newaxis] * best[..., np.newaxis, :]
+    seen = {"low": windows.x.min(axis=(0, 1)), "high": windows.x.max(axis=(0, 1))}
     rates = how.rate + 2.0 * how.margin, how.foreign_rate + 2.0 * how.margin
     rows = polished_rows(metric, windows, foreign, rates, settings.seed)
     table = list(progress(rows, total=len(metric.table), label="solving", unit="metric"))
-    return replace(metric, table=np.array(table))
+    return replace(metric, table=np.array(table), **seen)
 
 
 def _train(
@@ -196,7 +197,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth is not trained on")
     parser.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")
     parser.add_argument("--unstable-weight", type=float, default=0.02, help="of unstable samples beside stable ones")
-    parser.add_argument("--epochs", type=int, default=400, help="at most")
+    parser.add_argument("--epochs", type=int, default=400, help="at most; 0: the solved metrics alone, as shipped")
     parser.add_argument("--patience", type=int, default=40, help="epochs without a better validation before it stops")
     parser.add_argument("--batch", type=int, default=1024, help="windows per step (Table training_metric)")
     parser.add_argument(

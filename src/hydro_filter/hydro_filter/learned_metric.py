@@ -27,6 +27,7 @@ from hydro_sim.learned import mlp, weights
 from hydro_sim.learned.weights import WeightsError
 
 STRUCTURE = "metric"
+ARRAYS = ("center", "scale", "low", "high", "gains", "table")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,6 +53,10 @@ class LearnedMetric:
     """Shape (8,), of x."""
     scale: FloatArray
     """Shape (8,), of x."""
+    low: FloatArray
+    """Shape (8,), smallest x that the network was trained on."""
+    high: FloatArray
+    """Shape (8,), largest."""
     gains: FloatArray
     """K_p [1/s] of the table."""
     table: FloatArray
@@ -72,6 +77,7 @@ class LearnedMetric:
         flat = mlp.initial(np.random.default_rng(seed), INPUTS, hidden, ENTRIES, last=0.0)
         return cls(
             flat=flat, hidden=hidden, center=center, scale=state_scale(bench),
+            low=np.full(STATES, -np.inf), high=np.full(STATES, np.inf),
             gains=solved.gains, table=solved.table, floor=solved.floor,
         )  # fmt: skip
 
@@ -79,7 +85,8 @@ class LearnedMetric:
     def parts(self) -> MetricParts:
         """What the kernels take."""
         layers = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)
-        return MetricParts(layers, self.center, self.scale, self.gains, self.table, self.floor)
+        ends = self.low, self.high
+        return MetricParts(layers, self.center, self.scale, *ends, self.gains, self.table, self.floor)
 
     def matrix(self, x: FloatArray, gain: float) -> FloatArray:
         """M, shape (8, 8), at x (8,) [SI units] and K_p [1/s]."""
@@ -98,7 +105,7 @@ class LearnedMetric:
     def save(self, path: str | Path) -> None:
         """Write a weights file."""
         views = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)._asdict()
-        arrays = {"center": self.center, "scale": self.scale, "gains": self.gains, "table": self.table}
+        arrays = {name: getattr(self, name) for name in ARRAYS}
         header = {
             "structure": STRUCTURE, "hidden": list(self.hidden), "activation": "relu", "floor": self.floor,
             "coordinates": list(LOOP_FIELDS), "thresholds": asdict(self.thresholds), "training": self.training,
@@ -119,7 +126,7 @@ class LearnedMetric:
             hidden = (int(header["hidden"][0]), int(header["hidden"][1]))
             flat = np.concatenate([np.asarray(tensors[name], np.float64).ravel() for name in mlp.Layers._fields])
             mlp.layers(flat, INPUTS, hidden, ENTRIES)
-            arrays = {name: np.asarray(tensors[name], np.float64) for name in ("center", "scale", "gains", "table")}
+            arrays = {name: np.asarray(tensors[name], np.float64) for name in ARRAYS}
             return cls(
                 flat=flat, hidden=hidden, floor=float(header["floor"]), thresholds=Thresholds(**header["thresholds"]),
                 training=header.get("training", {}), **arrays,

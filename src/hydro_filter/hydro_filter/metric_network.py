@@ -47,6 +47,10 @@ class MetricParts(NamedTuple):
     """Shape (8,), SI units."""
     scale: FloatArray
     """Shape (8,), SI units."""
+    low: FloatArray
+    """Shape (8,), SI units: what the network was trained on; a state outside is taken for the nearest inside."""
+    high: FloatArray
+    """Shape (8,), SI units."""
     gains: FloatArray
     """K_p [1/s] of the table's factors but the last, evenly spaced, shape (n,); the ends are the certified range."""
     table: FloatArray
@@ -90,8 +94,9 @@ def evaluate(parts, x, state_rate, gain, value):
     """Fill `value` at x (8,) along x' (8,), both in SI units, for K_p [1/s]."""
     layers, outside = parts.layers, foreign(parts, gain)
     for i in range(STATES):
-        value.inputs[i] = (x[i] - parts.center[i]) / parts.scale[i]
-        value.nudge[i] = state_rate[i] / parts.scale[i]
+        seen = min(max(x[i], parts.low[i]), parts.high[i])
+        value.inputs[i] = (seen - parts.center[i]) / parts.scale[i]
+        value.nudge[i] = state_rate[i] / parts.scale[i] if seen == x[i] else 0.0
     value.inputs[STATES] = 0.0 if outside else gain / GAIN_UNIT
     value.inputs[STATES + 1] = 1.0 if outside else 0.0
     value.nudge[STATES:] = 0.0

@@ -32,7 +32,7 @@ class TrainingSettings:
     """Table training_metric, but for epochs and learning rate."""
 
     epochs: int = 400
-    """At most, [1, 100000]; the paper stopped after 3."""
+    """At most, [0, 100000]; the paper stopped after 3. 0: the solved metrics alone."""
     batch: int = 1024
     """Windows per step, [1, 100000]."""
     learning_rate: float = 1e-4
@@ -98,8 +98,9 @@ def _samples(
 ) -> Samples:
     count, span = windows.x.shape[:2]
     inputs, nudge = np.zeros((count, span, INPUTS)), np.zeros((count, span, INPUTS))
-    inputs[..., :STATES] = (windows.x - metric.center) / metric.scale
-    nudge[..., :STATES] = windows.state_rate / metric.scale
+    seen = np.clip(windows.x, metric.low, metric.high)
+    inputs[..., :STATES] = (seen - metric.center) / metric.scale
+    nudge[..., :STATES] = np.where(seen == windows.x, windows.state_rate / metric.scale, 0.0)
     inputs[..., STATES] = 0.0 if outside else windows.gain[:, np.newaxis] / GAIN_UNIT
     inputs[..., STATES + 1] = float(outside)
     base = np.repeat(table_rows(metric, windows.gain, outside=outside), span, axis=0)
