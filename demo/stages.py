@@ -35,7 +35,7 @@ class Plan:
     """The bench, as a truth.yaml of the emulator."""
     seeds: int = 3
     """Policies trained in either simulation."""
-    episodes: int = 80
+    episodes: int = 64
     """Of each training."""
     configuration: str = "wide"
     """What policies may do: `wide`, K_p up to 300, or `paper`, K_p up to 90 (docs/training.md)."""
