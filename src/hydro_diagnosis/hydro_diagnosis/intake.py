@@ -6,10 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 from joblib import Parallel, delayed
 
 from hydro_diagnosis.columns import ColumnMap
-from hydro_diagnosis.quality import SHORTEST, checked
+from hydro_diagnosis.quality import MOVING, SHORTEST, checked
 from hydro_diagnosis.recording import Recording, Segment
 from hydro_diagnosis.survey import read_bag_within
 from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
@@ -18,6 +19,12 @@ from hydro_sim.bench import Bench
 
 LONGEST = 100.0
 """s of recordings that are fitted, and that are checked on; of more, the telling windows, and the report says so."""
+
+
+ENOUGH = 3.0
+"""s in which the piston must move."""
+STILL_FOR = 0.25
+"""s, over which it is seen whether the piston moves."""
 
 
 def taken(
@@ -35,17 +42,38 @@ def taken(
     InputError
         If nothing of them can be diagnosed.
     """
-    fitted, held, quality = _split(*_read(recordings, bench, columns), *_read(holdout, bench, columns))
+    fitted, held, quality = _split(*_read(recordings, bench, columns), *_read(holdout, bench, columns, spare=True))
+    _refuse_too_little(fitted)
     fitted = _informative(fitted, "fitted", bench, quality)
     return fitted, _informative(held, "checked on", bench, quality), quality
 
 
-def _read(paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None) -> tuple[list[Recording], list[str]]:
-    """Recordings that show something, and a note on each that does not; if none does, the first reason is raised."""
+def _refuse_too_little(segments: list[Segment]) -> None:
+    """A bench that trips at once and then stands shows half a second, in which everything explains everything."""
+    moving = 0.0
+    for segment in segments:
+        if "piston_position" not in segment.channels:
+            return
+        length = max(round(STILL_FOR / segment.step), 1)
+        position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
+        moving += STILL_FOR * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
+    if moving < ENOUGH:
+        raise UnusableRecordingError(
+            f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"
+        )
+
+
+def _read(
+    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, *, spare: bool = False
+) -> tuple[list[Recording], list[str]]:
+    """Recordings that show something, and a note on each that does not.
+
+    If none does, the first reason is raised, unless another recording can take their place (`spare`).
+    """
     looked = Parallel()(delayed(_look)(path, bench, columns) for path in paths)
     recordings = [one for one in looked if isinstance(one, Recording)]
     refused = [one for one in looked if not isinstance(one, Recording)]
-    if refused and not recordings:
+    if refused and not recordings and not spare:
         raise refused[0]
     notes = [f"{error}; it was left out" for error in refused]
     return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]

@@ -38,6 +38,8 @@ class Place:
     region: dict[str, tuple[float, float]]
     """Where it stands out, by variable: 10th and 90th percentile, SI units."""
     sentence: str
+    channel: str
+    """Of the residuals, in which it shows most."""
 
 
 def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
@@ -98,7 +100,7 @@ def _equation(
     problem: Problem, residual: FloatArray, channel: str, excess: dict[str, float], forms: Sequence[FreeForm]
 ) -> str:
     if channel in ("pressure_a", "pressure_b"):
-        if {"pressure_a", "pressure_b"} <= set(excess) and _follows_supply(problem, residual):
+        if _follows_supply(problem, residual):
             return "actuation"
         return _of_chambers(channel, excess, forms)
     if channel == "hydraulic":
@@ -125,18 +127,20 @@ def _of_chambers(channel: str, excess: dict[str, float], forms: Sequence[FreeFor
 
 
 def _follows_supply(problem: Problem, residual: FloatArray) -> bool:
-    """Whether each chamber is off mainly while the valve connects it to the supply: then the supply is off."""
+    """Whether each chamber is off mainly while the valve connects it to the supply: then the supply is off.
+
+    One of them may be off by less than is noticeable, but must show it beyond chance.
+    """
     layout = problem.layout
-    loudness = np.zeros((2, 2))
+    loudness, count = np.zeros((2, 2)), np.zeros((2, 2))
     for k, model in enumerate(problem.models):
-        feeds_a = np.interp(model.kept_time(), model.time, model.channels["valve_current"]) > 0.0
+        opens_a = np.interp(model.kept_time(), model.time, model.channels["valve_current"]) > 0.0
         for index in range(2):
-            at = (layout.channel == index) & (layout.segment == k)
-            squares = np.square(residual[at]) - 1.0
-            loudness[index] += [float(squares[feeds_a].sum()), float(squares[~feeds_a].sum())]
-    a_fed, a_drained = loudness[0]
-    b_drained, b_fed = loudness[1]
-    return a_fed > 2.0 * a_drained and b_fed > 2.0 * b_drained
+            fed = opens_a if index == 0 else ~opens_a
+            squares = np.square(residual[(layout.channel == index) & (layout.segment == k)]) - 1.0
+            loudness[index] += [float(squares[fed].sum()), float(squares[~fed].sum())]
+            count[index] += [np.count_nonzero(fed), np.count_nonzero(~fed)]
+    return bool(np.all(loudness[:, 0] > 2.0 * np.maximum(loudness[:, 1], 0.0) + 4.0 * np.sqrt(2.0 * count[:, 0])))
 
 
 def _coherent(problem: Problem, residual: FloatArray) -> bool:
@@ -185,7 +189,7 @@ def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, 
             region[name] = (float(low), float(high))
     amount = f"{share * 100:.0f} %" if share >= 0.01 else "Under 1 %"
     sentence = f"{amount} of the mismatch is in {_WORDS[equation]}."
-    return Place(equation, share, tuple(windows), region, sentence)
+    return Place(equation, share, tuple(windows), region, sentence, channel)
 
 
 def _stretches(time: FloatArray, loud: FloatArray) -> tuple[tuple[float, float], ...]:

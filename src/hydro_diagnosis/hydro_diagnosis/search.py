@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.base import Claim, Effect, Parameter
 from hydro_diagnosis.fit import Fit, fit, pack
 from hydro_diagnosis.locate import noticeable
 from hydro_diagnosis.problem import Problem
@@ -235,9 +235,17 @@ class Search:
 
 
 def worth_claiming(claim: Claim) -> bool:
-    """Whether any of a claim's amplitudes is beyond its smallest size."""
+    """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends."""
     amplitudes = [one for one in claim.effect.parameters if one.smallest > 0.0]
+    if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
+        return False
     return not amplitudes or any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
+
+
+def _at_its_end(parameter: Parameter, value: float) -> bool:
+    """Whether a value stands at a bound that is not its neutral value."""
+    near = 1e-3 * parameter.smallest
+    return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
 
 
 __all__ = ["Outcome", "Search", "SearchSettings", "Step", "cause", "score", "worth_claiming"]

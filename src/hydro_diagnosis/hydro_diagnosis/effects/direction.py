@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isnan
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import MOTION, Effect, FloatArray, Kinematics, Memory, Parameter, Values
+from hydro_sim.bench import Bench
 
 _COEFFICIENT = Parameter(
     name="coefficient_positive", unit="N s/m", low=-1e4, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5
@@ -21,7 +23,16 @@ class FrictionViscousDirectional(Effect):
     family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
-    parameters = (_COEFFICIENT, replace(_COEFFICIENT, name="coefficient_negative", probes=(-15.0,)))
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+        low = _COEFFICIENT.low if isnan(self.reference) else -self.reference
+        other = -15.0 if low < -30.0 else 15.0
+        extending = replace(_COEFFICIENT, low=low)
+        return (extending, replace(extending, name="coefficient_negative", probes=(other,)))
+
+    def adapted(self, bench: Bench) -> Effect:
+        return replace(self, reference=bench.viscous_friction)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isnan
 
 import numpy as np
 
@@ -27,6 +28,11 @@ SLIP_VELOCITY = 3e-4
 
 def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> Parameter:
     return Parameter(name=name, unit="N", low=low, high=500.0, neutral=0.0, probes=probes, smallest=smallest)
+
+
+def _down_to_nothing(of_bench: float, otherwise: float) -> float:
+    """The lowest change that leaves something of the bench's value."""
+    return -otherwise if isnan(of_bench) else -of_bench
 
 
 class FrictionCoulomb(Effect):
@@ -71,9 +77,16 @@ class FrictionViscous(Effect):
     family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
-    parameters = (
-        Parameter(name="coefficient", unit="N s/m", low=-1e4, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5),
-    )
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+        low = _down_to_nothing(self.reference, 1e4)
+        return (
+            Parameter(name="coefficient", unit="N s/m", low=low, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5),
+        )
+
+    def adapted(self, bench: Bench) -> Effect:
+        return replace(self, reference=bench.viscous_friction)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, viscous_friction=bench.viscous_friction + values["coefficient"])
@@ -188,7 +201,14 @@ class MovingMass(Effect):
     family = "friction"
     equations = ("motion",)
     touches = frozenset({MOTION})
-    parameters = (Parameter(name="mass", unit="kg", low=-1e3, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.05),)
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+        low = 0.95 * _down_to_nothing(self.reference, 1e3)
+        return (Parameter(name="mass", unit="kg", low=low, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.05),)
+
+    def adapted(self, bench: Bench) -> Effect:
+        return replace(self, reference=bench.moving_mass)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, moving_mass=bench.moving_mass + values["mass"])
