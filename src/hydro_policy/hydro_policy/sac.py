@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from hydro_bridge.signals import FloatArray
-from hydro_policy import sac_kernel
+from hydro_policy import network_kernel, sac_kernel
 from hydro_policy.mlp import FlatAdam, StackedMlp
 from hydro_policy.replay import Batch, ReplayBuffer
 from hydro_sim.learned.mlp import Layers
@@ -145,10 +145,10 @@ class Sac:
     def learn(self, replay: ReplayBuffer, updates: int) -> None:
         """`updates` times: draw a batch, update. Compiled, one call for all of them (`sac_kernel`).
 
-        Batches larger than `sac_kernel.BATCH_MAX` go through `update`.
+        Batches larger than `network_kernel.BATCH_MAX` go through `update`.
         """
         batch = self.settings.batch_size
-        if batch > sac_kernel.BATCH_MAX:
+        if batch > network_kernel.BATCH_MAX:
             for _ in range(updates):
                 self.update(replay.sample(batch, self.generator))
             return
@@ -217,7 +217,7 @@ def _layers(network: StackedMlp, gradient: bool = False) -> tuple[Layers, ...]:
     )
 
 
-def _adam(optimizer: FlatAdam, gradient: Tensor) -> sac_kernel.Adam:
+def _adam(optimizer: FlatAdam, gradient: Tensor) -> network_kernel.Adam:
     moments = optimizer.first_moment.numpy(), optimizer.second_moment.numpy()
     vectors = optimizer.parameters.numpy(), gradient.numpy(), *moments
-    return sac_kernel.Adam(*vectors, optimizer.learning_rate, optimizer.steps)
+    return network_kernel.Adam(*vectors, optimizer.learning_rate, optimizer.steps)
