@@ -170,6 +170,7 @@ def as_torch(metric: LearnedMetric, gain: float) -> torch.nn.Module:
 
     class Network(torch.nn.Module):
         def forward(self, x: torch.Tensor) -> torch.Tensor:
+            x = torch.clamp(x, torch.tensor(metric.low), torch.tensor(metric.high))
             z = torch.cat([(x - torch.tensor(metric.center)) / torch.tensor(metric.scale), extra])
             hidden = torch.relu(torch.relu(z @ weights[0] + weights[1]) @ weights[2] + weights[3])
             entries = hidden @ weights[4] + weights[5] + base
