@@ -10,9 +10,12 @@ from pathlib import Path
 from typing import Any
 
 from hydro_diagnosis import plots
+from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.pipeline import Diagnosis
 from hydro_diagnosis.report import EffectReport, Report
+from hydro_diagnosis.valve_plots import STATIC, valve_plot
+from hydro_diagnosis.where import location_plot
 from hydro_sim.plotting import UNITS
 
 _VERDICTS = {
@@ -46,7 +49,7 @@ def write_page(found: Diagnosis, path: Path) -> None:
         f"<p class='quiet'>Fitted on {_names(found.problem.models)}; checked on {_names(found.holdout)}; "
         f"{report.seconds:.1f} s of computing.</p>",
         f"<p class='verdict'><b>{_title(report.verdict)}.</b> {_VERDICTS[report.verdict]}</p>",
-        _locations(report),
+        _locations(found),
         *(_effect(found, effect) for effect in report.effects),
         _remainder(report),
         _held_out(report),
@@ -74,7 +77,8 @@ def _title(identifier: str) -> str:
     return escape(words.replace("coulomb", "(Coulomb)").replace("stribeck", "(Stribeck)"))
 
 
-def _locations(report: Report) -> str:
+def _locations(found: Diagnosis) -> str:
+    report = found.report
     if not report.location:
         return ""
     rows = "".join(
@@ -84,7 +88,8 @@ def _locations(report: Report) -> str:
     head = "".join(f"<th class='n'>{name} [{unit}]</th>" for name, unit in _REGION.items())
     return (
         f"<section><h2>Where</h2><table><tr><th></th>{head}</tr>{rows}</table>"
-        "<p class='quiet'>Ranges: where it stands out, 10th to 90th percentile.</p></section>"
+        "<p class='quiet'>Ranges: where it stands out, 10th to 90th percentile. Below: what the bench file alone "
+        "leaves unexplained, in units of the noise.</p>" + location_plot(found) + "</section>"
     )
 
 
@@ -115,8 +120,14 @@ def _effect(found: Diagnosis, effect: EffectReport) -> str:
         f"<table><tr><th>parameter</th><th class='n'>value</th><th>unit</th><th>95 % interval</th></tr>{rows}</table>"
         f"<p class='quiet'>Evidence: without it the recordings are explained worse by "
         f"{effect.evidence['delta_bic']:.0f} of BIC. {_gain(effect.evidence['holdout_gain'])}</p>"
-        f"{plots.effect_plot(found, claim)}{others}</section>"
+        f"{_picture(found, claim)}{others}</section>"
     )
+
+
+def _picture(found: Diagnosis, claim: Claim) -> str:
+    if claim.effect.id in STATIC:
+        return valve_plot(found, claim)
+    return plots.effect_plot(found, claim)
 
 
 def _gain(share: float) -> str:

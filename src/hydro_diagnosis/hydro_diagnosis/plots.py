@@ -87,9 +87,9 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
         axes[0].plot(
             x[shown] * units, without[at][shown] * scale, ".", color=GRAY, markersize=1.5, alpha=0.5, label="recorded"
         )
-        centers, means = _binned(x, without[at])
+        centers, means = binned(x, without[at])
         axes[0].plot(centers * units, means * scale, "o", color=ORANGE, markersize=3, label="mean")
-        centers, means = _binned(x, signature[at])
+        centers, means = binned(x, signature[at])
         axes[0].plot(centers * units, means * scale, color=BLUE, label="fitted effect")
         axes[0].set_xlabel(label)
         axes[0].set_ylabel(f"unexplained\n{name} [{unit}]")
@@ -135,7 +135,7 @@ def _sampled(found: Diagnosis, segment: int, variable: str, channel: int) -> Flo
     return np.interp(layout.time[at], model.time, variable_of(model, variable))
 
 
-def _binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Mean of y over the mean of x, in even bins cut finer where the data are dense."""
     even = np.linspace(x.min(), x.max(), _BINS + 1)
     dense = np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1))

@@ -37,7 +37,7 @@ def test_page_in_a_real_browser(written: Path, tmp_path: Path) -> None:
     assert "CONSOLE" not in log, log
     for section in SECTIONS:
         assert f'"{section}"' in title[1], title[1]
-    assert '"plots":3,"missing":0,"wide":false' in title[1]
+    assert '"plots":4,"missing":0,"wide":false' in title[1]
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium here")
