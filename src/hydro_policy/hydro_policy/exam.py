@@ -18,6 +18,9 @@ from hydro_policy.scoring import Score
 from hydro_policy.task import GainRange
 from hydro_policy.watch import PlantWatch
 
+RETRIES = 2
+"""Of a sine in which corrections came late: what it says is not the policy's doing."""
+
 EXAMINED = "policy"
 """Name of the policy in an examination's scores."""
 
@@ -71,6 +74,7 @@ def examination(
         watch=around.watch,
         override=around.override,
         monitor=around.monitor,
+        retries=RETRIES,
     )
 
 

@@ -12,8 +12,8 @@ import pytest
 
 from hydro_bridge.guard import GuardSettings
 from hydro_bridge.signals import Waveform
-from hydro_policy.cases import ExamSettings
-from hydro_policy.controllers import PolicyController
+from hydro_policy.cases import EvaluationSettings, ExamSettings
+from hydro_policy.controllers import FixedGains, PolicyController
 from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession
 from hydro_policy.monitor import MonitorSettings, SafetyMonitor
@@ -204,3 +204,32 @@ def test_what_happened_is_on_disk_after_each_event_and_a_resumed_run_goes_on_in_
     events = json.loads(path.read_text())["events"]
     assert [event["kind"] for event in events] == ["stop", "end"]
     assert events[0]["sentence"] == "too loud" and events[0]["chatter"] is None
+
+
+class Deaf(OfflineGraph):
+    """A filter that is silent now and then."""
+
+    silent = (0.0, 0.0)
+
+    def sample(self) -> np.void:
+        if not self.silent[0] <= self.time < self.silent[1]:
+            return super().sample()
+        self.box.receive(self.guard.command(self.time), self.time)
+        output = self.box.tick(self._measurement, self.time)
+        self._measurement = self.plant.step(float(output["valve_current"]))
+        self.time += 1e-3
+        return output
+
+
+@pytest.mark.parametrize("retries, held", [(0, True), (1, False)])
+def test_a_run_under_base_gains_is_repeated_where_a_verdict_depends_on_it(retries: int, held: bool) -> None:
+    graph = Deaf(AnalyticPlant(BENCH), BENCH)
+    graph.silent = (1.2, 1.4)
+    session = EvaluationSession(
+        EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=1.0),
+        [FixedGains(60.0, 15.0)],
+        graph,
+        retries=retries,
+    )
+    graph.run(session, 8.0)
+    assert session.finished and (session.scores[0].held > 0) == held and bool(session.warnings) == held
