@@ -54,7 +54,7 @@ def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weigh
     probe: Probe, tmp_path: Path
 ) -> None:
     with start(tmp_path / "run") as run:
-        probe.wait(lambda: is_learning(probe), 60.0)
+        probe.wait(lambda: is_learning(probe), 150.0)
         probe.spin(1.5)
         before = probe.last(TRAINING).updates
         probe.forget()
@@ -80,7 +80,7 @@ def test_unplugged_it_pauses_and_disarms_replugged_it_arms_anew_and_ctrl_c_leave
 ) -> None:
     run = RunDirectory(tmp_path / "run")
     with start(run.path) as process:
-        probe.wait(lambda: is_learning(probe), 60.0)
+        probe.wait(lambda: is_learning(probe), 150.0)
         (run.path / "emulator_control").write_text("unplug 1.5\n")
         probe.wait(lambda: phase(probe) == TrainingStatus.PAUSED, 5.0)
         assert "paused in episode" in process.text and "no samples" in process.text
@@ -98,7 +98,7 @@ def test_unplugged_it_pauses_and_disarms_replugged_it_arms_anew_and_ctrl_c_leave
     probe.spin(1.0)
     probe.forget()
     with trainer("--plant", "emulator", "--resume", str(run.path), "--no-record") as process:
-        probe.wait(lambda: is_learning(probe), 60.0)
+        probe.wait(lambda: is_learning(probe), 150.0)
         probe.wait(lambda: probe.last(TRAINING).episode > first.trainer["episode"] + 1, 30.0)
         assert process.end(signal.SIGTERM) == 130
     second = load_checkpoint(run.latest)
@@ -111,7 +111,7 @@ def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_sta
 ) -> None:
     run = RunDirectory(tmp_path / "run")
     with start(run.path) as process:
-        probe.wait(lambda: is_learning(probe), 60.0)
+        probe.wait(lambda: is_learning(probe), 150.0)
         recorder = process.child("/recorder ")
         probe.spin(0.1)
         sequence = probe.last(STATE).sequence

@@ -59,7 +59,7 @@ def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(probe: Probe
     with trainer(
         "--plant", "emulator", "--from", "scratch", "--runs", str(tmp_path), "--name", "run", *SHORT
     ) as process:
-        probe.wait(lambda: is_training(probe) and bool(probe.flags() & Flag.ARMED), 60.0)
+        probe.wait(lambda: is_training(probe) and bool(probe.flags() & Flag.ARMED), 150.0)
         probe.spin(1.0)
         probe.forget()
         done = override("--kp", "60", "--ki", "10", "--seconds", "3")
@@ -108,7 +108,7 @@ def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_r
     words = ("--plant", "emulator", "--from", "scratch", "--configuration", "wide")
     words += ("--runs", str(tmp_path), "--name", "run")
     with trainer(*words, *SHORT, "-p", "monitor.rollbacks_max:=2") as process:
-        probe.wait(lambda: "policy stopped in episode 1" in process.text, 60.0)
+        probe.wait(lambda: "policy stopped in episode 1" in process.text, 150.0)
         probe.wait(lambda: probe.told.get("trainer", ("", {}))[1].get("rollbacks") in ("1", "2"), 5.0)
         assert probe.told["trainer"][1]["last stop"] != "none"
         assert process.process.wait(60.0) == 1
