@@ -153,7 +153,7 @@ def _advance(plants, i, noise, current):
                 plants.work, x, a1, a2, r, plants.clean[i],
             )  # fmt: skip
             one = slice(i, i + 1)
-            learned_plants._next_error(plants.sensors[one], noise, plants.clean[i], plants.last[one], plants.error[i])
+            learned_plants.next_error(plants.sensors[one], noise, plants.clean[i], plants.last[one], plants.error[i])
             plants.x[i] = plants.clean[i] + plants.error[i]
 
         return model
@@ -161,12 +161,12 @@ def _advance(plants, i, noise, current):
 
         def net(plants, i, noise, current):
             x, a1, a2, y = plants.scratch
-            learned_plants._advance_network(
+            learned_plants.advance_network(
                 plants.layers, plants.step, plants.center, plants.scale, plants.state[i],
                 current / plants.current_scale, x, a1, a2, y, plants.clean[i],
             )  # fmt: skip
             one = slice(i, i + 1)
-            learned_plants._next_error(plants.sensors[one], noise, plants.clean[i], plants.last[one], plants.error[i])
+            learned_plants.next_error(plants.sensors[one], noise, plants.clean[i], plants.last[one], plants.error[i])
             plants.x[i] = plants.clean[i] + plants.error[i]
 
         return net

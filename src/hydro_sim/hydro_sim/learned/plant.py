@@ -75,7 +75,7 @@ class LearnedPlant:
         self.advance(self.state, valve_current, self.clean)
         bounds = self.learned.region
         self.extrapolating = bool(region.outside(bounds.center, bounds.whiten, self.clean, valve_current))
-        _next_error(self.sensors, self.noise.row(), self.clean, self._last, self.error)
+        next_error(self.sensors, self.noise.row(), self.clean, self._last, self.error)
         return self.clean + self.error
 
 
@@ -107,7 +107,7 @@ def _network_step(model: NetworkModel) -> Step:
     a1, a2 = np.empty(model.hidden[0], np.float32), np.empty(model.hidden[1], np.float32)
 
     def advance(state: FloatArray, current: float, measured: FloatArray) -> None:
-        _advance_network(
+        advance_network(
             layers, step, model.center, model.scale, state, current / model.current_scale, x, a1, a2, y, measured
         )
 
@@ -115,7 +115,7 @@ def _network_step(model: NetworkModel) -> Step:
 
 
 @njit(cache=True)
-def _advance_network(layers, step, center, scale, state, current, x, a1, a2, y, measured):
+def advance_network(layers, step, center, scale, state, current, x, a1, a2, y, measured):
     z = ((state - center) / scale).astype(np.float32)
     network.advance(layers, step, z, np.float32(current), x, a1, a2, y)
     for i in range(network.STATES):
@@ -143,7 +143,7 @@ def _begin_error(sensor, noise, clean, last, error):
 
 
 @njit(cache=True)
-def _next_error(sensor, noise, clean, last, error):
+def next_error(sensor, noise, clean, last, error):
     raw = np.empty(5)
     _errors(sensor[0], noise, clean, raw)
     sensors.condition(sensor[0], last[0], raw, error)
