@@ -3,6 +3,7 @@
 
 no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
 disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else the user is told how
+no corrections           armed only when they come: base gains meanwhile would wind up an integral that then kicks
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ _SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridg
 _RETRY = 1.0  # s
 
 _HINT_AFTER = 8.0  # s
-_FILTER_HINT, _FILTER_WITHIN = 8.0, 90.0  # s after arming: to say so; to go on without (its first start compiles)
+_FILTER_HINT, _FILTER_WITHIN = 8.0, 90.0  # s without corrections: to say so; to go on (its first start compiles)
 
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
 AWAITING_FILTER = "waiting for the filter to answer: where it starts for the first time it compiles, up to a minute"
@@ -44,7 +45,7 @@ class PlantWatch:
         self._asked = -math.inf
         self._told: str | None = None
         self._hint_at = math.inf  # when to say that nobody publishes
-        self._armed_at = math.inf
+        self._stale_since = math.inf  # since when no corrections reach the box
         self._hints: set[str] = set()  # given already, each once
 
     @property
@@ -72,21 +73,11 @@ class PlantWatch:
     def on_sample(self, flags: int, now: float) -> None:
         """Take a sample's flags."""
         self._seen, self._flags = now, flags
-        if not flags & Flag.ARMED:
-            self._armed_at = math.inf
-        elif self._armed_at == math.inf:
-            self._armed_at = now
+        self._stale_since = min(self._stale_since, now) if flags & Flag.FILTER_STALE else math.inf
 
     def may_begin(self, now: float) -> bool:
         """Whether an episode or a run may begin: armed, and the filter answers or has been waited for."""
-        if not self.armed or not self._flags & Flag.FILTER_STALE:
-            return self.armed
-        waited = now - self._armed_at
-        for after, sentence in ((_FILTER_HINT, AWAITING_FILTER), (_FILTER_WITHIN, NO_FILTER)):
-            if waited > after and sentence not in self._hints:
-                self._hints.add(sentence)
-                self._outputs.say(sentence, warning=True)
-        return waited > _FILTER_WITHIN
+        return self.armed and not self._awaits_filter(now)
 
     def on_tick(self, now: float) -> None:
         """Call some twenty times a second: notices a loss, asks for arming."""
@@ -105,11 +96,21 @@ class PlantWatch:
         self._arm_after, self._asked = now + _SETTLE, now
 
     def _seek_arming(self, now: float) -> None:
+        if self._awaits_filter(now):
+            return
         if now >= self._arm_after:
             self._arm_after = math.inf
             self._outputs.arm(True)
         elif self._rearm and now - self._asked > _RETRY:
             self.arm_now(now)
+
+    def _awaits_filter(self, now: float) -> bool:
+        waited = now - self._stale_since if self._flags & Flag.FILTER_STALE else -math.inf
+        for after, sentence in ((_FILTER_HINT, AWAITING_FILTER), (_FILTER_WITHIN, NO_FILTER)):
+            if waited > after and sentence not in self._hints:
+                self._hints.add(sentence)
+                self._outputs.say(sentence, warning=True)
+        return 0 <= waited <= _FILTER_WITHIN
 
     def _tell(self, now: float) -> None:
         if self._hint_at == math.inf and self._told is None:

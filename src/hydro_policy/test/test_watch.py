@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When a plant is armed: not before the filter's corrections reach it, so that base gains wind up nothing meanwhile."""
+
+from __future__ import annotations
+
+from hydro_bridge.signals import Flag, ReferenceSignal
+from hydro_policy.watch import AWAITING_FILTER, NO_FILTER, PlantWatch
+
+
+class Heard:
+    """Outputs that keep what was asked for."""
+
+    def __init__(self) -> None:
+        self.armings: list[bool] = []
+        self.said: list[str] = []
+
+    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+        raise AssertionError("a watch sends no gains")
+
+    def reference(self, signal: ReferenceSignal) -> None:
+        raise AssertionError("a watch sends no reference")
+
+    def arm(self, arm: bool) -> None:
+        self.armings.append(arm)
+
+    def say(self, sentence: str, warning: bool = False) -> None:
+        self.said.append(sentence)
+
+
+def run(watch: PlantWatch, flags: int, start: float, end: float) -> None:
+    for tick in range(round(20 * start), round(20 * end)):
+        watch.on_sample(flags, tick / 20)
+        watch.on_tick(tick / 20)
+
+
+def test_arming_waits_for_the_filter() -> None:
+    heard = Heard()
+    watch = PlantWatch(heard, rearm=True)
+    run(watch, int(Flag.FILTER_STALE), 0.0, 20.0)
+    assert heard.armings == []
+    assert AWAITING_FILTER in heard.said
+    run(watch, 0, 20.0, 20.5)
+    assert heard.armings == [False, True]
+    run(watch, int(Flag.ARMED), 20.5, 20.6)
+    assert watch.may_begin(20.6)
+
+
+def test_without_a_filter_it_is_armed_in_the_end_and_said() -> None:
+    heard = Heard()
+    watch = PlantWatch(heard, rearm=True)
+    run(watch, int(Flag.FILTER_STALE), 0.0, 92.0)
+    assert heard.armings[:2] == [False, True]
+    assert heard.said.count(NO_FILTER) == 1
+    run(watch, int(Flag.FILTER_STALE | Flag.ARMED), 92.0, 92.1)
+    assert watch.may_begin(92.1)
+
+
+def test_a_person_who_arms_waits_as_well() -> None:
+    heard = Heard()
+    watch = PlantWatch(heard, rearm=False)
+    run(watch, int(Flag.FILTER_STALE), 0.0, 1.0)
+    watch.arm_now(1.0)
+    run(watch, int(Flag.FILTER_STALE), 1.0, 5.0)
+    assert heard.armings == [False]
+    run(watch, 0, 5.0, 5.1)
+    assert heard.armings == [False, True]
