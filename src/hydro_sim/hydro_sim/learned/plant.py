@@ -116,6 +116,7 @@ def _network_step(model: NetworkModel) -> Step:
 
 @njit(cache=True)
 def advance_network(layers, step, center, scale, state, current, x, a1, a2, y, measured):
+    """One sample of the network from `state`, in place; `measured` is what comes out of it."""
     z = ((state - center) / scale).astype(np.float32)
     network.advance(layers, step, z, np.float32(current), x, a1, a2, y)
     for i in range(network.STATES):
@@ -144,6 +145,7 @@ def _begin_error(sensor, noise, clean, last, error):
 
 @njit(cache=True)
 def next_error(sensor, noise, clean, last, error):
+    """The sensors' error of the next sample, rates included, in place."""
     raw = np.empty(5)
     _errors(sensor[0], noise, clean, raw)
     sensors.condition(sensor[0], last[0], raw, error)
