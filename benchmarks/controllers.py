@@ -200,7 +200,7 @@ def main() -> None:
     )
     parser.add_argument("--start", type=Path, required=True, metavar="RUN", help="the pretrained agent")
     parser.add_argument(
-        "--benches", nargs="+", default=["default"], choices=BENCHES, metavar="NAME", help=", ".join(BENCHES)
+        "--benches", nargs="+", default=["default"], choices=BENCHES, metavar="NAME", help=", ".join(BENCHES).replace("%", "%%")
     )
     parser.add_argument("--seeds", type=int, default=5, help="of noise, default 5")
     parser.add_argument("--training-seeds", type=int, default=5, help="policies I, default 5")

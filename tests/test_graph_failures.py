@@ -55,6 +55,7 @@ def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weigh
 ) -> None:
     with start(tmp_path / "run") as run:
         probe.wait(lambda: is_learning(probe), 150.0)
+        begun = probe.last(TRAINING).updates
         probe.spin(1.5)
         before = probe.last(TRAINING).updates
         probe.forget()
@@ -64,7 +65,8 @@ def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weigh
         probe.spin(3.0)
         probe.wait(lambda: is_learning(probe) and probe.last(TRAINING).updates > before, 30.0)
         after = [message.updates for _, message in probe.heard[TRAINING]]
-        assert min(after) >= before - 100, "at most the last half second is learnt again"
+        # A snapshot twice a second; a learner that catches up makes thousands of updates in that time.
+        assert before - min(after) <= (before - begun) / 1.5 + 128, "less than the last second is learnt again"
         assert run.end() == 130
     assert load_checkpoint(RunDirectory(tmp_path / "run").latest).produced > 0
     gains = read_bag(tmp_path / "run" / "bag")[GAINS]
