@@ -199,9 +199,8 @@ def main() -> None:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("--start", type=Path, required=True, metavar="RUN", help="the pretrained agent")
-    parser.add_argument(
-        "--benches", nargs="+", default=["default"], choices=BENCHES, metavar="NAME", help=", ".join(BENCHES).replace("%", "%%")
-    )
+    names = ", ".join(BENCHES).replace("%", "%%")
+    parser.add_argument("--benches", nargs="+", default=["default"], choices=BENCHES, metavar="NAME", help=names)
     parser.add_argument("--seeds", type=int, default=5, help="of noise, default 5")
     parser.add_argument("--training-seeds", type=int, default=5, help="policies I, default 5")
     parser.add_argument("--episodes", type=int, default=6, help="of I, default 6")
