@@ -49,7 +49,7 @@ BENCHES: Mapping[str, Mapping[str, Any]] = {
     "spring 10 kN/m": {"spring_stiffness": {"ratio": 0.5}},
     "spring 40 kN/m": {"spring_stiffness": {"ratio": 2.0}},
     "supply 10 MPa": {"supply_pressure": {"ratio": 0.625}},
-    "dry friction +30 N": {"friction_coulomb": {"force": 42.0}},
+    "dry friction +30 N": {"friction_coulomb": {"form": "lugre", "force": 42.0}},
     "air 1 %": {"entrained_air": {"volume_fraction": 0.01}},
     "valve gain -25 %": {"valve_gain": {"ratio": 0.75}},
     "cell 18 Hz": {"sensor_lag": {"bandwidth": 18.0, "damping": 0.55}},

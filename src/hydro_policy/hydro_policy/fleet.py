@@ -109,7 +109,8 @@ class Fleet:
         """Ten samples with gain changes (delta_kp, delta_ki), shape (benches, 2); returns `samples`."""
         box = self.benches, self.settings, self.boxes, self.commands
         noise = fleet_plants.noise(self.rows, POLICY_SAMPLES)
-        _step(*box, self.filters, self.rows.arrays, self.links, np.ascontiguousarray(changes), noise, self.samples)
+        step = _step if type(self.rows.arrays).__module__.startswith("hydro_policy.") else _step_foreign
+        step(*box, self.filters, self.rows.arrays, self.links, np.ascontiguousarray(changes), noise, self.samples)
         return self.samples
 
 
@@ -136,6 +137,10 @@ def _step(benches, settings, boxes, commands, filters, plants, links, changes, n
             measurement = fleet_plants.measurement(plants, i)
             _exchange(benches[one], settings[one], boxes[one], commands[one], filters, i, measurement, sample)
             current = sample[0].valve_current
+
+
+# Plants of a kind from elsewhere (a benchmark's): the cache's index would name a module that others cannot import.
+_step_foreign = njit(_step.py_func)
 
 
 @njit(cache=True)
