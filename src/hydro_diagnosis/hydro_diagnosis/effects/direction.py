@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import isnan
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import MOTION, Effect, FloatArray, Kinematics, Memory, Parameter, Values
+from hydro_diagnosis.effects.friction import down_to_nothing
 from hydro_sim.bench import Bench
 
 _COEFFICIENT = Parameter(
@@ -26,7 +26,7 @@ class FrictionViscousDirectional(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        low = _COEFFICIENT.low if isnan(self.reference) else -self.reference
+        low = down_to_nothing(self.reference, -_COEFFICIENT.low)
         other = -15.0 if low < -30.0 else 15.0
         extending = replace(_COEFFICIENT, low=low)
         return (extending, replace(extending, name="coefficient_negative", probes=(other,)))

@@ -30,7 +30,7 @@ def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), 
     return Parameter(name=name, unit="N", low=low, high=500.0, neutral=0.0, probes=probes, smallest=smallest)
 
 
-def _down_to_nothing(of_bench: float, otherwise: float) -> float:
+def down_to_nothing(of_bench: float, otherwise: float) -> float:
     """The lowest change that leaves something of the bench's value."""
     return -otherwise if isnan(of_bench) else -of_bench
 
@@ -80,7 +80,7 @@ class FrictionViscous(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        low = _down_to_nothing(self.reference, 1e4)
+        low = down_to_nothing(self.reference, 1e4)
         return (
             Parameter(name="coefficient", unit="N s/m", low=low, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5),
         )
@@ -204,7 +204,7 @@ class MovingMass(Effect):
 
     @property
     def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        low = 0.95 * _down_to_nothing(self.reference, 1e3)
+        low = 0.95 * down_to_nothing(self.reference, 1e3)
         return (Parameter(name="mass", unit="kg", low=low, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.05),)
 
     def adapted(self, bench: Bench) -> Effect:
