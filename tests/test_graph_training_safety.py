@@ -105,11 +105,12 @@ def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_r
 ) -> None:
     """With K_p up to 300 the middle of the range, where a policy from scratch starts, is more than the bench bears.
 
-    With the constant metric, that is: the learned one would hold it.
+    With the constant metric, that is: the learned one would hold it. Without updates, for a learner that is quick enough
+    finds bearable gains after the second stop, which is well done and no case for giving up.
     """
     run = RunDirectory(tmp_path / "run")
     words = ("--plant", "emulator", "--from", "scratch", "--configuration", "wide", "--filter=--metric constant")
-    words += ("--runs", str(tmp_path), "--name", "run")
+    words += ("--updates-per-step", "0", "--runs", str(tmp_path), "--name", "run")
     with trainer(*words, *SHORT, "-p", "monitor.rollbacks_max:=2") as process:
         probe.wait(lambda: "policy stopped in episode 1" in process.text, 150.0)
         probe.wait(lambda: probe.told.get("trainer", ("", {}))[1].get("rollbacks") in ("1", "2"), 5.0)
