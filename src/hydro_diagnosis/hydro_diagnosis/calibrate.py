@@ -23,10 +23,11 @@ from threadpoolctl import threadpool_limits
 from hydro_bridge.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.outcome import SearchSettings
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.rehearse import rehearsal
-from hydro_diagnosis.search import Search, SearchSettings
+from hydro_diagnosis.search import Search
 from hydro_sim.bench import Bench
 
 SHIPPED = Path(__file__).parent / "data" / "calibration.json"

@@ -9,10 +9,10 @@ from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.fit import Fit, fit
 from hydro_diagnosis.intervals import Interval, intervals
 from hydro_diagnosis.locate import Place
+from hydro_diagnosis.outcome import Outcome, score
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.report import EffectReport, Location, ParameterEstimate, Rival
 from hydro_diagnosis.screen import cause
-from hydro_diagnosis.search import Outcome, score
 from hydro_diagnosis.verdict import Assessment
 
 CLOSE = 10.0

@@ -15,9 +15,9 @@ import numpy as np
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_diagnosis.conclude import CLOSE
 from hydro_diagnosis.fit import Fit, jacobian
+from hydro_diagnosis.outcome import Outcome, score
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.rehearse import rehearsal
-from hydro_diagnosis.search import Outcome, score
 from hydro_diagnosis.table import InputError
 from hydro_diagnosis.verdict import Assessment
 

@@ -9,7 +9,8 @@ from math import comb, hypot
 import numpy as np
 
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model import BLOCK, SegmentModel
+from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.segment_record import BLOCK
 from hydro_diagnosis.smoothing import ACCELERATION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 from hydro_sim.bench import Bench
 

@@ -23,10 +23,11 @@ from hydro_diagnosis.equations import held_out
 from hydro_diagnosis.intake import taken
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.nextrec import next_recording
+from hydro_diagnosis.outcome import Outcome, SearchSettings
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report import INTERRUPTED, DiagnosisInterrupted, Report
-from hydro_diagnosis.search import Outcome, Search, SearchSettings
+from hydro_diagnosis.search import Search
 from hydro_diagnosis.table import InputError
 from hydro_diagnosis.verdict import Assessment, assess
 from hydro_sim.bench import Bench

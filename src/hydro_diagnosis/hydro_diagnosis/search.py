@@ -9,15 +9,16 @@ which nothing is missing.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, Parameter
+from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.fit import Fit, fit, pack
 from hydro_diagnosis.locate import noticeable
+from hydro_diagnosis.outcome import Outcome, SearchSettings, Step, score
 from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.screen import cause, screen
+from hydro_diagnosis.screen import screen
+from hydro_diagnosis.worth import all_worth, form_error
 
 SKETCHED = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
@@ -25,53 +26,6 @@ SWAPS = 3
 """Rounds of exchanging causes at most, after each claim."""
 RIPENING = 6
 """Rounds of weighing and fitting at most."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class SearchSettings:
-    """How hard to look and when to claim."""
-
-    threshold: float = 20.0
-    """Evidence in units of BIC that a claim needs beyond its parameters' price, [0, 1000].
-
-    A choice, held against recordings with nothing missing; `calibrate` measures what such recordings reach.
-    """
-    most: int = 6
-    """Claims at most."""
-    shortlist: int = 7
-    """Prospects that are fitted in full at each step."""
-    form_error: float = 0.035
-    """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
-    openings: int = 3
-    """First claims that are tried, one search each, as long as something remains unexplained, [1, 10]."""
-    effort: int = 9000
-    """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before the
-    search begins again: some 4 ms each for 60 s of data, [100, 1000000]."""
-
-
-@dataclass(frozen=True)
-class Step:
-    """One step of the search, for the plot of how evidence converged."""
-
-    action: str
-    label: str
-    score: float
-
-
-@dataclass
-class Outcome:
-    """What the search found."""
-
-    fit: Fit
-    nothing: Fit
-    steps: list[Step] = field(default_factory=list)
-    rivals: dict[str, list[Fit]] = field(default_factory=dict)
-    """By a claim's label: fits in which another cause stands in its place, best first."""
-
-
-def score(problem: Problem, found: Fit) -> float:
-    """Deviance plus price: lower is better."""
-    return found.deviance + found.free * float(np.log(len(found.residual)))
 
 
 class Search:
@@ -144,8 +98,9 @@ class Search:
         None at all where the best only mends the form of its kin: what others explain of that is mimicry.
         """
         enough = score(self.problem, base) - self.settings.threshold
-        worth = [one for one in self._extended(base) if score(self.problem, one) <= enough and self._worth(one)]
-        return [] if worth and self._form_error(base, worth[0]) else worth
+        worth = [one for one in self._extended(base) if score(self.problem, one) <= enough and all_worth(one)]
+        mends = bool(worth) and form_error(self.problem, base, worth[0], self.settings.form_error)
+        return [] if mends else worth
 
     def _extended(self, base: Fit) -> list[Fit]:
         """Fits with one claim more, the best first; those of a base that was looked at before are only refined."""
@@ -174,7 +129,7 @@ class Search:
             fits = [one for one in self._extended(fit(self.problem, others)) if one.claims[-1].effect.label != label]
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if score(self.problem, one) < score(self.problem, outcome.fit) - 2.0]
-            if better and self._worth(better[0]):
+            if better and all_worth(better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
@@ -213,39 +168,3 @@ class Search:
             if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(self.problem.doubted):
                 break
         return found
-
-    def _form_error(self, base: Fit, found: Fit) -> bool:
-        """Whether the newest claim explains no more than a small error in the form of its kin would."""
-        newest = found.claims[-1].effect
-        kin = [claim for claim in base.claims if newest.family and claim.effect.family == newest.family]
-        for claim in kin:
-            if claim.effect.id in newest.needs:
-                continue
-            without = self.problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
-            signature = float(np.sum(np.square(without - self.problem.residual(found.claims[:-1]))))
-            added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
-            if added < self.settings.form_error**2 * signature:
-                return True
-        return False
-
-    @staticmethod
-    def _worth(found: Fit) -> bool:
-        """Every claim is larger than the smallest size worth claiming."""
-        return all(worth_claiming(claim) for claim in found.claims)
-
-
-def worth_claiming(claim: Claim) -> bool:
-    """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends."""
-    amplitudes = [one for one in claim.effect.parameters if one.smallest > 0.0]
-    if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
-        return False
-    return not amplitudes or any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
-
-
-def _at_its_end(parameter: Parameter, value: float) -> bool:
-    """Whether a value stands at a bound that is not its neutral value."""
-    near = 1e-3 * parameter.smallest
-    return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
-
-
-__all__ = ["Outcome", "Search", "SearchSettings", "Step", "cause", "score", "worth_claiming"]

@@ -10,9 +10,9 @@ from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.fit import Fit, fit
 from hydro_diagnosis.nextrec import catalog, expected_gain
+from hydro_diagnosis.outcome import score
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.rehearse import rehearsal
-from hydro_diagnosis.search import score
 from hydro_sim.bench import Bench
 
 BENCH = Bench.nominal()

@@ -8,8 +8,9 @@ import pytest
 
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.locate import mean_squares
+from hydro_diagnosis.outcome import Outcome
 from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.search import Outcome, Search
+from hydro_diagnosis.search import Search
 from hydro_sim.bench import Bench
 
 NOMINAL = Bench.nominal()

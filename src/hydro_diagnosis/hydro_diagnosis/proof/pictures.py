@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 
 from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.outcome import SearchSettings
 from hydro_diagnosis.proof.cases import FITTED, SECONDS
 from hydro_diagnosis.proof.facts import Result
 from hydro_diagnosis.proof.standards import confusion, wilson
-from hydro_diagnosis.search import SearchSettings
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 NAMES = {"confusion": "confusion.png", "errors": "errors.png", "coverage": "coverage.png", "held_out": "held_out.png"}

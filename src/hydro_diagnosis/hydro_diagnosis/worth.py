@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a claim is worth making: large enough, possible, and more than an error in the form of its kin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, Parameter
+from hydro_diagnosis.fit import Fit
+from hydro_diagnosis.problem import Problem
+
+
+def worth_claiming(claim: Claim) -> bool:
+    """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends."""
+    amplitudes = [one for one in claim.effect.parameters if one.smallest > 0.0]
+    if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
+        return False
+    return not amplitudes or any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
+
+
+def all_worth(found: Fit) -> bool:
+    """Whether every claim of a fit is worth making."""
+    return all(worth_claiming(claim) for claim in found.claims)
+
+
+def _at_its_end(parameter: Parameter, value: float) -> bool:
+    """Whether a value stands at a bound that is not its neutral value."""
+    near = 1e-3 * parameter.smallest
+    return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
+
+
+def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
+    """Whether the newest claim explains no more than an error in the form of its kin would.
+
+    `share`: of a claim's signature that its form may be off by.
+    """
+    newest = found.claims[-1].effect
+    kin = [claim for claim in base.claims if newest.family and claim.effect.family == newest.family]
+    for claim in kin:
+        if claim.effect.id in newest.needs:
+            continue
+        without = problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
+        signature = float(np.sum(np.square(without - problem.residual(found.claims[:-1]))))
+        added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
+        if added < share**2 * signature:
+            return True
+    return False
