@@ -17,8 +17,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hydro_bridge.console import UserError, progress
-from hydro_diagnosis.proof.cases import FITTED, HELD, Case, Schedule, calmer
-from hydro_diagnosis.proof.recording import clear, fresh, run_seed, trips, whole, written
+from hydro_diagnosis.proof.cases import FITTED, HELD, Case
+from hydro_diagnosis.proof.recording import clear, fresh, run_seed, whole, written
+from hydro_diagnosis.proof.retake import ATTEMPTS, Attempt, usable
 
 DOMAIN = "78"
 PATIENCE = 60.0
@@ -31,21 +32,23 @@ def record_by_graph(cases: Sequence[Case], folder: Path, until: float) -> bool:
     for case, name in progress(runs, label="recording over the serial line", unit="run"):
         if time.monotonic() > until:
             return False
-        bag, schedule = folder / case.name / name, case.schedules[name]
-        _play(case, name, schedule, clear(bag))
-        if trips(fresh(bag)):
-            _play(case, name, calmer(schedule), clear(bag))
+        bag = folder / case.name / name
+        for attempt in ATTEMPTS:
+            _play(case, name, attempt, clear(bag))
+            if usable(fresh(bag)):
+                break
         fresh(bag).rename(bag)
     return True
 
 
-def _play(case: Case, name: str, schedule: Schedule, bag: Path) -> None:
+def _play(case: Case, name: str, attempt: Attempt, bag: Path) -> None:
     with tempfile.TemporaryDirectory(prefix="hydro-truth-") as scratch:
-        paths, port = written(case, name, schedule, Path(scratch)), str(Path(scratch) / "port")
+        paths, port = written(case, name, attempt, Path(scratch)), str(Path(scratch) / "port")
         emulator = ["hydro_sim", "emulator", "--link", port, "--truth", paths["truth"]]
+        emulator += ["--bench", paths["bench"]] if "bench" in paths else []
         bridge = ["hydro_bridge", "bridge", "--port", port, "--ros-args", "-p", "guard.require_filter:=false"]
         with _running([*emulator, "--seed", str(run_seed(case, name))]), _running(bridge):
-            _collect(["--out", str(bag), "--schedule", paths["schedule"]], schedule["seconds"])
+            _collect(["--out", str(bag), "--schedule", paths["schedule"]], case.schedules[name]["seconds"])
 
 
 def _collect(words: Sequence[str], seconds: float) -> None:

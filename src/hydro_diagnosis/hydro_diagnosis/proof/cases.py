@@ -156,8 +156,3 @@ def _schedule(waveform: str, rng: np.random.Generator) -> Schedule:
         "kp": float(rng.uniform(30.0, 90.0)),
         "ki": float(rng.uniform(5.0, 15.0)),
     }
-
-
-def calmer(schedule: Mapping[str, Any]) -> Schedule:
-    """The same reference at gains and an amplitude that an operator goes back to after the box has tripped."""
-    return {**schedule, "amplitude": 0.6 * schedule["amplitude"], "kp": 30.0, "ki": 5.0}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings of the cases by the emulator's command, in processes of their own: no code of the truth plant is needed.
 
-The truth is written into a temporary folder and gone before any diagnosis begins. A run in which the box trips is
-recorded again at lower gains, as an operator would; that decision knows only the recording.
+The truth is written into a temporary folder and gone before any diagnosis begins. A run that cannot be used is recorded
+again as an operator would (`retake`); that decision knows only the recording.
 """
 
 from __future__ import annotations
@@ -20,16 +20,15 @@ from joblib import Parallel, delayed
 from tqdm import tqdm
 
 from hydro_bridge.console import UserError, progress
-from hydro_bridge.recording import read_bag
-from hydro_bridge.signals import Flag
-from hydro_diagnosis.proof.cases import FITTED, HELD, Case, Schedule, calmer
+from hydro_diagnosis.proof.cases import FITTED, HELD, Case
+from hydro_diagnosis.proof.retake import ATTEMPTS, Attempt, usable
 
 SLICE = 8
 """Cases that one process of the emulator records."""
 
 
-Run = tuple[Case, str, Schedule]
-"""A case, the name of a recording, and what is played."""
+Run = tuple[Case, str]
+"""A case and the name of a recording."""
 
 
 def record(cases: Sequence[Case], folder: Path, workers: int, until: float) -> bool:
@@ -55,24 +54,25 @@ def _record(cases: Sequence[Case], folder: Path, until: float) -> int:
     """Record one slice; returns how many cases it was: none once time is up."""
     if time.monotonic() > until:
         return 0
-    runs = [(case, name, case.schedules[name]) for case in cases for name in (*FITTED, HELD)]
-    runs = [run for run in runs if not whole(folder / run[0].name / run[1])]
-    _play(runs, folder)
-    _play([(case, name, calmer(one)) for case, name, one in runs if trips(fresh(folder / case.name / name))], folder)
-    for case, name, _ in runs:
+    runs = [(case, name) for case in cases for name in (*FITTED, HELD) if not whole(folder / case.name / name)]
+    left = runs
+    for attempt in ATTEMPTS:
+        _play(left, attempt, folder)
+        left = [(case, name) for case, name in left if not usable(fresh(folder / case.name / name))]
+    for case, name in runs:
         fresh(folder / case.name / name).rename(folder / case.name / name)
     return len(cases)
 
 
-def _play(runs: Sequence[Run], folder: Path) -> None:
+def _play(runs: Sequence[Run], attempt: Attempt, folder: Path) -> None:
     """Record runs, each as `fresh`, in one process."""
     if not runs:
         return
     with tempfile.TemporaryDirectory(prefix="hydro-truth-") as scratch:
         jobs = []
-        for case, name, schedule in runs:
+        for case, name in runs:
             out = clear(folder / case.name / name)
-            paths = written(case, name, schedule, Path(scratch))
+            paths = written(case, name, attempt, Path(scratch))
             jobs.append({"out": str(out), "seed": run_seed(case, name), **paths})
         batch = Path(scratch) / "batch.yaml"
         batch.write_text(yaml.safe_dump({"jobs": jobs}), encoding="utf-8")
@@ -91,12 +91,18 @@ def clear(bag: Path) -> Path:
     return fresh(bag)
 
 
-def written(case: Case, name: str, schedule: dict[str, Any], scratch: Path) -> dict[str, str]:
-    """Write truth and schedule of a run for the emulator; returns their paths by option."""
-    truth, plan = scratch / f"{case.name}.truth.yaml", scratch / f"{case.name}.{name}.yaml"
-    truth.write_text(yaml.safe_dump(truth_of(case)), encoding="utf-8")
-    plan.write_text(yaml.safe_dump({"segments": [dict(schedule)]}), encoding="utf-8")
-    return {"truth": str(truth), "schedule": str(plan)}
+def written(case: Case, name: str, attempt: Attempt, scratch: Path) -> dict[str, str]:
+    """Write truth, schedule and what the box is told for the emulator; returns their paths by option."""
+    files = {"truth": truth_of(case), "schedule": {"segments": [attempt.schedule(case.schedules[name])]}}
+    box = attempt.box()
+    if box is not None:
+        files["bench"] = box.to_mapping()
+    paths = {}
+    for option, content in files.items():
+        path = scratch / f"{case.name}.{name}.{option}.yaml"
+        path.write_text(yaml.safe_dump(content), encoding="utf-8")
+        paths[option] = str(path)
+    return paths
 
 
 def truth_of(case: Case) -> dict[str, Any]:
@@ -116,11 +122,6 @@ def run_emulator(words: Sequence[str]) -> None:
     done = subprocess.run(["ros2", "run", "hydro_sim", "emulator", *words], check=False, capture_output=True, text=True)
     if done.returncode:
         raise UserError(f"the emulator could not record: {(done.stderr.strip() or 'it was ended').splitlines()[-1]}")
-
-
-def trips(bag: Path) -> bool:
-    """Whether the box tripped in a recording."""
-    return bool((read_bag(bag).state["flags"] & Flag.TRIPPED).any())
 
 
 def whole(bag: Path) -> bool:
