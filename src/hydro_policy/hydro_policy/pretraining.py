@@ -5,7 +5,8 @@
 
     round     one episode on every bench of the fleet, all from rest, references as `trainer` would give them
     step      all benches act, ten samples pass, transitions are remembered, the updates owed are made
-    after     the mean action on four sines of 300 N: the learning curve, and which policy was the best so far
+    after     the mean action on four sines of 300 N: the learning curve, and which policy was the best so far;
+              with drawn benches also on eight of those that no episode runs on
 
 A round's references, benches and noise follow from the seed and the episode's number alone, so that a run that was
 interrupted and resumed ends with the same weights as one that was not.
@@ -29,7 +30,8 @@ from hydro_policy.environment import Environment, Transitions
 from hydro_policy.fleet import Fleet
 from hydro_policy.fleet_filter import fleet_filter
 from hydro_policy.policy import Policy
-from hydro_policy.randomisation import Randomisation, draw
+from hydro_policy.pretrain_exam import Examination
+from hydro_policy.randomisation import Drawn, Randomisation, draw
 from hydro_policy.replay import ReplayBuffer
 from hydro_policy.run import TrainingSettings
 from hydro_policy.sac import Sac
@@ -39,9 +41,6 @@ from hydro_sim.bench import Bench
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.plant import AnalyticPlant, Plant
-
-REFERENCE_GAINS = (90.0, 15.0)
-"""K_p, K_i of the paper's controller III, which scores are relative to."""
 
 Simulated = Bench | Learned | Callable[[], Plant]
 
@@ -55,6 +54,8 @@ class PretrainSettings:
     """Benches side by side; each plays its share of the episodes. [1, 256]."""
     randomisation: Randomisation | None = None
     """None: the same bench always."""
+    examined: int = 8
+    """Drawn benches that a policy is examined on besides the known one, if benches are drawn. [0, 256]."""
     filter: str = "none"
     """The filter between policy and box: none, constant, learned (`fleet_filter`)."""
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
@@ -88,12 +89,15 @@ class Pretraining:
         self.episode = 0
         """Episodes finished."""
         self.history: list[dict[str, Any]] = []
-        """One entry per round: episode, mean return, trips, RMSE at each frequency, score."""
+        """One entry per round: episode, mean return, trips, RMSE at each frequency, scores (`pretrain_exam`)."""
         self.best_score = math.inf
         self.best: bytes | None = None
         """The agent (`snapshot.dump`) with the best score so far; not part of `state`."""
         self._take_weights()
-        self.reference_rmse = self._sines(fleet_runs.fixed(np.array(REFERENCE_GAINS)))
+        drawn = None if settings.randomisation is None else lambda number: self._draw(self._seed(number, 3))
+        self._exam = Examination(self._fleet, believed, settings.evaluation, drawn, settings.examined)
+        self.reference_rmse = self._exam.reference[0]
+        """N, RMSE of the reference gains on the known bench, shape (cases,)."""
 
     @property
     def finished(self) -> bool:
@@ -155,21 +159,16 @@ class Pretraining:
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
         """The mean action on the four sines: a new entry of `history`, and perhaps the best agent so far."""
-        rmse = self._sines(fleet_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
-        score = float(np.mean(rmse / self.reference_rmse))  # NaN if it trips
-        if score < self.best_score:
-            self.best_score, self.best = score, dump(self.sac)
+        marks = self._exam(fleet_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
+        if marks.score < self.best_score:
+            self.best_score, self.best = marks.score, dump(self.sac)
         self.history.append(
             {
-                "episode": self.episode, "return": mean_return, "trips": trips, "score": score,
-                "rmse": [float(value) for value in rmse], "updates": self.sac.updates,
+                "episode": self.episode, "return": mean_return, "trips": trips, "score": marks.score,
+                "changed": marks.changed, "rmse": marks.rmse[0].tolist(), "updates": self.sac.updates,
                 "entropy_coefficient": self.sac.entropy_coefficient,
             }
         )  # fmt: skip
-
-    def _sines(self, choose: fleet_runs.Chooser) -> FloatArray:
-        evaluation = self.settings.evaluation
-        return fleet_runs.rmse(self._fleet(len(evaluation.cases)), evaluation.cases, choose, evaluation)
 
     def _fleet(self, count: int) -> Fleet:
         filters = fleet_filter(self.settings.filter, self._believed, count)
@@ -182,14 +181,24 @@ class Pretraining:
 
     def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
         """The episode's reference; with randomisation its bench is put in place, too."""
-        training = self.settings.training
+        training, randomisation = self.settings.training, self.settings.randomisation
         reference = training.task.reference(episode, training.seed)
-        if self.settings.randomisation is None:
+        if randomisation is None:
             return reference
-        assert isinstance(self._source, (Bench, Learned)), "only what has constants can be drawn"
-        drawn = draw(self.settings.randomisation, self._source, self._seed(episode, 2))
+        if self._rng(episode, 4).random() < randomisation.known_share:
+            self.fleet.replace(index, self._believed, self._plant())
+            return reference
+        drawn = self._draw(self._seed(episode, 2))
         self.fleet.replace(index, self._believed, drawn.plant, drawn.gain_delay, drawn.dead_time)
         return drawn.within_reach(reference)
 
+    def _draw(self, seed: int) -> Drawn:
+        assert isinstance(self._source, (Bench, Learned)), "only what has constants can be drawn"
+        assert self.settings.randomisation is not None
+        return draw(self.settings.randomisation, self._source, seed)
+
+    def _rng(self, episode: int, stream: int) -> np.random.Generator:
+        return np.random.default_rng((self.settings.training.seed, episode, stream))
+
     def _seed(self, episode: int, stream: int) -> int:
-        return int(np.random.default_rng((self.settings.training.seed, episode, stream)).integers(2**62))
+        return int(self._rng(episode, stream).integers(2**62))

@@ -17,9 +17,12 @@ import pytest
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_policy.cases import EvaluationSettings
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
+from hydro_policy.fleet import Fleet
+from hydro_policy.fleet_runs import fixed
 from hydro_policy.policy import load_policy
+from hydro_policy.pretrain_exam import REFERENCE_GAINS, TRIPPED, Examination
 from hydro_policy.pretraining import Pretraining, PretrainSettings
-from hydro_policy.randomisation import Randomisation, draw
+from hydro_policy.randomisation import Drawn, Randomisation, draw
 from hydro_policy.run import TrainingSettings
 from hydro_policy.sac import SacSettings
 from hydro_policy.snapshot import dump
@@ -99,16 +102,17 @@ def test_a_drawn_learned_bench_has_the_constants_that_were_drawn() -> None:
     assert isinstance(model, StructuredModel)
     names = [entry.name for entry in model.table]
     before, _ = learned_constants.values(model.table, model.theta)
+    limits = Randomisation()
     for seed in range(20):
-        drawn = draw(Randomisation(), learned, seed)
+        drawn = draw(limits, learned, seed)
         assert isinstance(drawn.plant, LearnedPlant)
         changed = drawn.plant.learned.model
         assert isinstance(changed, StructuredModel)
         after, _ = learned_constants.values(changed.table, changed.theta)
         ratio = {name: new / old for name, new, old in zip(names, after, before, strict=True) if old != 0.0}
         assert after[names.index("spring_stiffness")] == pytest.approx(drawn.spring)
-        assert 5e3 <= drawn.spring <= 5e4
-        assert 10e6 <= after[names.index("supply_pressure")] <= 16e6
+        assert limits.spring_min <= drawn.spring <= limits.spring_max
+        assert limits.supply_min <= after[names.index("supply_pressure")] <= limits.supply_max
         assert changed.rest[0] == pytest.approx(model.rest[0] * ratio["supply_pressure"])
         assert 0.8 <= ratio["bulk_modulus"] <= 1.2
         assert ratio["valve_gain_a_positive"] == pytest.approx(ratio["valve_gain_b_negative"])
@@ -128,6 +132,32 @@ def test_a_soft_spring_is_asked_for_no_more_than_it_can_carry() -> None:
     assert drawn.within_reach(sine).amplitude == pytest.approx(0.8 * 0.5 * BENCH.stroke * 5e3)
     stiff = draw(Randomisation(spring_min=4e4, spring_max=4e4), BENCH, 0)
     assert stiff.within_reach(sine) == sine
+
+
+def test_a_policy_is_examined_on_drawn_benches_too_relative_to_fixed_gains_on_each() -> None:
+    pretraining = finished(short(randomise=True))
+    entry = pretraining.history[-1]
+    assert entry["score"] == pytest.approx((entry["rmse"][0] / pretraining.reference_rmse[0] + 8 * entry["changed"]) / 9)
+    assert finished(short()).history[-1]["changed"] is None
+
+
+def test_drawn_benches_of_an_examination_bear_the_reference_gains_and_a_trip_counts_ten_times() -> None:
+    """At twice the spread of what is drawn, some benches do not bear (90, 15)."""
+    wild = Randomisation(spread=1.5, dead_time_max=8)
+    fleet = lambda n: Fleet([BENCH] * n, [AnalyticPlant(BENCH) for _ in range(n)])  # noqa: E731
+    evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    asked: list[int] = []
+
+    def drawn(number: int) -> Drawn:
+        asked.append(number)
+        return draw(wild, BENCH, number)
+
+    examination = Examination(fleet, BENCH, evaluation, drawn, 4)
+    assert len(asked) > 4, "some were passed over"
+    assert examination.reference.shape == (5, 1) and np.isfinite(examination.reference).all()
+    assert examination(fixed(np.array(REFERENCE_GAINS))).score == 1.0
+    wrong = examination(fixed(np.array((300.0, 100.0))))
+    assert np.isnan(wrong.rmse[0, 0]) and wrong.ratio[0, 0] == TRIPPED
 
 
 def test_a_network_cannot_be_randomised() -> None:
