@@ -7,23 +7,9 @@ learner's state ──propose──> candidate ──accept──> last good ─
 
 from __future__ import annotations
 
-from typing import Protocol
-
 from hydro_bridge.signals import FloatArray
+from hydro_policy.learning import RollingLearner
 from hydro_policy.snapshot import actor_parameters
-
-
-class RollingLearner(Protocol):
-    """What rolling back needs of learning."""
-
-    def snapshot(self) -> bytes | None:
-        """The learner's whole state, half a second old at most."""
-
-    def keep(self, good: bytes) -> None:
-        """Take this state for the last good one."""
-
-    def roll_back(self) -> None:
-        """Let the learner go back to the last good state."""
 
 
 class PolicyKeeper:

@@ -99,7 +99,7 @@ class TrainingProgress:
             "lost samples": session.clock.lost,
             "interruptions": session.progress.interruptions,
             "rollbacks": session.progress.rollbacks,
-            "last stop": session.last_stop or "none",
+            "last stop": session.ledger.last_stop or "none",
             "override": session.override.description,
             "best score": session.progress.best_score,
             "error peak [N]": session.monitor.peak,

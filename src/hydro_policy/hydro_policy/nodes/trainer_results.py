@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training leaves: its policy beside the controllers it is compared with, its timing, its files."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from hydro_policy.controllers import Controller, FixedGains, PolicyController
+from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.policy import Policy
+from hydro_policy.run import RunDirectory
+from hydro_policy.snapshot import actor_parameters
+from hydro_policy.start import AGENT, Start
+from hydro_policy.training import TrainingSession
+
+
+def compared(session: TrainingSession, start: Start | None) -> list[Controller]:
+    """The paper's three controllers: I trained here, II as it came, III fixed; without II the base gains."""
+    gains = session.settings.task.gains
+    best = session.keeper.best
+    if best is not None:
+        session.policy.load_flat(best)
+    controllers: list[Controller] = [PolicyController(session.policy, gains, "I: policy, trained here")]
+    if start is not None:
+        before = Policy(start.sac.hidden_size)
+        before.load_flat(actor_parameters(start.agent))
+        controllers.append(PolicyController(before, gains, "II: policy it started from"))
+    controllers.append(FixedGains(90.0, 15.0))
+    return controllers if start is not None else [*controllers, FixedGains(15.0, 5.0)]
+
+
+def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:
+    """Percentiles [s] that docs/training.md promises something about."""
+    measured = {"jitter": node.jitter, "inference": session.explorer.inference, "response": node.response}
+    return {f"{name}_p99": latency.percentile(99) for name, latency in measured.items()}
+
+
+def tell_files(
+    run: RunDirectory, recording: Path | None, finished: bool, options: argparse.Namespace, seconds: float
+) -> None:
+    """Say where each file is and what to run next."""
+    listed = [
+        ("policy", run.policy),
+        ("checkpoint", run.latest),
+        ("best agent", run.best / AGENT),
+        ("what happened", run.record),
+        ("recording", recording),
+        ("evaluation", run.evaluation),
+        ("tracking plot", run.tracking_plot),
+        ("log", run.log),
+    ]
+    print(f"\n{'Done' if finished else 'Ended early'} after {seconds:.0f} s. Files:")
+    for name, path in listed:
+        if path is not None and path.exists():
+            print(f"  {name:22s} {path}")
+    plant = f"--plant {options.plant}" + (f" --port {options.port}" if options.port else "")
+    print("Next:")
+    if not finished and run.latest.exists():
+        print(f"  go on            ros2 run hydro_policy trainer {plant} --resume {run.path}")
+    print(f"  full training    ros2 run hydro_policy trainer {plant} --resume {run.path} --episodes 160 --evaluate")
+    print(f"  compare again    ros2 run hydro_policy evaluate {plant} --policy {run.path} --fixed 90 15 --fixed 15 5")

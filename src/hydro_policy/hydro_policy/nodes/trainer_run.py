@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A training from its first word to its last: prepare, train, evaluate; in the end the plant is disarmed."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from contextlib import ExitStack
+
+from hydro_policy.episode import Phase
+from hydro_policy.evaluation import EvaluationSession
+from hydro_policy.nodes.companions import CompanionWatch
+from hydro_policy.nodes.evaluate import evaluate_on, show_results
+from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.nodes.options import rearms
+from hydro_policy.nodes.progress import TrainingProgress
+from hydro_policy.nodes.trainer_results import compared, tell_files, timing
+from hydro_policy.nodes.trainer_start import Prepared, begin_record, prepare, start_plant
+from hydro_policy.record import RunRecord
+from hydro_policy.start import Start
+from hydro_policy.supervisor import LearnerSupervisor
+from hydro_policy.training import TrainingSession
+
+
+def train(options: argparse.Namespace) -> int:
+    """Prepare, train, evaluate; whatever happens: disarm, checkpoint, end the companions, in this order."""
+    began = time.monotonic()
+    with ExitStack() as stack:
+        node = GraphNode("trainer")
+        stack.callback(node.destroy_node)
+        prepared = prepare(options, node)
+        run, settings = prepared.run, prepared.settings
+        node.log = log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
+        node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
+        record = begin_record(node, prepared, options)
+        learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
+        recording, companions = start_plant(stack, options, prepared, log)
+        node.companions = CompanionWatch(companions)
+        session = begin_session(node, prepared, learner, record, rearm=rearms(options))
+        stack.callback(lambda: learner.stop(session.state()))
+        stack.callback(node.disarm)
+        finished, results = drive(options, node, session, learner, prepared.start)
+        record.add("end", session.gave_up, **timing(node, session), complete=finished)
+        if results is not None:
+            show_results(results, run.evaluation, run.tracking_plot, {"run": str(run.path), "plant": options.plant})
+    tell_files(run, recording, finished, options, time.monotonic() - began)
+    if session.gave_up:
+        print(f"Training was given up: {session.gave_up}; {run.record} has what happened.", file=sys.stderr)
+        return 1
+    return 0 if finished else 130
+
+
+def begin_session(
+    node: GraphNode, prepared: Prepared, learner: LearnerSupervisor, record: RunRecord, *, rearm: bool
+) -> TrainingSession:
+    """The session of this run on the node, which from now on tells it what the filter says."""
+    session = TrainingSession(
+        prepared.settings,
+        learner,
+        node,
+        rearm=rearm,
+        state=prepared.checkpoint.trainer if prepared.checkpoint else None,
+        best=prepared.best,
+        override=node.override,
+        record=record,
+    )
+    node.listen_to_corrections()
+    return session
+
+
+def drive(
+    options: argparse.Namespace,
+    node: GraphNode,
+    session: TrainingSession,
+    learner: LearnerSupervisor,
+    start: Start | None,
+) -> tuple[bool, EvaluationSession | None]:
+    """Train, then evaluate if asked for: (whether all came to its end, the evaluation or None)."""
+    if not rearms(options):
+        node.listen_for_enter()
+    bar = TrainingProgress(node, session, learner)
+    try:
+        finished = session.ledger.trained or node.drive(session, bar.tick)
+    finally:
+        bar.close()
+    inference = session.explorer.inference.sentence()
+    node.say(f"gains at 100 Hz: jitter {node.jitter.sentence()}; of which inference {inference}")
+    if not finished or session.gave_up or not options.evaluate:
+        return finished and not session.gave_up, None
+    while not learner.ready and learner.alive:  # a finished run that was resumed: nobody has waited for it yet
+        time.sleep(0.05)
+    session.keeper.start()
+    bar.phase = lambda: Phase.EVALUATING
+    results = evaluate_on(node, compared(session, start), rearm=rearms(options))
+    node.disarm()  # now, not after the plots
+    bar.phase = lambda: Phase.FINISHED
+    bar.publish()
+    return results.finished, results

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training on a plant starts from: its folder and settings, an agent, the nodes beside it, its record."""
+
+from __future__ import annotations
+
+import argparse
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import IO
+
+from hydro_bridge.console import UserError
+from hydro_bridge.ros import Companion, refuse_unknown_parameters
+from hydro_policy.checkpoint import Checkpoint, load_checkpoint
+from hydro_policy.configurations import configuration
+from hydro_policy.nodes.companions import guard_range, start_companions
+from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.nodes.options import declare_settings, plant_options
+from hydro_policy.override import GainOverride
+from hydro_policy.record import RunRecord
+from hydro_policy.run import RunDirectory, TrainingSettings, new_run
+from hydro_policy.start import AGENT, Start, load_start, shipped_start
+
+SCRATCH = "scratch"
+UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
+"""Bench time is dear: more than the paper's 1 from scratch. An agent that is good already unlearns by that."""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What a run starts from."""
+
+    run: RunDirectory
+    settings: TrainingSettings
+    checkpoint: Checkpoint | None
+    start: Start | None
+
+    @property
+    def agent(self) -> bytes | None:
+        """The agent to start from; None: a new one, or the checkpoint's."""
+        return self.start.agent if self.start else None
+
+    @property
+    def best(self) -> bytes | None:
+        """The best agent of the run that is continued, if it had one."""
+        path = self.run.best / AGENT
+        return path.read_bytes() if self.checkpoint is not None and path.is_file() else None
+
+
+def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
+    """A new run with its folder, or one to continue."""
+    start = None
+    if options.resume is not None:
+        run = RunDirectory(options.resume)
+        settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
+    else:
+        run, checkpoint = new_run(options.runs, options.name), None
+        start = find_start(options)
+        updates = UPDATES_PER_STEP["agent" if start else "scratch"]
+        settings = replace(configuration(options.configuration), updates_per_step=updates)
+        settings = start.adopted(settings) if start else settings
+    given = {name: getattr(options, name) for name in ("episodes", "updates_per_step", "seed")}
+    settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
+    if options.seed is not None:
+        settings = replace(settings, sac=replace(settings.sac, seed=options.seed))
+    if options.exam_every is not None:
+        settings = replace(settings, exam=replace(settings.exam, every=options.exam_every))
+    settings = declare_settings(node, settings)
+    refuse_unknown_parameters(node)
+    if options.resume is None:
+        try:
+            run.create()
+        except (NotADirectoryError, PermissionError) as error:
+            raise UserError(f"{run.path} cannot be made: {error.strerror}") from None
+    run.save_settings(settings)
+    return Prepared(run, settings, checkpoint, start)
+
+
+def find_start(options: argparse.Namespace) -> Start | None:
+    """The agent named by --from; without it the one that is shipped for this authority, if there is one."""
+    if options.start is not None:
+        return None if str(options.start) == SCRATCH else load_start(options.start)
+    return shipped_start(options.configuration)
+
+
+def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespace) -> RunRecord:
+    """run.json, with the run's beginning in it; overrides go there, too."""
+    record = RunRecord(prepared.run.record)
+
+    def tell(sentence: str) -> None:
+        node.say(sentence, warning=True)
+        record.add("override", sentence)
+
+    node.override = GainOverride(guard_range(prepared.settings.task.gains), tell)
+    source = str(prepared.start.source) if prepared.start else None
+    record.add("start", plant=options.plant, start=source, resumed=prepared.checkpoint is not None)
+    return record
+
+
+def start_plant(
+    stack: ExitStack, options: argparse.Namespace, prepared: Prepared, log: IO[str]
+) -> tuple[Path | None, list[Companion]]:
+    """Start the companions; returns where the recording goes, and them."""
+    run = prepared.run
+    recording = _free(run.bag) if options.record and options.plant != "external" else None
+    metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
+    kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}
+    plant = plant_options(options, recording=recording, seed=prepared.settings.seed, **kept)
+    return recording, start_companions(stack, plant, prepared.settings.task.gains, run.path, log)
+
+
+def _free(folder: Path) -> Path:
+    """`folder`, or the first of folder-2, folder-3 ... that is not there: a resumed run has a recording of its own."""
+    candidates = (folder.with_name(f"{folder.name}-{n}") for n in range(2, 10_000))
+    return folder if not folder.exists() else next(path for path in candidates if not path.exists())
