@@ -22,7 +22,7 @@ from threadpoolctl import threadpool_limits
 
 from hydro_bridge.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.outcome import SearchSettings
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.recording import Segment
@@ -77,7 +77,7 @@ def trial(bench: Bench, seed: int) -> Trial:
         segments += recording.segments
     settings = SearchSettings(threshold=-1e3, most=1)
     with threadpool_limits(1, "blas"):
-        search = Search(Problem(segments, bench), [one.adapted(bench) for one in LIBRARY], settings)
+        search = Search(Problem(segments, bench), [one.adapted(bench) for one in CANDIDATES], settings)
         search.run()
     if not search.steps:
         return Trial(noise, -inf, "none")

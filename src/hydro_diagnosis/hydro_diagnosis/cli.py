@@ -103,6 +103,8 @@ def _say(found: Diagnosis, folder: Path) -> None:
         places = ", ".join(place["equation"] for place in report.remainder["location"])
         depends = ", ".join(report.remainder["depends_on"]) or "none of the variables tried"
         print(f"  something remains in {places}; it depends on {depends}")
+        for likeness in report.remainder["looks_like"]:
+            print(f"  {likeness}")
     print(f"{folder / 'report.html'}, report.json, corrected.yaml ({report.seconds:.1f} s)")
 
 

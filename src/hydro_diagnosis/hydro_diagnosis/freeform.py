@@ -62,7 +62,7 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
         responses = Responses(problem, found.claims, equation, sensor)
         if not responses.visible:
             continue
-        for variable in _variables(problem):
+        for variable in variables(problem):
             knots = _knots(problem, variable)
             columns = np.column_stack([responses.of(basis) for basis in _hats(problem, variable, knots)])
             columns = np.column_stack([columns * weight[:, None], named])
@@ -83,7 +83,8 @@ def _least_squares(columns: FloatArray, goal: FloatArray) -> FloatArray:
     return amounts
 
 
-def _variables(problem: Problem) -> list[str]:
+def variables(problem: Problem) -> list[str]:
+    """Names of what a hidden input may depend on, for `variable_of`."""
     have = set.intersection(*(set(model.channels) for model in problem.models))
     names = ["time", "position", "velocity"]
     names += ["current"] if "valve_current" in have else []

@@ -10,7 +10,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from hydro_diagnosis.columns import ColumnMap
-from hydro_diagnosis.quality import MOVING, SHORTEST, checked
+from hydro_diagnosis.quality import MOVING, REMEDY, SHORTEST, checked
 from hydro_diagnosis.recording import Recording, Segment
 from hydro_diagnosis.survey import read_bag_within
 from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
@@ -59,7 +59,7 @@ def _refuse_too_little(segments: list[Segment]) -> None:
         moving += STILL_FOR * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
     if moving < ENOUGH:
         raise UnusableRecordingError(
-            f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"
+            f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed; {REMEDY}"
         )
 
 

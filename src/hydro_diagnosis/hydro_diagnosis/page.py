@@ -148,7 +148,9 @@ def _remainder(report: Report) -> str:
     depends = ", ".join(report.remainder["depends_on"]) or "none of the variables that were tried"
     dropped = ", ".join(report.remainder["dropped"])
     note = f" Names that the search tried and that do not hold: {escape(dropped)}." if dropped else ""
-    return f"<section><h2>What remains</h2><p>{escape(places)} It depends on {escape(depends)}.{note}</p></section>"
+    likeness = escape(" ".join(report.remainder["looks_like"]))
+    told = f"{escape(places)} It depends on {escape(depends)}. {likeness}{note}"
+    return f"<section><h2>What remains</h2><p>{told}</p></section>"
 
 
 def _held_out(report: Report) -> str:

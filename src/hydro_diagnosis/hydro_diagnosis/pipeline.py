@@ -17,7 +17,7 @@ from hydro_diagnosis.baseline import baseline
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
 from hydro_diagnosis.corrected import claims_of
-from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.equations import held_out
 from hydro_diagnosis.intake import taken
@@ -170,18 +170,19 @@ def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | Non
     return {
         "location": [vars(location_of(place, problem)) for place in assessment.remainder],
         "depends_on": list(dict.fromkeys(form.variable for form in telling[:3])),
-        "dropped": [claim.effect.id for claim in assessment.dropped],
+        "dropped": [claim.effect.id for claim in assessment.dropped if claim.effect.named],
+        "looks_like": [claim.effect.sentence(claim.values) for claim in assessment.dropped if not claim.effect.named],
     }
 
 
 def _candidates(without: Sequence[str]) -> list[Effect]:
-    """The library but for what was ruled out."""
-    names = {name for effect in LIBRARY for name in (effect.id, effect.label)}
+    """What the search tries but for what was ruled out."""
+    names = {name for effect in CANDIDATES for name in (effect.id, effect.label)}
     for name in without:
         if name not in names:
             close = get_close_matches(name, names, 1)
             raise InputError(f"without: {name!r} is no effect" + (f", did you mean {close[0]!r}?" if close else ""))
-    return [effect for effect in LIBRARY if not {effect.id, effect.label} & set(without)]
+    return [effect for effect in CANDIDATES if not {effect.id, effect.label} & set(without)]
 
 
 def _version() -> str:

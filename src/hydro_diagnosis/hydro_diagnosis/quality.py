@@ -31,6 +31,11 @@ STILL = 1e-5
 """m: a recording whose position moves less shows nothing."""
 MOVING = 2e-4
 """m: a segment in which the position moves less (a tripped bench, say) is left out."""
+REMEDY = (
+    "record it with lower gains; if the bench still trips or swings from stop to stop, give the box, not the "
+    "diagnosis, a bench.yaml with a valve_nominal_flow that is 25 % higher or more"
+)
+"""What an operator can do about a bench that cannot be driven: the velocity term is then compensated by less."""
 Mask = npt.NDArray[np.bool_]
 
 
@@ -48,12 +53,15 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     if not any(name in columns for name in MEASURED):
         raise UnusableRecordingError(f"{table.name}: no sensor in it is alive")
     _refuse_useless(table.name, columns, bench)
-    bad = _bad_samples(table.name, columns, notes) | _outside_equations(columns, bench, notes)
+    bad = _bad_samples(table.name, columns, notes)
+    outside = _outside_equations(columns, bench, notes)
+    bad |= outside
     segments = _segments(table.name, step, index, columns, bad, notes)
     if not segments:
         raise UnusableRecordingError(
             f"{table.name}: the bench moves without a gap for less than {SHORTEST:g} s: too short to be diagnosed"
             + (f" ({'; '.join(notes)})" if notes else "")
+            + (f"; {REMEDY}" if outside.any() or _stands(columns) else "")
         )
     return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in notes))
 
@@ -112,8 +120,14 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
         share = float(np.mean(np.abs(columns["valve_current"]) >= limit))
         if share > 0.6:
             raise UnusableRecordingError(
-                f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples"
+                f"{name}: the valve current is saturated in {share * 100:.0f} % of the samples: {REMEDY}"
             )
+
+
+def _stands(columns: dict[str, FloatArray]) -> bool:
+    """Whether the piston stands still in the second half, as it does once the box has tripped."""
+    position = columns.get("piston_position", np.zeros(0))
+    return len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MOVING
 
 
 def _bad_samples(name: str, columns: dict[str, FloatArray], notes: list[str]) -> Mask:

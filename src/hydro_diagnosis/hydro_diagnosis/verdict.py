@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from hydro_diagnosis.constancy import without_varying
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.fit import Fit, fit
 from hydro_diagnosis.freeform import FreeForm, free_forms
@@ -50,11 +51,11 @@ class Assessment:
 
 def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     """Judge the fit that a search ended with against the fit of nothing."""
-    coincidence = _coincidence(found.claims)
-    if not noticeable(problem, found.residual) and not coincidence:
+    coincidence, unnamed = _coincidence(found.claims), not all(claim.effect.named for claim in found.claims)
+    if not noticeable(problem, found.residual) and not coincidence and not unnamed:
         verdict = "explained" if found.claims else "no_mismatch"
         return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
-    kept = nothing if coincidence else _trusted(problem, found, nothing)
+    kept = nothing if coincidence else _named(problem, _trusted(problem, found, nothing))
     forms = free_forms(problem, kept)
     remainder = tuple(locate(problem, kept.residual, forms))
     labels = {claim.effect.label for claim in kept.claims}
@@ -63,6 +64,12 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     return Assessment(
         "partly_explained" if kept.claims else "unknown", kept, places, remainder, tuple(forms[:6]), dropped
     )
+
+
+def _named(problem: Problem, found: Fit) -> Fit:
+    """The fit without what has no name; the others keep the values that they have beside it."""
+    named = tuple(claim for claim in found.claims if claim.effect.named)
+    return found if len(named) == len(found.claims) else fit(problem, named, iterations=0)
 
 
 def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
@@ -74,7 +81,7 @@ def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
     fewer, everyday = _without_minor(problem, found, nothing, suspects)
     left = [claim for claim in fewer.claims if claim.effect.label in suspects]
     if left and explained_share(problem, fewer, nothing) >= MOST_OF_THE_GAP and (everyday or not _crowded(left)):
-        return fewer
+        return without_varying(problem, fewer, _judged(problem, fewer), EVERYDAY)
     return fit(problem, tuple(claim for claim in fewer.claims if claim.effect.label not in suspects))
 
 

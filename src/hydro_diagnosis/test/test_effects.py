@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_diagnosis.effects import LIBRARY, Claim, Effect
+from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.fluid import EntrainedAir
 from hydro_diagnosis.effects.valve_dynamics import TransportDelay, ValveLag, ValveLagFirstOrder
 from hydro_diagnosis.problem import Problem
@@ -22,7 +22,7 @@ TABLE = {
     "friction_presliding", "supply_pressure", "piston_area", "area_ratio", "dead_volume", "tank_pressure",
     "spring_rest",
 }  # fmt: skip
-ADAPTED = [effect.adapted(Bench.nominal()) for effect in LIBRARY]
+ADAPTED = [effect.adapted(Bench.nominal()) for effect in CANDIDATES]
 
 
 def values_at(effect: Effect, which: str) -> dict[str, float]:
@@ -34,7 +34,7 @@ def test_library_holds_every_id_of_the_table() -> None:
 
 
 def test_labels_are_unique() -> None:
-    labels = [effect.label for effect in LIBRARY]
+    labels = [effect.label for effect in CANDIDATES]
     assert len(labels) == len(set(labels))
 
 

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import joblib
 import numpy as np
+import pandas as pd
 import pytest
 
-from hydro_diagnosis.intake import taken
+from hydro_diagnosis.intake import ENOUGH, taken
 from hydro_diagnosis.table import InputError
 from hydro_sim.bench import Bench
 
@@ -31,3 +32,44 @@ def test_missing_recording_is_one_sentence_from_a_worker_too(worn: list[Path], t
         pytest.raises(InputError, match="there is no such recording"),
     ):
         taken([worn[0], tmp_path / "nowhere"], [], BENCH)
+
+
+def tripped(recording: Path, folder: Path, moving: float) -> Path:
+    """The recording, as it would be had the box tripped after `moving` s: the piston stands from then on."""
+    data = pd.read_csv(recording)
+    stands = data["time"] > data["time"].iloc[0] + moving
+    data.loc[stands, "piston_position"] = data.loc[~stands, "piston_position"].iloc[-1]
+    data.loc[stands, "valve_current"] = 0.0
+    path = folder / f"tripped_{recording.stem}.csv"
+    data.to_csv(path, index=False)
+    return path
+
+
+def test_too_little_motion_is_refused_and_the_remedy_is_named(worn: list[Path], tmp_path: Path) -> None:
+    short = [tripped(recording, tmp_path, 1.2) for recording in worn[:2]]
+    with pytest.raises(InputError, match=r"piston moves for 2\.\d s.*lower gains.*give the box.*valve_nominal_flow"):
+        taken(short, [worn[2]], BENCH)
+
+
+def test_just_enough_motion_is_taken(worn: list[Path], tmp_path: Path) -> None:
+    fitted, _, _ = taken([tripped(recording, tmp_path, ENOUGH) for recording in worn[:2]], [worn[2]], BENCH)
+    assert len(fitted) == 2
+
+
+def test_held_out_recording_that_shows_nothing_is_replaced_and_listed(worn: list[Path], tmp_path: Path) -> None:
+    still = tripped(worn[2], tmp_path, 0.0)
+    fitted, held, notes = taken(worn[:2], [still], BENCH)
+    assert {one.recording for one in fitted} == {"run0"}
+    assert {one.recording for one in held} == {"run1"}
+    assert any(still.stem in note and "left out" in note for note in notes)
+    assert any("run1 was held back" in note for note in notes)
+
+
+def test_bench_that_only_swings_from_stop_to_stop_is_refused_with_the_remedy(worn: list[Path], tmp_path: Path) -> None:
+    data = pd.read_csv(worn[0])
+    swing = np.sin(40.0 * data["time"].to_numpy())
+    data["piston_position"] = np.clip(0.04 + 0.06 * swing, 0.0, BENCH.stroke)
+    path = tmp_path / "swings.csv"
+    data.to_csv(path, index=False)
+    with pytest.raises(InputError, match=r"end stop.*give the box"):
+        taken([path], [], BENCH)

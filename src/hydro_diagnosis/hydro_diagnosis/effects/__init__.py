@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The physics library: one small class per cause, grouped by where it lives; `LIBRARY` holds all candidates.
+"""The physics library: one small class per cause, grouped by where it lives; `LIBRARY` holds all that can be claimed.
 
 Adding an effect is writing its class and listing it in its module's `EFFECTS`; nothing else changes.
 """
@@ -15,6 +15,7 @@ from hydro_diagnosis.effects import (
     load,
     sensors,
     supply,
+    unnamed,
     valve,
     valve_dynamics,
 )
@@ -23,6 +24,9 @@ from hydro_diagnosis.effects.base import Claim, Effect, Parameter
 _MODULES = (friction, direction, leakage, valve, valve_dynamics, supply, fluid, sensors, load, bench_values)
 
 LIBRARY: tuple[Effect, ...] = tuple(effect for module in _MODULES for effect in module.EFFECTS)
-"""All candidates; several may share an id (chambers, sensors, forms of one cause)."""
+"""All that can be claimed; several may share an id (chambers, sensors, forms of one cause)."""
 
-__all__ = ["LIBRARY", "Claim", "Effect", "Parameter"]
+CANDIDATES = (*LIBRARY, *unnamed.EFFECTS)
+"""All that a search tries."""
+
+__all__ = ["CANDIDATES", "LIBRARY", "Claim", "Effect", "Parameter"]

@@ -112,6 +112,8 @@ class Effect:
     """The bench file's value, for effects whose parameter is the true value itself."""
 
     id: ClassVar[str] = ""
+    named: ClassVar[bool] = True
+    """Whether the table has it; what it does not have is tried, but never claimed."""
     equations: ClassVar[tuple[str, ...]] = ()
     """Where it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
     touches: ClassVar[frozenset[str]] = frozenset()
