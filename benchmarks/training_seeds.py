@@ -19,7 +19,7 @@ import torch
 from benchmarks._truth_fleet import TruthPlant
 from hydro_bridge.console import Table, add_json_argument, progress
 from hydro_policy.cases import EvaluationSettings
-from hydro_policy.configurations import configuration
+from hydro_policy.configurations import CONFIGURATIONS, configuration
 from hydro_policy.environment import Transitions
 from hydro_policy.pretraining import Pretraining, PretrainSettings, Simulated
 from hydro_policy.start import Start, shipped_start
@@ -80,7 +80,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.training_seeds", description=__doc__)
     parser.add_argument("--seeds", type=int, default=20, metavar="N", help="default 20")
     parser.add_argument("--episodes", type=int, default=4, metavar="N", help="of 18 s in each run (4)")
-    parser.add_argument("--configuration", choices=("paper", "wide"), default="wide")
+    parser.add_argument("--configuration", choices=CONFIGURATIONS, default="wide")
     parser.add_argument("--emulator", action="store_true", help="the emulated bench instead of the learned model")
     parser.add_argument("--start", choices=("scratch", "shipped"), nargs="+", default=["scratch", "shipped"])
     parser.add_argument("--filter", choices=("none", "constant", "learned"), nargs="+", default=["none", "learned"])

@@ -3,6 +3,7 @@
 
 ros2 run hydro_policy pretrain --out runs/pretrained
 ros2 run hydro_policy pretrain --out runs/wide --configuration wide
+ros2 run hydro_policy pretrain --out runs/adaptive --configuration adaptive     another bench every episode: 20 minutes
 ros2 run hydro_policy pretrain --out runs/corrected --bench corrected.yaml
 ros2 run hydro_policy trainer --plant emulator --from runs/pretrained
 """
@@ -25,7 +26,7 @@ from tqdm import tqdm
 from hydro_bridge.console import UserError, add_json_argument, command, progress
 from hydro_bridge.recording_run import code_version
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.configurations import configuration
+from hydro_policy.configurations import CONFIGURATIONS, PRETRAINING_EPISODES, configuration
 from hydro_policy.environment import Transitions
 from hydro_policy.fleet_filter import FILTERS
 from hydro_policy.policy import Policy
@@ -42,6 +43,9 @@ SOURCE = "pretrain.yaml"
 """In a run's folder: what was simulated, beside config.yaml."""
 
 AGENT = "learner.safetensors"
+
+REPLAY_MAX = 1_152_000
+"""Transitions that a pretraining remembers at most, 138 MB: 640 episodes."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,13 +104,17 @@ def parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="bench.yaml that the box believes in (default: the nominal bench)",
     )
-    what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
+    what.add_argument(
+        "--randomise",
+        action=argparse.BooleanOptionalAction,
+        help="another bench every episode: see docs/training.md (default: with --configuration adaptive)",
+    )
     what.add_argument(
         "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"
     )
     how = result.add_argument_group("how")
-    how.add_argument("--configuration", choices=("paper", "wide"), default="paper", help="see docs/training.md")
-    how.add_argument("--episodes", type=int, metavar="N", help="default 160")
+    how.add_argument("--configuration", choices=CONFIGURATIONS, default="paper", help="see docs/training.md")
+    how.add_argument("--episodes", type=int, metavar="N", help="default 160, with adaptive 1280")
     how.add_argument("--steps", type=int, metavar="N", help="policy steps of 10 ms in an episode, default 1800")
     how.add_argument("--updates-per-step", type=float, metavar="X", help="default 1")
     how.add_argument("--benches", type=int, default=8, metavar="N", help="side by side, default 8")
@@ -144,10 +152,16 @@ def main() -> int:
 
 def _settings(options: argparse.Namespace) -> TrainingSettings:
     settings = configuration(options.configuration, options.seed)
-    given = {"episodes": options.episodes, "updates_per_step": options.updates_per_step}
-    settings = replace(settings, **{key: value for key, value in given.items() if value is not None})
+    episodes = PRETRAINING_EPISODES[options.configuration] if options.episodes is None else options.episodes
     steps = settings.task.steps_per_episode if options.steps is None else options.steps
-    return replace(settings, task=replace(settings.task, steps_per_episode=steps))
+    updates = settings.updates_per_step if options.updates_per_step is None else options.updates_per_step
+    return replace(
+        settings,
+        episodes=episodes,
+        updates_per_step=updates,
+        replay_capacity=max(settings.replay_capacity, min(episodes * steps, REPLAY_MAX)),
+        task=replace(settings.task, steps_per_episode=steps),
+    )
 
 
 def _source(options: argparse.Namespace) -> Source:
@@ -156,7 +170,8 @@ def _source(options: argparse.Namespace) -> Source:
         raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
     files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
-    chosen = {"randomise": options.randomise, "filter": options.filter, "benches": options.benches}
+    randomise = options.configuration == "adaptive" if options.randomise is None else options.randomise
+    chosen = {"randomise": randomise, "filter": options.filter, "benches": options.benches}
     return Source(model=model, **chosen, **files)
 
 

@@ -2,7 +2,7 @@
 """The examination of a pretraining: the same cases on the bench as it is known and on benches drawn once.
 
 A policy that saw a thousand drawn benches is not judged on the nominal one alone: whichever suits that bench best need
-not bear another. Its score is relative to fixed gains on the same bench, so that a hard bench counts as an easy one does.
+not bear another. Scores are relative to fixed gains on the same bench, so that a hard bench counts as an easy one does.
 """
 
 from __future__ import annotations

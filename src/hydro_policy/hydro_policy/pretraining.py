@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.settings import check
-from hydro_bridge.signals import FloatArray, ReferenceSignal
+from hydro_bridge.signals import ReferenceSignal
 from hydro_policy import fleet_runs
 from hydro_policy.cases import EvaluationSettings
 from hydro_policy.checkpoint import Checkpoint

@@ -45,7 +45,7 @@ class Randomisation:
     supply_min: float = 9.5e6
     """Pa. [1e6, 5e7]."""
     supply_max: float = 17e6
-    """Pa; above the nominal pressure, for a policy is at its worst at the edge of what it was trained on. [1e6, 5e7]."""
+    """Pa; above the nominal pressure, for policies are worst at the edge of what they were trained on. [1e6, 5e7]."""
     spread: float = 1.0
     """Scale of the changes of what is known badly: oil 20 %, mass 20 %, friction 50 %, valve 15 % ... [0, 1.5]."""
     noise_min: float = 0.5

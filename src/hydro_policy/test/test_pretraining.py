@@ -137,7 +137,9 @@ def test_a_soft_spring_is_asked_for_no_more_than_it_can_carry() -> None:
 def test_a_policy_is_examined_on_drawn_benches_too_relative_to_fixed_gains_on_each() -> None:
     pretraining = finished(short(randomise=True))
     entry = pretraining.history[-1]
-    assert entry["score"] == pytest.approx((entry["rmse"][0] / pretraining.reference_rmse[0] + 8 * entry["changed"]) / 9)
+    assert entry["score"] == pytest.approx(
+        (entry["rmse"][0] / pretraining.reference_rmse[0] + 8 * entry["changed"]) / 9
+    )
     assert finished(short()).history[-1]["changed"] is None
 
 

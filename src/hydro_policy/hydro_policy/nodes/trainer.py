@@ -14,6 +14,7 @@ import torch
 
 from hydro_bridge.console import command
 from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
+from hydro_policy.configurations import CONFIGURATIONS
 from hydro_policy.nodes.options import add_plant_options
 from hydro_policy.nodes.trainer_run import train
 from hydro_policy.nodes.trainer_start import SCRATCH
@@ -65,8 +66,9 @@ def parser() -> argparse.ArgumentParser:
     )
     run.add_argument(
         "--configuration",
-        choices=("paper", "wide"),
-        help="paper: Table training_agent, K_p up to 90; wide: K_p up to 300 (default paper)",
+        choices=CONFIGURATIONS,
+        help="paper: Table training_agent, K_p up to 90; wide: K_p up to 300; adaptive: the same, for benches "
+        "whose spring or supply is not the nominal one (default paper)",
     )
     run.add_argument("--exam-every", type=int, metavar="N", help="episodes between examinations, 0: none (default 4)")
     run.add_argument("--seed", type=int, metavar="N", help="of networks, exploration and references (default 0)")
