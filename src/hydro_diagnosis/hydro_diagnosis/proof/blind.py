@@ -14,7 +14,6 @@ import random
 import signal
 import sys
 import time
-from hashlib import sha256
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,10 +21,10 @@ from typing import Any
 from joblib import Parallel, delayed
 from tqdm import tqdm
 
-import hydro_diagnosis
 from hydro_bridge.console import command, progress
 from hydro_diagnosis import InputError, diagnose
 from hydro_diagnosis.corrected import write_corrected
+from hydro_diagnosis.engine import engine
 from hydro_diagnosis.proof import blindfold
 from hydro_diagnosis.proof.cases import FITTED, HELD
 
@@ -59,16 +58,6 @@ def diagnosed(case: Path) -> None:
 
 def _too_long(number: int, frame: FrameType | None) -> None:
     raise InputError(f"no answer after {LIMIT} s of CPU")
-
-
-def engine() -> str:
-    """Digest of the diagnosis' sources, the proof's own left out."""
-    package = Path(hydro_diagnosis.__file__).parent
-    digest = sha256()
-    for path in sorted(package.rglob("*.py")):
-        if "proof" not in path.relative_to(package).parts:
-            digest.update(path.read_bytes())
-    return digest.hexdigest()[:12]
 
 
 ENGINE = engine()
