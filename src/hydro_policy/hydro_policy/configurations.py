@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The named configurations: `paper` is Table training_agent, `wide` what the box allows, `adaptive` that on many benches.
+"""The named configurations: `paper` is Table training_agent, `wide` what the box allows, `adaptive` that for any bench.
 
 docs/training.md says what each value of `wide` and `adaptive` was measured to do.
 """

@@ -11,16 +11,14 @@ ros2 run hydro_policy trainer --plant emulator --from runs/pretrained
 from __future__ import annotations
 
 import argparse
-import os
 import signal
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import torch
-import yaml
 from tqdm import tqdm
 
 from hydro_bridge.console import UserError, add_json_argument, command, progress
@@ -31,55 +29,16 @@ from hydro_policy.environment import Transitions
 from hydro_policy.fleet_filter import FILTERS
 from hydro_policy.policy import Policy
 from hydro_policy.pretrain_report import curve_table, draw_curve
-from hydro_policy.pretraining import Pretraining, PretrainSettings
-from hydro_policy.randomisation import Randomisation
+from hydro_policy.pretrain_source import Source, load_source, source_of
+from hydro_policy.pretraining import Pretraining
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.snapshot import actor_parameters, dump
-from hydro_sim.bench import Bench
-from hydro_sim.learned.model import Learned
 from hydro_sim.learned.weights import WeightsError
-
-SOURCE = "pretrain.yaml"
-"""In a run's folder: what was simulated, beside config.yaml."""
 
 AGENT = "learner.safetensors"
 
 REPLAY_MAX = 1_152_000
 """Transitions that a pretraining remembers at most, 138 MB: 640 episodes."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Source:
-    """What is simulated; all that `--resume` needs besides config.yaml."""
-
-    model: str
-    """shipped, analytic, or a weights file of `hydro_sim learn`."""
-    bench: str | None = None
-    """bench.yaml or corrected.yaml that is simulated by the analytic model; None: the nominal bench."""
-    box: str | None = None
-    """bench.yaml that the box believes in; None: the nominal bench."""
-    randomise: bool = False
-    filter: str = "none"
-    """A name of `fleet_filter.FILTERS`."""
-    benches: int = 8
-
-    def simulated(self) -> Bench | Learned:
-        """The analytic bench or the learned model."""
-        if self.model == "analytic":
-            return Bench.load(self.bench) if self.bench else Bench.nominal()
-        return Learned.load(None if self.model == "shipped" else self.model)
-
-    def believed(self) -> Bench:
-        """What the box's force law takes for true."""
-        return Bench.load(self.box) if self.box else Bench.nominal()
-
-    def pretraining(self, training: TrainingSettings) -> Pretraining:
-        """A pretraining at its beginning."""
-        randomisation = Randomisation() if self.randomise else None
-        settings = PretrainSettings(
-            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter
-        )
-        return Pretraining(settings, self.simulated(), self.believed())
 
 
 def parser() -> argparse.ArgumentParser:
@@ -130,11 +89,11 @@ def main() -> int:
     torch.set_num_threads(1)  # the work is compiled; torch only draws numbers
     run = RunDirectory(options.resume or options.out)
     if options.resume:
-        settings, source = run.load_settings(), _load_source(run)
+        settings, source = run.load_settings(), load_source(run.path)
         pretraining = source.pretraining(settings)
         _resume(run, pretraining)
     else:
-        settings, source = _settings(options), _source(options)
+        settings, source = training_settings(options), source_of(options)
         pretraining = source.pretraining(settings)
         _create(run, settings, source)
     began = time.monotonic()
@@ -150,7 +109,8 @@ def main() -> int:
     return 0
 
 
-def _settings(options: argparse.Namespace) -> TrainingSettings:
+def training_settings(options: argparse.Namespace) -> TrainingSettings:
+    """What the command line asks for."""
     settings = configuration(options.configuration, options.seed)
     episodes = PRETRAINING_EPISODES[options.configuration] if options.episodes is None else options.episodes
     steps = settings.task.steps_per_episode if options.steps is None else options.steps
@@ -164,32 +124,14 @@ def _settings(options: argparse.Namespace) -> TrainingSettings:
     )
 
 
-def _source(options: argparse.Namespace) -> Source:
-    model = options.model or ("analytic" if options.bench else "shipped")
-    if options.bench and model != "analytic":
-        raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
-    files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
-    model = model if model in ("analytic", "shipped") else os.path.abspath(model)
-    randomise = options.configuration == "adaptive" if options.randomise is None else options.randomise
-    chosen = {"randomise": randomise, "filter": options.filter, "benches": options.benches}
-    return Source(model=model, **chosen, **files)
-
-
 def _create(run: RunDirectory, settings: TrainingSettings, source: Source) -> None:
     try:
         run.create().save_settings(settings)
-        (run.path / SOURCE).write_text(yaml.safe_dump(asdict(source), sort_keys=False))
+        source.save(run.path)
     except FileExistsError as error:
         raise UserError(str(error)) from error
     except OSError as error:
         raise UserError(f"{run.path} cannot be written: {error.strerror}") from error
-
-
-def _load_source(run: RunDirectory) -> Source:
-    try:
-        return Source(**yaml.safe_load((run.path / SOURCE).read_text()))
-    except (OSError, TypeError, yaml.YAMLError) as error:
-        raise UserError(f"{run.path} holds no pretraining to go on with: {error}") from error
 
 
 def _resume(run: RunDirectory, pretraining: Pretraining) -> None:

@@ -20,7 +20,9 @@ from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.fleet import Fleet
 from hydro_policy.fleet_runs import fixed
 from hydro_policy.policy import load_policy
+from hydro_policy.pretrain import parser, training_settings
 from hydro_policy.pretrain_exam import REFERENCE_GAINS, TRIPPED, Examination
+from hydro_policy.pretrain_source import source_of
 from hydro_policy.pretraining import Pretraining, PretrainSettings
 from hydro_policy.randomisation import Drawn, Randomisation, draw
 from hydro_policy.run import TrainingSettings
@@ -172,6 +174,24 @@ def test_many_gains_are_those_of_one_action_each() -> None:
     gains, actions = GainRange(delta_kp_max=285.0), np.random.default_rng(0).uniform(-1.3, 1.3, (50, 2))
     for row, action in zip(gains.changes(actions), actions, strict=True):
         assert tuple(row) == gains.gains(action)
+
+
+@pytest.mark.parametrize(
+    ("words", "drawn", "episodes"),
+    [
+        (["--configuration", "wide"], False, 160),
+        (["--configuration", "wide", "--randomise", "--episodes", "9"], True, 9),
+        (["--configuration", "adaptive"], True, 1280),
+        (["--configuration", "adaptive", "--no-randomise"], False, 1280),
+    ],
+)
+def test_adaptive_draws_its_benches_unless_told_otherwise(words: list[str], drawn: bool, episodes: int) -> None:
+    options = parser().parse_args(["--out", "run", *words])
+    assert source_of(options).randomise is drawn
+    settings = training_settings(options)
+    assert settings.episodes == episodes
+    assert settings.replay_capacity == (288_000 if episodes <= 160 else 1_152_000)
+    assert settings.task.gains.delta_kp_max == 285.0
 
 
 def pretrain(*words: str) -> subprocess.CompletedProcess[str]:
