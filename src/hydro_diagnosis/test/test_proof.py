@@ -18,7 +18,8 @@ from hydro_diagnosis.proof import seal
 from hydro_diagnosis.proof.cases import FITTED, HELD, PARTS, Case, draw, shares
 from hydro_diagnosis.proof.facts import Result
 from hydro_diagnosis.proof.prove import run
-from hydro_diagnosis.proof.recording import run_emulator
+from hydro_diagnosis.proof.recording import record, run_emulator
+from hydro_diagnosis.proof.retake import ATTEMPTS, usable
 from hydro_diagnosis.proof.standards import failures, standards, wilson
 from hydro_sim.bench import Bench
 
@@ -67,6 +68,35 @@ def test_held_out_recording_is_of_a_class_that_is_not_fitted() -> None:
         fitted = {case.schedules[name]["waveform"] for name in FITTED}
         assert len(fitted) == 2
         assert case.schedules[HELD]["waveform"] not in fitted
+
+
+def test_attempts_ask_for_less_from_one_to_the_next_and_tell_the_box_alone() -> None:
+    drawn = {"seconds": 20.0, "waveform": "sine", "amplitude": 250.0, "kp": 70.0, "ki": 4.0}
+    assert ATTEMPTS[0].schedule(drawn) == drawn
+    assert ATTEMPTS[0].box() is None
+    assert ATTEMPTS[1].schedule(drawn) == {**drawn, "amplitude": 150.0, "kp": 30.0}
+    believed = [attempt.believed_flow for attempt in ATTEMPTS]
+    assert believed == sorted(believed)
+    nominal, told = Bench.nominal(), ATTEMPTS[-1].box()
+    assert told is not None
+    assert replace(told, valve_nominal_flow=nominal.valve_nominal_flow) == nominal
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("effects", [
+    {"valve_gain": {"ratio": 1.12}},
+    {"supply_pressure": {"ratio": 1.1}, "valve_gain": {"ratio": 1.15}, "piston_area": {"ratio": 0.92}},
+])  # fmt: skip
+def test_bench_that_trips_is_recorded_again_until_it_runs(effects: dict[str, Any], tmp_path: Path) -> None:
+    (case,) = draw(1, SEED)
+    schedules = {name: {**one, "seconds": 5.0} for name, one in case.schedules.items()}
+    assert record([replace(case, effects=effects, schedules=schedules)], tmp_path, 1, float("inf"))
+    for name in (*FITTED, HELD):
+        bag = tmp_path / case.name / name
+        assert usable(bag)
+        assert np.ptp(read_bag(bag).state["piston_position"]) > 2e-3
+        told = yaml.safe_load(read_bag(bag).attachments["bench.yaml"])
+        assert told["valve_nominal_flow"] > 1.2 * Bench.nominal().valve_nominal_flow
 
 
 def test_seal_opens_to_the_same_answers_and_not_after_a_change(tmp_path: Path) -> None:
