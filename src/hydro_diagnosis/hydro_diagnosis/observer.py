@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -113,8 +113,26 @@ class ChamberObserver(SegmentRecord):
         followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
         return unexplained - np.asarray(followed)
 
-    def timing_doubt(self) -> FloatArray:
-        """Standard deviation [Pa] of the pressures, because displacement and flow are only so well timed, decimated."""
+    def pressure_doubt(self, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations [Pa] of what both equations build, beyond the readings' own noise, decimated.
+
+        Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
+        """
         bench = self.base
-        per_meter = bench.bulk_modulus * bench.piston_area / bench.dead_volume_a
-        return per_meter * TIMING_DOUBT * self.kept(smooth(np.abs(self.v)))
+        timing = bench.bulk_modulus * bench.piston_area / bench.dead_volume_a * TIMING_DOUBT * smooth(np.abs(self.v))
+        a, b = (
+            self.kept(np.hypot(timing, self._flow_doubt(chamber, noise["pressure_" + chamber]))) for chamber in "ab"
+        )
+        return a, b
+
+    def _flow_doubt(self, chamber: str, noise: float) -> FloatArray:
+        """Standard deviation [Pa] of a pressure that the noise of its own reading has built by way of the flow."""
+        bench, current = self.base, self.channels["valve_current"]
+        pressure = chambers.middle(self.channels["pressure_" + chamber])
+        fed = current > 0.0 if chamber == "a" else current < 0.0
+        drop = np.abs(np.where(fed, bench.supply_pressure - pressure, pressure - bench.tank_pressure))
+        gain = bench.valve_gain * np.abs(current) / (2.0 * np.sqrt(np.maximum(drop, noise)))
+        volume = bench.dead_volume_a if chamber == "a" else bench.dead_volume_b
+        built = bench.bulk_modulus / volume * gain * noise * self.step  # neighbours share a reading
+        kept = (1.0 - self.step / OBSERVER_MEMORY) ** 2
+        return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], np.square(built)), 0.0))

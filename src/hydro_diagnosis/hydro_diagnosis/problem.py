@@ -55,7 +55,8 @@ class Problem:
         """How often `residual` was called: the currency of a search's effort."""
         self.doubted: tuple[float, ...] = ()
         """Tells one doubt from another: its sum per segment; nothing but zeros without any."""
-        self._timing = [model.timing_doubt() for model in self.models] if PRESSURE in self.blocks else []
+        checked = PRESSURE in self.blocks
+        self._flows = [model.pressure_doubt(self.sensor_noise) for model in self.models] if checked else []
         self.set_doubt(())
         self.layout = self._layout()
 
@@ -85,7 +86,7 @@ class Problem:
         if channel == "motion":
             return np.hypot(self.noise[channel], self._doubt[segment])
         if channel in ("pressure_a", "pressure_b"):
-            return np.hypot(self.noise[channel], self._timing[segment])
+            return np.hypot(self.noise[channel], self._flows[segment][CHANNELS.index(channel)])
         return self.noise[channel]
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:

@@ -13,6 +13,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from hydro_bridge.recording import read_bag
 from hydro_bridge.signals import Flag
 from hydro_diagnosis.quality import checked
@@ -21,6 +23,8 @@ from hydro_sim.bench import Bench
 
 USED = 0.5
 """Share of a run that must be free of end stops and cavitation."""
+SATURATED = 0.01
+"""Share of a run in which the valve current may stand at its limit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,12 +64,12 @@ ATTEMPTS = (
 
 
 def usable(bag: Path) -> bool:
-    """Whether the box did not trip, and the bench was not in its stops for most of the time."""
-    states = read_bag(bag, topics=("/hydro/state",)).state
-    if (states["flags"] & Flag.TRIPPED).any():
+    """Whether the box did not trip, the valve hardly saturated, and the bench was not in its stops most of the time."""
+    flags = read_bag(bag, topics=("/hydro/state",)).state["flags"]
+    if (flags & Flag.TRIPPED).any() or np.mean((flags & Flag.SATURATED) > 0) > SATURATED:
         return False
     try:
         recording = checked(read_table(bag), Bench.nominal())
     except UnusableRecordingError:
         return False
-    return recording.seconds >= USED * 1e-3 * len(states)
+    return recording.seconds >= USED * 1e-3 * len(flags)
