@@ -3,8 +3,8 @@
 
 Everything runs on the emulator's plant without clock or serial line: the same samples to the bit, many times as fast.
 
-I    trained on this bench for a few episodes, from the agent given; one policy for each training seed
-II   the agent as it was pretrained in simulation
+I    trained on this bench for a few episodes, from an agent given; one policy for each training seed
+II   that agent as it was pretrained in simulation
 III  fixed (90, 15), the paper's
 IV   the best fixed gains of a grid on the nominal (default) bench; IV* of a grid on the bench at hand
 
@@ -47,7 +47,11 @@ PAPER_III = (90.0, 15.0)
 BENCHES: Mapping[str, Mapping[str, Any]] = {
     "default": {},
     "spring 10 kN/m": {"spring_stiffness": {"ratio": 0.5}},
+    "spring 14 kN/m": {"spring_stiffness": {"ratio": 0.7}},
+    "spring 28 kN/m": {"spring_stiffness": {"ratio": 1.4}},
     "spring 40 kN/m": {"spring_stiffness": {"ratio": 2.0}},
+    "spring 50 kN/m": {"spring_stiffness": {"ratio": 2.5}},
+    "supply 13 MPa": {"supply_pressure": {"ratio": 0.8125}},
     "supply 10 MPa": {"supply_pressure": {"ratio": 0.625}},
     "dry friction +30 N": {"friction_coulomb": {"form": "lugre", "force": 42.0}},
     "air 1 %": {"entrained_air": {"volume_fraction": 0.01}},
@@ -151,21 +155,21 @@ def run(asked: argparse.Namespace) -> Table:
     evaluation = EvaluationSettings(periods=4, multisine=True, steps=True)
     sines = replace(evaluation, multisine=False, steps=False)
     cases = [case.name for case in evaluation.cases]
-    start = load_start(asked.start)
+    starts = {path.name: load_start(path) for path in asked.start}
     limits = GridSettings() if asked.kp_max is None else GridSettings(kp_max=asked.kp_max, ki_max=asked.ki_max)
     nominal = search(bench("default"), limits, sines)
-    before = agent(actor_parameters(start.agent), start)
     table = Table(
         {"bench": "", "controller": "", **dict.fromkeys(cases, "N")}, title=f"Force RMSE [N], {asked.seeds} seeds"
     )
     bar = progress(total=len(asked.benches), label="benches", unit="bench")
     for name in asked.benches:
         controllers: Controllers = {}
-        for seed in range(asked.training_seeds):
-            trained, told = train(bench(name), start, asked.episodes, seed, asked.updates_per_step)
-            controllers[f"I trained here #{seed}"] = trained.chooser
-            print(f"{name}, training seed {seed}: {_told(told)}", file=sys.stderr, flush=True)
-        controllers["II simulation only"] = before.chooser
+        for source, start in starts.items():
+            for seed in range(asked.training_seeds):
+                trained, told = train(bench(name), start, asked.episodes, seed, asked.updates_per_step)
+                controllers[f"I {source}, trained here #{seed}"] = trained.chooser
+                print(f"{name}, {source}, training seed {seed}: {_told(told)}", file=sys.stderr, flush=True)
+            controllers[f"II {source}, simulation only"] = agent(actor_parameters(start.agent), start).chooser
         controllers["III fixed (90, 15)"] = fixed(PAPER_III)
         controllers[f"IV fixed {_pair(nominal.best)}"] = fixed(nominal.best)
         if name != "default":
@@ -198,7 +202,7 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--start", type=Path, required=True, metavar="RUN", help="the pretrained agent")
+    parser.add_argument("--start", type=Path, nargs="+", required=True, metavar="RUN", help="pretrained agents")
     names = ", ".join(BENCHES).replace("%", "%%")
     parser.add_argument("--benches", nargs="+", default=["default"], choices=BENCHES, metavar="NAME", help=names)
     parser.add_argument("--seeds", type=int, default=5, help="of noise, default 5")

@@ -46,13 +46,13 @@ class Randomisation:
     """Pa. [1e6, 5e7]."""
     supply_max: float = 17e6
     """Pa; above the nominal pressure, for policies are worst at the edge of what they were trained on. [1e6, 5e7]."""
-    spread: float = 1.0
-    """Scale of the changes of what is known badly: oil 20 %, mass 20 %, friction 50 %, valve 15 % ... [0, 1.5]."""
+    spread: float = 0.5
+    """Scale of the changes of what is known badly; 1: oil 20 %, mass 20 %, friction 50 %, valve 15 % ... [0, 1.5]."""
     noise_min: float = 0.5
     """Scale of the sensors' noise. [0, 10]."""
     noise_max: float = 2.0
     """Scale of the sensors' noise. [0, 10]."""
-    gain_delay_max: int = 4
+    gain_delay_max: int = 2
     """Samples until gains act, from 1 on. [1, 10]."""
     dead_time_max: int = 1
     """Samples between the box and the valve, from 0 on. [0, 8]."""

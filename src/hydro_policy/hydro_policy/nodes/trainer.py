@@ -26,7 +26,6 @@ DEMO = {
     "episodes": 6,
     "exam_every": 2,
     "evaluate": True,
-    "filter": "--metric constant",  # docs/results.md says what the learned one does to the wide agent on a busy machine
 }
 """The main job: a short training on the emulator over the serial link, recorded and evaluated, within 6 minutes."""
 
