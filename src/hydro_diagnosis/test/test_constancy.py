@@ -87,6 +87,7 @@ def test_wrong_bulk_modulus_is_no_hoses(problem_of: Callable[..., Problem]) -> N
     assert [one.effect.label for one in outcome.fit.claims] == [BULK]
     rival = fit(problem, [claim(HOSES)])
     assert score(problem, rival) > score(problem, outcome.fit) + 100.0
+    assert HOSES in [one.claims[-1].effect.label for one in outcome.rivals[BULK]]
 
 
 def test_other_causes_beside_hoses_keep_name_and_size(problem_of: Callable[..., Problem]) -> None:
