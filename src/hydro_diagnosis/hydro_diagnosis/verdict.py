@@ -2,8 +2,8 @@
 """What may be said: which claims stand, whether something remains that nobody named, and what the verdict is.
 
 A name is never forced. Where something remains, claims that explain little are dropped, as they may only mimic the
-remainder;
-and if those that are left do not explain nearly all of the gap, they are dropped too and the verdict is `unknown`.
+remainder; and if those that are left do not explain nearly all of the gap, or follow the state though they should be
+constant, they are dropped too and the verdict is `unknown`. What the search found without a name for it is no claim.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
         return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
     kept = nothing if coincidence else _named(problem, _trusted(problem, found, nothing))
     forms = free_forms(problem, kept)
-    remainder = tuple(locate(problem, kept.residual, forms))
+    found_at = tuple(locate_claims(problem, found, nothing.residual))
+    remainder = tuple(locate(problem, kept.residual, forms)) or found_at  # an unnamed cause may be small
     labels = {claim.effect.label for claim in kept.claims}
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
