@@ -21,7 +21,7 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray
-from hydro_filter import certificate, controller, dynamics, qp
+from hydro_filter import analytic_kernels, certificate, controller, qp
 from hydro_filter.certificate import Certificate
 from hydro_filter.controller import ForceLaw
 from hydro_filter.dynamics import AnalyticDynamics
@@ -101,7 +101,7 @@ def half_line(parts, x, nominal, reference, gain):
     state_matrix, input_vector = np.empty((STATES, STATES)), np.empty(STATES)
     law, v = np.empty(STATES), np.zeros(STATES)
     current = min(max(nominal, -parts.current_max), parts.current_max)
-    dynamics.linearize(parts.model, x, current, state_matrix, input_vector)
+    analytic_kernels.linearize(parts.model, x, current, state_matrix, input_vector)
     controller.gradient(parts.bench, x, nominal, gain, parts.gain_floor, law)
     v[LOAD_FORCE] = -certificate.dead_zone(reference - x[LOAD_FORCE], parts.noise_floor) / parts.scale[LOAD_FORCE]
     return certificate.half_line(

@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.dynamics import force_rate_slopes
+from hydro_filter.analytic_kernels import force_rate_slopes
 from hydro_filter.sample import Sample
 from hydro_filter.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.bench import Bench

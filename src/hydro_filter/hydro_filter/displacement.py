@@ -17,7 +17,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hydro_filter import model_kernels
+from hydro_filter import hidden_states
+from hydro_filter.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE
 from hydro_filter.loop_model import (
     LOOP,
     Q_BOX_VELOCITY,
@@ -30,7 +31,6 @@ from hydro_filter.loop_model import (
     Q_VELOCITY,
     hydraulic_slopes,
 )
-from hydro_filter.model_kernels import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE
 from hydro_filter.state import HYDRAULIC_FORCE, LOAD_FORCE, LOAD_FORCE_RATE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
 from hydro_sim.learned import physics
 from hydro_sim.learned.physics import (
@@ -67,14 +67,14 @@ def begin(memory):
 def settle(loop, memory, x, current, reference_rate):
     """Take in the first sample: hidden states that the current and velocity of now lead to."""
     if not memory.running:
-        model_kernels.steady(loop.model[0], x[VELOCITY], current, memory.hidden)
+        hidden_states.steady(loop.model[0], x[VELOCITY], current, memory.hidden)
         memory.reference_rate, memory.running = reference_rate, True
 
 
 @njit(cache=True, inline="always")
 def follow(loop, memory, x, current, reference_rate):
     """Move the memory to the next sample, over which the valve holds `current` [A]."""
-    model_kernels.follow(loop.model[0], x[VELOCITY], current, memory.hidden)
+    hidden_states.follow(loop.model[0], x[VELOCITY], current, memory.hidden)
     memory.reference_rate = reference_rate
 
 

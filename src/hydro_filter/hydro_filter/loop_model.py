@@ -29,7 +29,7 @@ from numba import njit
 
 from hydro_bridge.signals import FloatArray
 from hydro_filter import controller, model_kernels
-from hydro_filter.model_kernels import SPOOL
+from hydro_filter.hidden_states import SPOOL
 from hydro_filter.state import FORCE_SCALE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_filter.tangent import SOURCES, WIDTH
 from hydro_sim.bench import Bench

@@ -17,9 +17,9 @@ import numpy as np
 from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 
 from hydro_bridge.signals import FloatArray
+from hydro_filter.hidden_states import HIDDEN
 from hydro_filter.loop_model import LOOP, LoopModel, linearize, loop_step
 from hydro_filter.metric_network import ENTRIES
-from hydro_filter.model_kernels import HIDDEN
 from hydro_sim.hydraulics import rest_state
 from hydro_sim.timing import SAMPLE
 

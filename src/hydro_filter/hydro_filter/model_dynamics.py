@@ -28,9 +28,9 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter import model_kernels, network_kernels
+from hydro_filter import hidden_states, model_kernels, network_kernels
 from hydro_filter.dynamics import Linearization, Transition
-from hydro_filter.model_kernels import HIDDEN
+from hydro_filter.hidden_states import HIDDEN
 from hydro_filter.state import STATES
 from hydro_sim.learned.model import Model
 from hydro_sim.learned.network_model import NetworkModel
@@ -64,12 +64,12 @@ class StructuredDynamics:
         """Follow the hidden states over the sample that begins at x, shape (8,), with the valve's current [A]."""
         if self.hidden is None:
             self.hidden = self.hidden_at(state[np.newaxis], np.array([current]))[0]
-        model_kernels.follow(self.compiled[0], state[7], current, self.hidden)
+        hidden_states.follow(self.compiled[0], state[7], current, self.hidden)
 
     def linearize(self, state: FloatArray, current: float) -> Linearization:
         """A, B and x' at state x, shape (8,), and valve current [A]."""
         linear = Linearization(np.empty((STATES, STATES)), np.empty(STATES), np.empty(STATES))
-        bristle = self._hidden(state, current)[model_kernels.BRISTLE_STATE]
+        bristle = self._hidden(state, current)[hidden_states.BRISTLE_STATE]
         model_kernels.flow(self.compiled, self.ages, state, bristle, current, *linear)
         return linear
 
@@ -89,7 +89,7 @@ class StructuredDynamics:
         """Hidden states, shape (n, 3), to which states, shape (n, 8), and currents, shape (n,), lead if held."""
         hidden = np.empty((len(states), HIDDEN))
         for k in range(len(states)):
-            model_kernels.steady(self.compiled[0], states[k, 7], currents[k], hidden[k])
+            hidden_states.steady(self.compiled[0], states[k, 7], currents[k], hidden[k])
         return hidden
 
     def linearize_batch(
@@ -98,7 +98,7 @@ class StructuredDynamics:
         """A (n, 8, 8), B (n, 8), x' (n, 8) at states (n, 8), currents (n,) and hidden states (n, 3); None: steady."""
         hidden = self.hidden_at(states, currents) if hidden is None else hidden
         linear = Linearization(*_empty(len(states), STATES))
-        bristles = np.ascontiguousarray(hidden[:, model_kernels.BRISTLE_STATE])
+        bristles = np.ascontiguousarray(hidden[:, hidden_states.BRISTLE_STATE])
         model_kernels.flows(*self.compiled, self.ages, states, bristles, currents, *linear)
         return linear
 
@@ -157,8 +157,18 @@ class NetworkDynamics:
 
 
 def model_dynamics(model: Model) -> StructuredDynamics | NetworkDynamics:
-    """The `Dynamics` of a learned model, for instance of `hydro_sim.learned.model.Learned.load().model`."""
-    return NetworkDynamics(model) if isinstance(model, NetworkModel) else StructuredDynamics(model)
+    """The `Dynamics` of a learned model, for instance of `hydro_sim.learned.model.Learned.load().model`.
+
+    Raises
+    ------
+    ValueError
+        The model is neither structured nor a network alone of two layers: nobody has written its derivatives.
+    """
+    if isinstance(model, NetworkModel):
+        return NetworkDynamics(model)
+    if not isinstance(model, StructuredModel):
+        raise ValueError(f"a {model.name} model has no derivatives here: structured ones and two-layer networks have")
+    return StructuredDynamics(model)
 
 
 def _empty(count: int, states: int) -> tuple[FloatArray, FloatArray, FloatArray]:

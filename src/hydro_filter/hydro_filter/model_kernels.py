@@ -8,7 +8,7 @@ Three states appear (`hydro_sim.learned.structured` has s and the full state)::
     x     (8)   f_h  f_h'  f_l  f_l'  p_a  p_b  x_p  x_p'             what is measured (paper eq. state_def)
 
 x does not hold the spool, its rate and the bristle: these are `hidden`, shape (3,), estimated from what is known
-(`follow`) and held fixed in derivatives by x. `model` is `StructuredModel.compiled`.
+(`hidden_states`) and held fixed in derivatives by x. `model` is `StructuredModel.compiled`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from hydro_filter import tangent
+from hydro_filter import network_tangent, tangent, tangent_rates
+from hydro_filter.hidden_states import BRISTLE_STATE, SPOOL, SPOOL_RATE
 from hydro_filter.state import (
     HYDRAULIC_FORCE,
     HYDRAULIC_FORCE_RATE,
@@ -29,57 +30,14 @@ from hydro_filter.state import (
 )
 from hydro_filter.state import STATES as MEASURED
 from hydro_filter.tangent import SOURCES, WIDTH
-from hydro_sim.learned import integration, structured
-from hydro_sim.learned.integration import STATES, STEP, SUBSTEPS
-from hydro_sim.learned.physics import (
-    AREA,
-    BIAS_L,
-    BRISTLE,
-    COULOMB,
-    GAIN_H,
-    GAIN_L,
-    RATIO,
-    SPOOL_DAMPING,
-    SPOOL_OMEGA,
-    STRIBECK,
-    STRIBECK_VELOCITY,
-)
+from hydro_sim.learned import structured
+from hydro_sim.learned.integration import STATES
+from hydro_sim.learned.physics import AREA, BIAS_L, GAIN_H, GAIN_L, RATIO, SPOOL_OMEGA
 from hydro_sim.learned.structured import FULL, INPUTS, OUTPUTS, READINGS
 from hydro_sim.timing import SAMPLE
 
-SPOOL, SPOOL_RATE, BRISTLE_STATE = range(3)
-HIDDEN = 3
 NUDGED = 7
 """Columns that a measured state needs: f_l, f_l', p_a, p_b, x_p, x_p' and the current; f_h and f_h' move nothing."""
-
-
-@njit(cache=True)
-def steady(c, velocity, current, hidden):
-    """Hidden states, shape (3,), that a held current [A] and velocity [m/s] lead to."""
-    level = c[COULOMB] + c[STRIBECK] * np.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))
-    hidden[SPOOL], hidden[SPOOL_RATE] = current, 0.0
-    hidden[BRISTLE_STATE] = np.sign(velocity) * level / c[BRISTLE]
-
-
-@njit(cache=True)
-def follow(c, velocity, current, hidden):
-    """Hidden states one sample later, in place: both are driven by what is known, and forget where they began.
-
-    The spool follows the current [A] that the valve got, the bristle the measured velocity [m/s].
-    """
-    w, d = c[SPOOL_OMEGA], c[SPOOL_DAMPING]
-    for _ in range(SUBSTEPS):
-        hidden[BRISTLE_STATE] = integration.half_bristle(c, hidden[BRISTLE_STATE], velocity)
-        hidden[BRISTLE_STATE] = integration.half_bristle(c, hidden[BRISTLE_STATE], velocity)
-        position, rate, total_rate, total_pull = hidden[SPOOL], hidden[SPOOL_RATE], 0.0, 0.0
-        for stage in range(4):
-            pull = w * (w * (current - position) - 2.0 * d * rate)
-            weight = STEP / 6.0 if stage == 0 or stage == 3 else STEP / 3.0
-            total_rate, total_pull = total_rate + weight * rate, total_pull + weight * pull
-            reach = STEP if stage == 2 else 0.5 * STEP
-            position, rate = hidden[SPOOL] + reach * rate, hidden[SPOOL_RATE] + reach * pull
-        hidden[SPOOL] += total_rate
-        hidden[SPOOL_RATE] += total_pull
 
 
 @njit(cache=True)
@@ -127,7 +85,7 @@ def nudge(model, full, current, d, rates):
 def _added(layers, center, scale, s, d, r, dr):
     """What the network adds, r, and its nudges dr, shape (3, 8), zero before."""
     slopes = np.empty((OUTPUTS, INPUTS))
-    if tangent.residual(layers, center, scale, s, r, slopes):
+    if network_tangent.residual(layers, center, scale, s, r, slopes):
         for i in range(OUTPUTS):
             for j in range(INPUTS):
                 for k in range(WIDTH):
@@ -203,7 +161,7 @@ def _put(by, state_matrix, input_vector):
 def flow(model, ages, x, bristle, current, state_matrix, input_vector, rate):
     """x' (8,) with A (8, 8) and B (8,), the spool taken to be where the current holds it; see `model_dynamics`."""
     c, layers, center, scale, _ = model
-    y, slope, p, r = np.empty(STATES), np.empty(8), np.zeros((8, tangent.PARTIALS)), np.empty(OUTPUTS)
+    y, slope, p, r = np.empty(STATES), np.empty(8), np.zeros((8, tangent_rates.PARTIALS)), np.empty(OUTPUTS)
     d, dr, moved = np.empty((SOURCES, WIDTH)), np.zeros((OUTPUTS, WIDTH)), np.zeros((8, WIDTH))
     y[0], y[1], y[2], y[3] = x[PRESSURE_A], x[PRESSURE_B], x[POSITION], x[VELOCITY]
     y[4], y[5], y[8] = current, 0.0, bristle
@@ -211,7 +169,7 @@ def flow(model, ages, x, bristle, current, state_matrix, input_vector, rate):
     _lift_nudges(c, d)
     d[4, 6] = 1.0
     _added(layers, center, scale, y, d, r, dr)
-    tangent.rates(c, y[:8], bristle, current, r, slope, p)
+    tangent_rates.rates(c, y[:8], bristle, current, r, slope, p)
     flat = d.reshape(SOURCES * WIDTH)
     flat_r, summed = dr.reshape(OUTPUTS * WIDTH), moved.reshape(8 * WIDTH)
     tangent.push(p, c[SPOOL_OMEGA] ** 2, flat, flat, flat_r, 1.0, 0.0, summed, np.empty(SOURCES * WIDTH))

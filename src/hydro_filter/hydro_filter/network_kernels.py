@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from hydro_filter import tangent
+from hydro_filter import network_tangent
 from hydro_filter.state import STATES
 from hydro_sim.learned.network import INPUTS
 from hydro_sim.timing import SAMPLE
@@ -24,7 +24,7 @@ def flow(model, x, current, state_matrix, input_vector, rate):
     for i in range(STATES):
         z[i] = (x[i] - center[i]) / scale[i]
     z[STATES] = current / current_scale
-    tangent.network_slopes(layers, z, a1, a2, rate, slopes)
+    network_tangent.network_slopes(layers, z, a1, a2, rate, slopes)
     for i in range(STATES):
         rate[i] *= rate_scale[i]
         input_vector[i] = rate_scale[i] * slopes[i, STATES] / current_scale

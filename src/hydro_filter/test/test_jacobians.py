@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter import dynamics
+from hydro_filter import analytic_kernels
 from hydro_filter.controller import ForceLaw
 from hydro_filter.dynamics import AnalyticDynamics
 from hydro_filter.sample import Sample
@@ -42,7 +42,7 @@ def state_differences(bench: Bench, state: FloatArray, current: float) -> FloatA
 
 def rate(bench: Bench, state: FloatArray, current: float) -> FloatArray:
     out = np.empty(STATES)
-    dynamics.state_rate(bench.constants(), state, current, out)
+    analytic_kernels.state_rate(bench.constants(), state, current, out)
     return out
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter import dynamics, model_kernels
+from hydro_filter import dynamics, hidden_states, model_kernels
 from hydro_filter.dynamics import AnalyticDynamics
 from hydro_filter.model_dynamics import NetworkDynamics, StructuredDynamics, model_dynamics
 from hydro_filter.state import STATES, state_scale
@@ -253,7 +253,7 @@ def test_hidden_states_settle_where_they_are_said_to(model: StructuredModel) -> 
     steady = learned.hidden_at(x[np.newaxis], np.array([0.004]))[0]
     moving = np.array([-0.02, 3.0, -1e-5])
     for _ in range(300):
-        model_kernels.follow(c, 0.03, 0.004, moving)
+        hidden_states.follow(c, 0.03, 0.004, moving)
     np.testing.assert_allclose(moving, steady, rtol=1e-6, atol=1e-8)
 
 

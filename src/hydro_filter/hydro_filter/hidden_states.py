@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the structured model has and x does not show: spool, its rate, bristle; followed from what is known."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hydro_sim.learned import integration
+from hydro_sim.learned.integration import STEP, SUBSTEPS
+from hydro_sim.learned.physics import BRISTLE, COULOMB, SPOOL_DAMPING, SPOOL_OMEGA, STRIBECK, STRIBECK_VELOCITY
+
+SPOOL, SPOOL_RATE, BRISTLE_STATE = range(3)
+HIDDEN = 3
+
+
+@njit(cache=True)
+def steady(c, velocity, current, hidden):
+    """Hidden states, shape (3,), that a held current [A] and velocity [m/s] lead to."""
+    level = c[COULOMB] + c[STRIBECK] * np.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))
+    hidden[SPOOL], hidden[SPOOL_RATE] = current, 0.0
+    hidden[BRISTLE_STATE] = np.sign(velocity) * level / c[BRISTLE]
+
+
+@njit(cache=True)
+def follow(c, velocity, current, hidden):
+    """Hidden states one sample later, in place: both are driven by what is known, and forget where they began.
+
+    The spool follows the current [A] that the valve got, the bristle the measured velocity [m/s].
+    """
+    w, d = c[SPOOL_OMEGA], c[SPOOL_DAMPING]
+    for _ in range(SUBSTEPS):
+        hidden[BRISTLE_STATE] = integration.half_bristle(c, hidden[BRISTLE_STATE], velocity)
+        hidden[BRISTLE_STATE] = integration.half_bristle(c, hidden[BRISTLE_STATE], velocity)
+        position, rate, total_rate, total_pull = hidden[SPOOL], hidden[SPOOL_RATE], 0.0, 0.0
+        for stage in range(4):
+            pull = w * (w * (current - position) - 2.0 * d * rate)
+            weight = STEP / 6.0 if stage == 0 or stage == 3 else STEP / 3.0
+            total_rate, total_pull = total_rate + weight * rate, total_pull + weight * pull
+            reach = STEP if stage == 2 else 0.5 * STEP
+            position, rate = hidden[SPOOL] + reach * rate, hidden[SPOOL_RATE] + reach * pull
+        hidden[SPOOL] += total_rate
+        hidden[SPOOL_RATE] += total_pull
