@@ -98,7 +98,7 @@ def rows(plants: Sequence[Plant]) -> PlantRows:
             for index, plant in enumerate(plants):
                 copy(result.arrays, index, plant)
             return result
-    raise ValueError(f"a fleet knows no {type(plants[0]).__name__}")
+    raise ValueError(f"a fleet knows no {_kind(plants[0]).__name__}")
 
 
 def put(rows: PlantRows, index: int, plant: Plant) -> None:

@@ -4,6 +4,9 @@
 numba recompiles a cached function when the function's own file changes, not when a function it calls does: after an
 edit of `hydraulics.py` the cached `plant.advance` would go on with the old equations. `forget_stale` empties a
 package's caches whenever any of its sources, or of the packages it calls into, has changed.
+
+A function with fastmath must not call a cached one without: numba compiles that one with the caller's fastmath if it
+comes first, and caches it so, for every other caller.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from hydro_bridge.console import command, progress
 from hydro_sim.bench import Bench
 from hydro_sim.learned import adam, engine, identification, recordings, training
 from hydro_sim.learned.curves import draw_curves
-from hydro_sim.learned.model import STRUCTURES, Model
+from hydro_sim.learned.model import Model
 from hydro_sim.learned.recordings import DataError
 from hydro_sim.learned.structured_model import StructuredModel
 
@@ -29,6 +29,13 @@ DEVICE_HELP = (
     "identified and start states estimated on the CPU. The GPU's code is tested by torch on the CPU; it has not been "
     "run on a GPU"
 )
+
+
+STRUCTURE_HELP = (
+    "structured: equations with learned constants, and a network for the rest; residual: a network on top of the bench "
+    "file's equations; network: the paper's, x' by a network alone (default structured; docs/learned_model.md compares)"
+)
+HIDDEN_HELP = "hidden layers' widths, as many as there are to be layers; two for structured (default 32 32)"
 
 
 @command(DataError, ValueError)
@@ -91,6 +98,11 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--learning-rate is {rate:g}, needs a number above 0, at most 1")
     if options.seed < 0 or options.threads < 0:
         raise ValueError("--seed and --threads need 0 or more")
+    deep = options.structure == "residual" or (options.structure == "network" and len(options.hidden) != 2)
+    if options.structure == "structured" and len(options.hidden) != 2:
+        raise ValueError(f"--hidden names {len(options.hidden)} layers, --structure structured has two")
+    if deep and (options.device == "cuda" or options.printed_loss):
+        raise ValueError("--device cuda and --printed-loss are for a network alone of two layers, and for structured")
     engine.engines(options.device)
     folder = Path(options.out).absolute().parent
     if not os.access(folder, os.W_OK) or Path(options.out).is_dir():
@@ -111,13 +123,13 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="learn", description="Train the bench's model from recordings.")
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings; of three or more the last one validates")
     parser.add_argument("--out", required=True, metavar="WEIGHTS", help="file to write, .safetensors")
-    parser.add_argument("--structure", choices=sorted(STRUCTURES), default="structured", help="network: the paper's")
+    parser.add_argument("--structure", choices=training.CHOICES, default="structured", help=STRUCTURE_HELP)
     parser.add_argument("--bench", metavar="FILE", help="bench.yaml to start from; the shipped one by default")
-    parser.add_argument("--hidden", nargs=2, type=int, default=[32, 32], metavar="WIDTH", help="hidden layers' widths")
+    parser.add_argument("--hidden", nargs="+", type=int, default=[32, 32], metavar="WIDTH", help=HIDDEN_HELP)
     parser.add_argument("--horizon", type=int, default=70, help="samples rolled out; 1: one-step training")
     parser.add_argument("--batch", type=int, default=8192, help="windows per gradient")
-    parser.add_argument("--epochs", type=int, help="at most; 1000 for network, 60 for structured")
-    parser.add_argument("--learning-rate", type=float, help="1e-3 for network, 3e-4 for structured")
+    parser.add_argument("--epochs", type=int, help="at most; 1000, and 60 for structured")
+    parser.add_argument("--learning-rate", type=float, help="1e-3, and 3e-4 for structured")
     parser.add_argument("--patience", type=int, help="epochs without a better validation before training stops")
     parser.add_argument("--seed", type=int, default=0, help="of first weights and shuffles")
     parser.add_argument("--printed-loss", action="store_true", help="network: eq. loss as printed (errors may cancel)")

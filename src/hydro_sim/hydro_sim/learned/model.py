@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A learned bench of either structure, with the region it was trained in and what is known of its training."""
+"""A learned bench of any structure, with the region it was trained in and what is known of its training."""
 
 from __future__ import annotations
 
@@ -10,15 +10,17 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.learned import weights
+from hydro_sim.learned.deep_model import DeepModel
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.region import Region
 from hydro_sim.learned.structured_model import StructuredModel
 from hydro_sim.learned.weights import WeightsError
 
-Model = StructuredModel | NetworkModel
-STRUCTURES: dict[str, type[StructuredModel] | type[NetworkModel]] = {
-    kind.name: kind for kind in (StructuredModel, NetworkModel)
-}
+Model = StructuredModel | NetworkModel | DeepModel
+STRUCTURES: dict[str, type[StructuredModel] | type[NetworkModel] | type[DeepModel]] = {
+    "structured": StructuredModel, "network": NetworkModel, "deep": DeepModel, "residual": DeepModel,
+}  # fmt: skip
+"""By the name that files carry."""
 UNITS = {"state": ["N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s"], "current": "A", "sample": "1e-3 s"}
 
 
@@ -42,7 +44,7 @@ class Learned:
         path = path or weights.shipped()
         tensors, header = weights.load(path)
         if header["structure"] not in STRUCTURES:
-            known = " and ".join(STRUCTURES)
+            known = ", ".join(STRUCTURES)
             raise WeightsError(f"{path} has structure {header['structure']!r}; this version knows {known}")
         try:
             model = STRUCTURES[header["structure"]].from_file(tensors, header)

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.learned import structured
+from hydro_sim.learned.deep_model import DeepModel
 from hydro_sim.learned.engine import Compiled, Engine
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.recordings import READING_COLUMNS, Run
@@ -74,7 +75,7 @@ class NetworkObjective:
 
     def __init__(
         self,
-        model: NetworkModel,
+        model: NetworkModel | DeepModel,
         training: Windows,
         validation: Windows,
         *,
@@ -95,10 +96,8 @@ class NetworkObjective:
         steps = np.arange(self.training.horizon)
         for part in batches_of(self.training.shuffled(epoch, self.seed), self.batch):
             rows = part[:, None] + steps
-            layers, step = self.model.with_weights(parameters).compiled
-            loss, gradient = self.engine.network(
-                layers, step, self.z[part], self.v[rows], self.z[rows + 1], self.printed
-            )
+            batch = self.z[part], self.v[rows], self.z[rows + 1]
+            loss, gradient = self.model.with_weights(parameters).gradient(self.engine, *batch, self.printed)
             yield float(loss), gradient.astype(np.float64)
 
     def validate(self, parameters: FloatArray) -> float:

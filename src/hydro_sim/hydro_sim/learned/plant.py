@@ -16,8 +16,9 @@ from numba import njit
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim import sensors
-from hydro_sim.learned import integration, network, region, structured
-from hydro_sim.learned.model import Learned
+from hydro_sim.learned import deep, integration, network, region, structured
+from hydro_sim.learned.deep_model import DeepModel
+from hydro_sim.learned.model import Learned, Model
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.structured import INPUTS, OUTPUTS
 from hydro_sim.learned.structured_model import StructuredModel
@@ -50,7 +51,7 @@ class LearnedPlant:
             raise ValueError(f"noise scale {noise!r} is not a number of 0 or more")
         self.learned = learned if isinstance(learned, Learned) else Learned.load(learned)
         model = self.learned.model
-        self.advance = _network_step(model) if isinstance(model, NetworkModel) else _structured_step(model)
+        self.advance = _step(model)
         self.sensors = (settings or Sensors()).constants(noise)
         self.noise = Noise(0)
         self.state = np.array(model.rest)
@@ -87,6 +88,12 @@ def _measured(state: FloatArray) -> FloatArray:
     return np.array([force, 0.0, force, 0.0, state[0], state[1], state[2], 0.0])
 
 
+def _step(model: Model) -> Step:
+    if isinstance(model, StructuredModel):
+        return _structured_step(model)
+    return _deep_step(model) if isinstance(model, DeepModel) else _network_step(model)
+
+
 def _structured_step(model: StructuredModel) -> Step:
     """(state (12,), current, x out (8,)) of a structured model."""
     compiled = model.compiled
@@ -110,6 +117,19 @@ def _network_step(model: NetworkModel) -> Step:
         advance_network(
             layers, step, model.center, model.scale, state, current / model.current_scale, x, a1, a2, y, measured
         )
+
+    return advance
+
+
+def _deep_step(model: DeepModel) -> Step:
+    """(state (8,), current, x out (8,)) of a network of any depth."""
+    parts, after = model.parts, np.empty((1, 1, network.STATES), np.float32)
+
+    def advance(state: FloatArray, current: float, measured: FloatArray) -> None:
+        z, v = model.normalized(state[None], np.array([[current]]))
+        deep.roll(parts, z, v, after)
+        state[:] = model.center + model.scale * np.clip(after[0, 0], -FARTHEST, FARTHEST)
+        measured[:] = state
 
     return advance
 

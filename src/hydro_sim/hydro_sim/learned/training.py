@@ -2,7 +2,8 @@
 """How a model is trained: from runs to a `Learned`, stage by stage.
 
 =========== =====================================================================================
-network     Adam through time on all windows (the paper's way)
+network     Adam through time on all windows (the paper's way); two hidden layers, or any number of them
+residual    the same, on top of the bench file's equations: the network starts at zero and learns what they lack
 structured  constants identified on many short windows (`identification`), then Adam on the network
             alone, start states by the observer; readings weighed by what the model leaves of them
 =========== =====================================================================================
@@ -18,6 +19,7 @@ import numpy as np
 
 from hydro_sim.bench import Bench
 from hydro_sim.learned import adam, engine
+from hydro_sim.learned.deep_model import DeepModel
 from hydro_sim.learned.model import Learned, Model
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.objectives import NetworkObjective, StructuredObjective, Windows
@@ -31,9 +33,9 @@ class Settings:
     """Of a training; the defaults of `network` are Table training."""
 
     structure: str = "structured"
-    """Key of `model.STRUCTURES`."""
-    hidden: tuple[int, int] = (32, 32)
-    """Widths of the two hidden layers, [1, 1024]."""
+    """One of `CHOICES`."""
+    hidden: tuple[int, ...] = (32, 32)
+    """Widths of the hidden layers, [1, 1024]; two of them for `structured`."""
     horizon: int = 70
     """H, samples rolled out, [1, 1000]; 1 is one-step training."""
     batch: int = 8192
@@ -56,11 +58,22 @@ STRUCTURED_ADAM = adam.Settings(epochs=60, learning_rate=3e-4, patience=30, refr
 """The constants come identified: what is left for the network is little, and goes quickly."""
 
 
+CHOICES = ("structured", "residual", "network")
+"""Structures that can be trained."""
+
+
 def start(data: Data, settings: Settings, bench: Bench) -> Model:
-    """The untrained model."""
+    """The untrained model; ValueError if the structure cannot have these layers."""
+    hidden, seed = settings.hidden, settings.seed
+    if settings.structure == "residual":
+        return DeepModel.untrained(data.training, hidden, seed, bench)
+    if settings.structure == "network" and len(hidden) != 2:
+        return DeepModel.untrained(data.training, hidden, seed, None)
+    if len(hidden) != 2:
+        raise ValueError(f"structure {settings.structure} has two hidden layers, not {len(hidden)}")
     if settings.structure == "network":
-        return NetworkModel.untrained(data.training, settings.hidden, settings.seed)
-    return StructuredModel.untrained(bench, data.training, settings.hidden, settings.seed)
+        return NetworkModel.untrained(data.training, (hidden[0], hidden[1]), seed)
+    return StructuredModel.untrained(bench, data.training, (hidden[0], hidden[1]), seed)
 
 
 def objective(model: Model, data: Data, settings: Settings) -> NetworkObjective | StructuredObjective:
@@ -68,13 +81,13 @@ def objective(model: Model, data: Data, settings: Settings) -> NetworkObjective 
     training = Windows(data.training, settings.horizon, settings.stride)
     validation = Windows(data.validation, 70, 35)
     target: NetworkObjective | StructuredObjective
-    if isinstance(model, NetworkModel):
+    if not isinstance(model, StructuredModel):
         target = NetworkObjective(
             model, training, validation, batch=settings.batch, seed=settings.seed, printed=settings.printed_loss
         )
     else:
         target = StructuredObjective(model, training, validation, batch=min(settings.batch, 2048), seed=settings.seed)
-    target.engine = _engine(target, engine.engines(settings.device))
+    target.engine = _engine(target, engine.engines("cpu" if isinstance(model, DeepModel) else settings.device))
     return target
 
 
