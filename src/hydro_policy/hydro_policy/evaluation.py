@@ -3,8 +3,8 @@
 
 run       a new reference, 2 s to settle, then whole periods of at least 3 s in all over which e = f_r - f_l counts
 order     repeat, case, controller: controllers follow each other closely, so a drifting bench treats them alike
-failure   the box trips, or the monitor asks for a stop: the run counts as stopped. The plant is lost, or a person takes
-          the gains: the run is begun anew
+failure   the box trips, or the monitor asks for a stop: the run counts as stopped, and a second of calm follows. The
+          plant is lost, or a person takes the gains: the run is begun anew
 """
 
 from __future__ import annotations
@@ -120,7 +120,7 @@ class EvaluationSession:
             return self._publish(held) if sequence % SAMPLES_PER_STEP == 0 else False
         if self._run is None:
             if not self.watch.may_begin(now):
-                return False
+                return self.watch.calming and sequence % SAMPLES_PER_STEP == 0 and self._publish((0.0, 0.0))
             self._run = self._begin(sequence)
         return self._advance(self._run, sequence, sample, flags)
 
@@ -151,7 +151,7 @@ class EvaluationSession:
         step = self._clock.add(sequence, sample, flags)
         reason = self.monitor.add(step) if step is not None and self.monitor is not None else None
         if reason is not None:
-            self._publish((0.0, 0.0))  # base gains, until the next run begins with its own
+            self._publish((0.0, 0.0))
             self._stop(run, reason)
         elif sequence % SAMPLES_PER_STEP == 0:
             self._publish(run.controller.gains(sample))
@@ -188,6 +188,7 @@ class EvaluationSession:
             Score(controller=name, case=case.name, frequency=frequency, repeat=run.repeat, stopped=reason)
         )
         self._outputs.say(f"{name} at {case.name}: {reason}", warning=True)
+        self.watch.calm()
         self._run = None
 
     def _check_held(self, trace: Trace, held: float) -> None:

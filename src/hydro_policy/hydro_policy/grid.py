@@ -31,8 +31,8 @@ Gains = tuple[float, float]
 class GridSettings:
     """Where the grid lies."""
 
-    kp_min: float = 30.0
-    """1/s, where K_p begins to rise. [0, 500]."""
+    kp_min: float = 60.0
+    """1/s, where K_p begins to rise: not so low that the monitor stops a run for its lag. [0, 500]."""
     kp_max: float = 300.0
     """1/s, K_p is never above. [0, 500]."""
     kp_step: float = 30.0
@@ -78,7 +78,7 @@ class GridSearch:
 
     def tell(self, pair: Gains, rmse: Sequence[float]) -> None:
         """What a pair reached on each reference; infinite or NaN: it was stopped."""
-        self.tried[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf)
+        self.tried[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf, posinf=np.inf)
         if self._rising:
             self._rising.pop(0)
             higher = (pair[0] + self.settings.kp_step, pair[1])
@@ -92,13 +92,21 @@ class GridSearch:
 
     @property
     def scores(self) -> dict[Gains, float]:
-        """Mean over the references of RMSE over the smallest RMSE there."""
+        """Mean over the references of RMSE over the smallest RMSE there; infinite where a run was stopped."""
         smallest = np.min(list(self.tried.values()), axis=0)
-        return {pair: float(np.mean(rmse / smallest)) for pair, rmse in self.tried.items()}
+        came_through = {pair: np.isfinite(rmse).all() for pair, rmse in self.tried.items()}
+        return {
+            pair: float(np.mean(self.tried[pair] / smallest)) if came_through[pair] else np.inf for pair in came_through
+        }
+
+    @property
+    def found(self) -> bool:
+        """Whether any pair came through every reference."""
+        return any(np.isfinite(rmse).all() for rmse in self.tried.values())
 
     @property
     def best(self) -> Gains:
-        """The pair with the smallest score."""
+        """The pair with the smallest score; one that was stopped if none was `found`."""
         scores = self.scores
         return min(scores, key=scores.__getitem__)
 

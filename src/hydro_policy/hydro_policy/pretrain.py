@@ -37,6 +37,9 @@ from hydro_sim.learned.weights import WeightsError
 
 AGENT = "learner.safetensors"
 
+SAVE_PERIOD = 20.0
+"""s between two checkpoints at least: a long pretraining's replay buffer is 138 MB on disk."""
+
 REPLAY_MAX = 1_152_000
 """Transitions that a pretraining remembers at most, 138 MB: 640 episodes."""
 
@@ -142,12 +145,12 @@ def _resume(run: RunDirectory, pretraining: Pretraining) -> None:
 
 
 def _train(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
-    """All rounds that are left, a checkpoint after each."""
+    """All rounds that are left; a checkpoint after the first, the last, and every `SAVE_PERIOD` in between."""
     settings = pretraining.settings.training
     total = settings.episodes * settings.task.steps_per_episode
     bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
     bar.update(pretraining.episode * settings.task.steps_per_episode)
-    stop = _StopRequest()
+    stop, due = _StopRequest(), 0.0
 
     def each_step(transitions: Transitions) -> None:
         stop.check()
@@ -155,7 +158,9 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
 
     while not pretraining.finished:
         entry = pretraining.round(each_step)
-        _save(run, pretraining, source)
+        if pretraining.finished or time.monotonic() > due:
+            _save(run, pretraining, source)
+            due = time.monotonic() + SAVE_PERIOD
         bar.set_postfix_str(f"{entry['score']:.2f} of fixed gains' RMSE, best {pretraining.best_score:.2f}")
     bar.close()
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal
+from hydro_bridge.signals import Flag, FloatArray
 from hydro_policy import exam
 from hydro_policy.episode import EpisodeRecord, Phase, Progress
 from hydro_policy.evaluation import EvaluationSession
@@ -30,8 +30,6 @@ from hydro_policy.steps import Step, StepClock
 from hydro_policy.training_episode import EpisodePlayer
 from hydro_policy.watch import PlantWatch
 
-CALM = 1.0
-"""s of base gains and no reference after a stop, before anything begins anew."""
 FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
 UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
 
@@ -82,7 +80,7 @@ class TrainingSession:
         self.phase = Phase.WAITING
         self.exam: EvaluationSession | None = None
         self._around = exam.Surroundings(outputs, self.watch, self.override, self.monitor)
-        self._outputs, self._calm_until = outputs, 0.0
+        self._outputs = outputs
 
     @property
     def policy(self) -> Policy:
@@ -118,7 +116,7 @@ class TrainingSession:
             return False
         if not flags & Flag.ARMED:
             if self.phase in UNDER_WAY:
-                self._interrupt(sample, flags, now)
+                self._interrupt(sample, flags)
             return False
         if self.exam is not None:
             return self._examine(self.exam, sequence, sample, flags, now)
@@ -143,7 +141,7 @@ class TrainingSession:
         if held is not None:
             self.player.hold(held, step, episode=self.phase is Phase.TRAINING)
             return True
-        if now < self._calm_until:
+        if self.watch.calming:
             self.explorer.hold((0.0, 0.0))
             return True
         if self.phase is not Phase.TRAINING:
@@ -151,7 +149,7 @@ class TrainingSession:
                 return False
             self._begin()
         if self.phase is Phase.TRAINING:
-            self._step(step, now)
+            self._step(step)
         return True
 
     def _begin(self) -> None:
@@ -165,10 +163,10 @@ class TrainingSession:
             self.player.begin()
             self.phase = Phase.TRAINING
 
-    def _step(self, step: Step, now: float) -> None:
+    def _step(self, step: Step) -> None:
         reason = self.player.step(step)
         if reason is not None:
-            self._stop(reason, step.sample, now)
+            self._stop(reason, step.sample)
         elif self.player.complete:
             self._go_on(best=self.ledger.add_episode(self.current))
 
@@ -187,7 +185,7 @@ class TrainingSession:
         acted = running.on_sample(sequence, sample, flags, now)
         reason = exam.failure(running.scores)
         if reason:
-            self._stop(reason, sample, now)
+            self._stop(reason, sample)
         elif running.finished:
             self.exam = None
             self._go_on(best=self.ledger.add_exam(running.scores))
@@ -198,14 +196,14 @@ class TrainingSession:
         self.learner.save(self.state(), best)
         self._begin()
 
-    def _interrupt(self, sample: FloatArray, flags: int, now: float) -> None:
+    def _interrupt(self, sample: FloatArray, flags: int) -> None:
         """The box disarmed under us. If it was the policy's doing, the policy goes, and shall learn it."""
         if flags & FAULTS:
-            self._stop(f"the box {self.watch.condition}", sample, now)
+            self._stop(f"the box {self.watch.condition}", sample)
         if not self.finished:
             self._pause(self.watch.condition)
 
-    def _stop(self, reason: str, sample: FloatArray, now: float) -> None:
+    def _stop(self, reason: str, sample: FloatArray) -> None:
         """What the policy does is not bearable: base gains, calm, the last good policy; after too many, the end."""
         where = self._where
         if self.exam is None:
@@ -213,12 +211,12 @@ class TrainingSession:
         else:
             self.progress.examined, self.exam = self.progress.episode, None
         self.explorer.hold((0.0, 0.0))
-        self._outputs.reference(ReferenceSignal())
+        self.watch.calm()
         good = self.keeper.roll_back()
         if good is not None:
             self.policy.load_flat(good)
         sentence = self.ledger.add_stop(reason, where)
-        self.phase, self._calm_until = Phase.FINISHED if self.ledger.gave_up else Phase.PAUSED, now + CALM
+        self.phase = Phase.FINISHED if self.ledger.gave_up else Phase.PAUSED
         self._outputs.say(sentence, warning=True)
 
     def _pause(self, reason: str) -> None:

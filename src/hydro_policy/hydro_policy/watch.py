@@ -4,14 +4,19 @@
 no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
 disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else the user is told how
 no corrections           armed only when they come: base gains meanwhile would wind up an integral that then kicks
+stopped                  a second of calm, armed, base gains, no reference, before anything begins: the force is still
+                         where what was stopped has left it, and would be held against whatever comes next
 """
 
 from __future__ import annotations
 
 import math
 
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import Flag, ReferenceSignal
 from hydro_policy.outputs import Outputs
+
+CALM = 1.0
+"""s, armed, between a stop and what follows it."""
 
 LOST_AFTER = 0.1  # s without a sample
 _SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
@@ -46,6 +51,7 @@ class PlantWatch:
         self._told: str | None = None
         self._hint_at = math.inf  # when to say that nobody publishes
         self._stale_since = math.inf  # since when no corrections reach the box
+        self._calm_until: float | None = None  # math.inf: asked for, but not armed yet
         self._hints: set[str] = set()  # given already, each once
 
     @property
@@ -74,10 +80,24 @@ class PlantWatch:
         """Take a sample's flags."""
         self._seen, self._flags = now, flags
         self._stale_since = min(self._stale_since, now) if flags & Flag.FILTER_STALE else math.inf
+        if self._calm_until is not None:
+            self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
+            if now >= self._calm_until:
+                self._calm_until = None
 
     def may_begin(self, now: float) -> bool:
-        """Whether an episode or a run may begin: armed, and the filter answers or has been waited for."""
-        return self.armed and not self._awaits_filter(now)
+        """Whether an episode or a run may begin: armed and calm, and the filter answers or has been waited for."""
+        return self.armed and not self.calming and not self._awaits_filter(now)
+
+    @property
+    def calming(self) -> bool:
+        """Whether something was stopped and its force is still being brought back: base gains, please."""
+        return self._calm_until is not None
+
+    def calm(self) -> None:
+        """Something was stopped: `CALM` seconds, armed, before anything begins. No reference from now on."""
+        self._calm_until = math.inf
+        self._outputs.reference(ReferenceSignal())
 
     def on_tick(self, now: float) -> None:
         """Call some twenty times a second: notices a loss, asks for arming."""

@@ -11,7 +11,10 @@ import pytest
 from hydro_bridge.guard import GuardSettings
 from hydro_bridge.signals import Flag
 from hydro_policy.cases import EvaluationSettings
+from hydro_policy.controllers import FixedGains
+from hydro_policy.evaluation import EvaluationSession
 from hydro_policy.grid import GridSearch, GridSession, GridSettings
+from hydro_policy.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.offline import OfflineGraph
 from hydro_sim.bench import Bench
 from hydro_sim.plant import AnalyticPlant
@@ -22,7 +25,7 @@ LIMIT = 127.0
 def landscape(kp: float, ki: float) -> list[float]:
     """Best near (113, 22); unstable beyond `LIMIT`."""
     if kp > LIMIT:
-        return [float("nan"), float("inf")]
+        return [float("inf"), float("inf")]  # what a session tells of a pair that was stopped
     bowl = 1.0 + ((kp - 113.0) / 60.0) ** 2 + ((ki - 22.0) / 40.0) ** 2
     return [5.0 * bowl, 40.0 * bowl]
 
@@ -36,6 +39,29 @@ def test_search_finds_the_best_pair_and_never_climbs_beyond_the_first_that_is_st
     assert sum(kp > LIMIT for kp, _ in search.tried) <= 3, "150 at each K_i, 135 once"
     assert len(search.tried) < 30
     assert np.isinf(search.scores[(150.0, 15.0)]) and search.best_each == [search.best] * 2
+    assert search.found
+
+
+@pytest.mark.parametrize("stopped", [float("nan"), float("inf")])
+def test_where_even_the_lowest_gains_are_stopped_the_search_ends_and_has_found_nothing(stopped: float) -> None:
+    search = GridSearch(GridSettings())
+    while (pair := search.next()) is not None:
+        search.tell(pair, [stopped, stopped])
+    assert len(search.tried) == 2 and not search.found
+    assert np.isinf(list(search.scores.values())).all()
+
+
+def test_a_run_that_was_stopped_is_not_held_against_the_next_one() -> None:
+    """(15, 5) lags by more than the monitor bears; what follows begins only when the force is back."""
+    bench = Bench.nominal()
+    graph = OfflineGraph(AnalyticPlant(bench), bench, guard=GuardSettings(delta_kp_max=285.0))
+    evaluation = EvaluationSettings(frequencies=(2.0, 0.5), settle=0.5, measure=1.0, repeats=2)
+    monitor = SafetyMonitor(MonitorSettings(peak_error=150.0))
+    controllers = [FixedGains(15.0, 5.0), FixedGains(90.0, 15.0)]
+    session = EvaluationSession(evaluation, controllers, graph, monitor=monitor)
+    graph.run(session, 60.0)
+    stopped = [(score.controller, score.case) for score in session.scores if score.stopped]
+    assert session.finished and stopped == [("fixed (15, 5)", "2 Hz")] * 2
 
 
 def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_track_well() -> None:

@@ -106,7 +106,7 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well()
     assert session.phase is Phase.TRAINING
     good = session.keeper.good
     sample = np.zeros(14)
-    session._stop("a test says so", sample, graph.time)
+    session._stop("a test says so", sample)
     assert session.phase is Phase.PAUSED
     assert_acts_by(session, good)
     np.testing.assert_array_equal(actor_parameters(learner.snapshot()), good)

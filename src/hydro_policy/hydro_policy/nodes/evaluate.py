@@ -112,7 +112,10 @@ def evaluate(options: argparse.Namespace) -> int:
             search = search_on(node, grid, settings, rearm=rearms(options))
             if search is None:
                 return 130
-            controllers.append(FixedGains(*search.best))
+            if search.found:
+                controllers.append(FixedGains(*search.best))
+            else:
+                node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
         results = evaluate_on(node, controllers, rearm=rearms(options), settings=settings)
     show_results(results, options.json, options.plot, {"plant": options.plant, "seed": options.seed})
     return 0 if results.finished else 130
