@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -116,15 +117,39 @@ class Table:
             self.write_json(json_file)
 
     def write_json(self, path: Path | str) -> None:
-        """Write `{"title", "columns": {key: meaning}, "rows": [{key: value}]}`; what is not finite becomes null."""
+        """Write `{"title", "columns": {key: meaning}, "rows": [{key: value}]}`; what is not finite becomes null.
+
+        Its folder is made where there is none.
+
+        Raises
+        ------
+        UserError
+            The file cannot be written.
+        """
         rows = [{key: _plain(value) for key, value in row.items()} for row in self.rows]
         content = {"title": self.title, "columns": dict(self.columns), "rows": rows}
-        Path(path).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        try:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            Path(path).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"{path} cannot be written: {error.strerror}") from None
 
 
 def add_json_argument(parser: argparse.ArgumentParser) -> None:
     """Add the option `--json FILE` that every command with a table has."""
-    parser.add_argument("--json", metavar="FILE", help="also write the table to FILE, keys documented in it")
+    parser.add_argument(
+        "--json", type=_writable, metavar="FILE", help="also write the table to FILE, keys documented in it"
+    )
+
+
+def _writable(path: str) -> str:
+    """`path`, if a file can be made there: found out now, not after what may be hours."""
+    folder = next(folder for folder in Path(path).absolute().parents if folder.exists())
+    if Path(path).is_dir():
+        raise argparse.ArgumentTypeError(f"{path} is a folder")
+    if not (folder.is_dir() and os.access(folder, os.W_OK)):
+        raise argparse.ArgumentTypeError(f"{path} cannot be written: {folder} is no folder that can be written to")
+    return path
 
 
 def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:

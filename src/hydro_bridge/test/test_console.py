@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import argparse
 import json
 
 import numpy as np
 import pytest
 
 from hydro_bridge.bag_writer import RecordingError
-from hydro_bridge.console import Table, UserError, command
+from hydro_bridge.console import Table, UserError, add_json_argument, command
 
 
 def test_table_is_aligned_and_its_json_has_documented_keys(tmp_path, capsys):
@@ -33,6 +34,28 @@ def test_table_is_aligned_and_its_json_has_documented_keys(tmp_path, capsys):
 def test_a_row_must_have_every_column():
     with pytest.raises(ValueError, match="columns are a, b"):
         Table({"a": "", "b": ""}).add(a=1)
+
+
+def test_a_json_file_that_cannot_be_written_is_refused_before_the_work_and_after_it(tmp_path, capsys):
+    parser = argparse.ArgumentParser()
+    add_json_argument(parser)
+    (tmp_path / "file").touch()
+    below = tmp_path / "file" / "table.json"
+    for path, reason in ((below, f"{tmp_path / 'file'} is no folder"), (tmp_path, "a folder")):
+        with pytest.raises(SystemExit) as ended:
+            parser.parse_args(["--json", str(path)])
+        assert ended.value.code == 2 and reason in capsys.readouterr().err
+        with pytest.raises(UserError, match="cannot be written"):
+            Table({"a": ""}).write_json(path)
+
+
+def test_the_folder_of_a_json_file_is_made(tmp_path):
+    parser = argparse.ArgumentParser()
+    add_json_argument(parser)
+    path = parser.parse_args(["--json", str(tmp_path / "new" / "folder" / "table.json")]).json
+    assert not (tmp_path / "new").exists(), "not before there is something to write"
+    Table({"a": ""}).write_json(path)
+    assert json.loads((tmp_path / "new" / "folder" / "table.json").read_text())["rows"] == []
 
 
 @pytest.mark.parametrize("error", [UserError("no bench here"), RecordingError("no bench here")])
