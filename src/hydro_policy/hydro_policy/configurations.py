@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The named configurations: `paper` is Table training_agent, `wide` what the box allows, `adaptive` that for any bench.
+"""The named configurations: `paper` is Table training_agent, `wide` what the better filter allows.
 
-docs/training.md says what each value of `wide` and `adaptive` was measured to do.
+docs/training.md says what each value of `wide` was measured to do.
 """
 
 from __future__ import annotations
@@ -16,10 +16,7 @@ WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)
 WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, trip_penalty=100.0)
 """The root of the paper's reward with less weight on e', whose noise would hide the small errors of slow sines."""
 
-CONFIGURATIONS = ("paper", "wide", "adaptive")
-
-PRETRAINING_EPISODES = {"paper": 160, "wide": 160, "adaptive": 1280}
-"""A bench that is another one each time takes longer to learn."""
+CONFIGURATIONS = ("paper", "wide")
 
 
 def configuration(name: str, seed: int = 0) -> TrainingSettings:
@@ -34,8 +31,5 @@ def configuration(name: str, seed: int = 0) -> TrainingSettings:
         return TrainingSettings(seed=seed, sac=SacSettings(seed=seed))
     if name == "wide":
         sac = SacSettings(seed=seed, reward_scale=0.2)
-        return TrainingSettings(seed=seed, sac=sac, task=WIDE_TASK)
-    if name == "adaptive":
-        sac = SacSettings(seed=seed, reward_scale=0.2, hidden_size=64)
         return TrainingSettings(seed=seed, sac=sac, task=WIDE_TASK)
     raise ValueError(f"there is no configuration {name!r}; there are {', '.join(CONFIGURATIONS)}")

@@ -139,6 +139,7 @@ class EvaluationSession:
     def _begin(self, sequence: int) -> _Run:
         repeat, case, controller = self.plan[len(self.scores)]
         controller.reset()
+        self._clock = StepClock()  # what was under way in a step is not this run's
         if self.monitor is not None:
             self.monitor.reset()
         self._outputs.reference(case.signal)

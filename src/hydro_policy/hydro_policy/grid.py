@@ -52,6 +52,10 @@ class GridSettings:
         check(self)
         if not self.ki_values:
             raise ValueError("a grid needs at least one K_i")
+        if self.kp_min > self.kp_max:
+            raise ValueError(f"a grid begins at K_p = {self.kp_min:g}, which is above its largest, {self.kp_max:g}")
+        if not all(self.ki_min <= ki <= self.ki_max for ki in self.ki_values):
+            raise ValueError(f"a grid begins at K_i = {self.ki_values}, not all in [{self.ki_min:g}, {self.ki_max:g}]")
 
 
 @dataclass
@@ -83,7 +87,8 @@ class GridSearch:
             self._rising.pop(0)
             higher = (pair[0] + self.settings.kp_step, pair[1])
             if (
-                higher[0] <= min(self.settings.kp_max, self._edge)
+                higher[0] <= self.settings.kp_max
+                and higher[0] < self._edge
                 and self.scores[pair] < self.settings.hopeless * self._best_score
             ):
                 self._rising.insert(0, higher)

@@ -3,7 +3,6 @@
 
 ros2 run hydro_policy pretrain --out runs/pretrained
 ros2 run hydro_policy pretrain --out runs/wide --configuration wide
-ros2 run hydro_policy pretrain --out runs/adaptive --configuration adaptive     another bench every episode: 20 minutes
 ros2 run hydro_policy pretrain --out runs/corrected --bench corrected.yaml
 ros2 run hydro_policy trainer --plant emulator --from runs/pretrained
 """
@@ -24,7 +23,7 @@ from tqdm import tqdm
 from hydro_bridge.console import UserError, add_json_argument, command, progress
 from hydro_bridge.recording_run import code_version
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.configurations import CONFIGURATIONS, PRETRAINING_EPISODES, configuration
+from hydro_policy.configurations import CONFIGURATIONS, configuration
 from hydro_policy.environment import Transitions
 from hydro_policy.fleet_filter import FILTERS
 from hydro_policy.policy import Policy
@@ -66,17 +65,14 @@ def parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="bench.yaml that the box believes in (default: the nominal bench)",
     )
-    what.add_argument(
-        "--randomise",
-        action=argparse.BooleanOptionalAction,
-        help="another bench every episode: see docs/training.md (default: with --configuration adaptive)",
-    )
+    what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
     what.add_argument(
         "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"
     )
     how = result.add_argument_group("how")
     how.add_argument("--configuration", choices=CONFIGURATIONS, default="paper", help="see docs/training.md")
-    how.add_argument("--episodes", type=int, metavar="N", help="default 160, with adaptive 1280")
+    how.add_argument("--episodes", type=int, metavar="N", help="default 160")
+    how.add_argument("--hidden", type=int, metavar="N", help="units in each of the two hidden layers, default 32")
     how.add_argument("--steps", type=int, metavar="N", help="policy steps of 10 ms in an episode, default 1800")
     how.add_argument("--updates-per-step", type=float, metavar="X", help="default 1")
     how.add_argument("--benches", type=int, default=8, metavar="N", help="side by side, default 8")
@@ -115,7 +111,8 @@ def main() -> int:
 def training_settings(options: argparse.Namespace) -> TrainingSettings:
     """What the command line asks for."""
     settings = configuration(options.configuration, options.seed)
-    episodes = PRETRAINING_EPISODES[options.configuration] if options.episodes is None else options.episodes
+    episodes = settings.episodes if options.episodes is None else options.episodes
+    hidden = settings.sac.hidden_size if options.hidden is None else options.hidden
     steps = settings.task.steps_per_episode if options.steps is None else options.steps
     updates = settings.updates_per_step if options.updates_per_step is None else options.updates_per_step
     return replace(
@@ -123,6 +120,7 @@ def training_settings(options: argparse.Namespace) -> TrainingSettings:
         episodes=episodes,
         updates_per_step=updates,
         replay_capacity=max(settings.replay_capacity, min(episodes * steps, REPLAY_MAX)),
+        sac=replace(settings.sac, hidden_size=hidden),
         task=replace(settings.task, steps_per_episode=steps),
     )
 

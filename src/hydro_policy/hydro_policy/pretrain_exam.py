@@ -7,9 +7,10 @@ not bear another. Scores are relative to fixed gains on the same bench, so that 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import count, islice
+from itertools import islice
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from hydro_sim.bench import Bench
 
 REFERENCE_GAINS = (90.0, 15.0)
 """K_p, K_i of the paper's controller III, which scores are relative to."""
+
+BEARABLE = 0.02
+"""Share of the drawn benches that bear the reference gains at least; with fewer there is nothing to compare with."""
 
 TRIPPED = 10.0
 """What a run counts in which the box trips, in RMSE of the reference gains."""
@@ -63,6 +67,11 @@ class Examination:
         The drawn bench of a number; None: the known one alone.
     drawn
         How many are drawn: the first ones on which the reference gains do not trip.
+
+    Raises
+    ------
+    ValueError
+        Hardly any drawn bench bears the reference gains (`BEARABLE`).
     """
 
     def __init__(
@@ -76,10 +85,11 @@ class Examination:
         self._make, self._believed, self._evaluation = fleet, believed, evaluation
         self._benches: list[Drawn] = []
         reference = fleet_runs.fixed(np.array(REFERENCE_GAINS))
-        self.reference: FloatArray = self._rmse(reference, [None])
-        """N, RMSE of the reference gains, shape (benches, cases)."""
+        known = self._rmse(reference, [None])
+        self.reference: FloatArray = np.where(np.isnan(known), evaluation.amplitude / math.sqrt(2.0), known)
+        """N, RMSE of the reference gains, shape (benches, cases); where they trip, that of no tracking at all."""
         if draw is not None:
-            for bench, rmse in islice(self._bearable(draw, reference), drawn):
+            for bench, rmse in islice(self._bearable(draw, reference, round(drawn / BEARABLE)), drawn):
                 self._benches.append(bench)
                 self.reference = np.concatenate((self.reference, rmse))
 
@@ -88,12 +98,15 @@ class Examination:
         rmse = self._rmse(choose, [None, *self._benches])
         return Marks(rmse, np.where(np.isnan(rmse), TRIPPED, rmse / self.reference))
 
-    def _bearable(self, draw: Callable[[int], Drawn], reference: Chooser) -> Iterator[tuple[Drawn, FloatArray]]:
-        for number in count():
+    def _bearable(
+        self, draw: Callable[[int], Drawn], reference: Chooser, tries: int
+    ) -> Iterator[tuple[Drawn, FloatArray]]:
+        for number in range(tries):
             bench = draw(number)
             rmse = self._rmse(reference, [bench])
             if np.isfinite(rmse).all():
                 yield bench, rmse
+        raise ValueError(f"of {tries} drawn benches too few bear the fixed gains {REFERENCE_GAINS} to be examined on")
 
     def _rmse(self, choose: Chooser, benches: Sequence[Drawn | None]) -> FloatArray:
         cases = self._evaluation.cases

@@ -66,8 +66,7 @@ def source_of(options: argparse.Namespace) -> Source:
         raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
     files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
-    randomise = options.configuration == "adaptive" if options.randomise is None else options.randomise
-    chosen = {"randomise": randomise, "filter": options.filter, "benches": options.benches}
+    chosen = {"randomise": options.randomise, "filter": options.filter, "benches": options.benches}
     return Source(model=model, **chosen, **files)
 
 

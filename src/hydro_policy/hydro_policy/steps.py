@@ -27,7 +27,7 @@ class Step:
     sample: FloatArray  # the step's own sample, order of STATE_FIELDS, shape (14,)
     error: FloatArray  # e [N] of the samples since the last step, this one included, shape (n,)
     error_rate: FloatArray  # e' [N/s], shape (n,)
-    current: FloatArray  # u [A] that the valve got, shape (n,)
+    current: FloatArray  # u [A] that the valve got, in a row: where samples are missing, only those after the gap
     whole: bool  # every sample arrived, armed, and the box applied the gains it was given
     held: int  # bits of HELD seen since the last step
 
@@ -55,6 +55,7 @@ class StepClock:
             return None
         if sequence != self._last + 1:
             self._gap = True
+            self._currents.clear()  # across a gap their difference is no rate
             self.lost += max(sequence - self._last - 1, 0) if self._last >= 0 else 0
         block_changed = sequence // SAMPLES_PER_STEP != self._last // SAMPLES_PER_STEP
         self._last = sequence

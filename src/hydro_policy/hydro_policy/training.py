@@ -198,7 +198,9 @@ class TrainingSession:
 
     def _interrupt(self, sample: FloatArray, flags: int) -> None:
         """The box disarmed under us. If it was the policy's doing, the policy goes, and shall learn it."""
-        if flags & FAULTS:
+        if flags & FAULTS and self.override.active:
+            self.watch.calm()
+        elif flags & FAULTS:
             self._stop(f"the box {self.watch.condition}", sample)
         if not self.finished:
             self._pause(self.watch.condition)

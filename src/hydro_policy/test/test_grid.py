@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,7 +38,7 @@ def test_search_finds_the_best_pair_and_never_climbs_beyond_the_first_that_is_st
         search.tell(pair, landscape(*pair))
     assert abs(search.best[0] - 113.0) <= 7.5 and abs(search.best[1] - 22.0) <= 7.5
     assert max(kp for kp, _ in search.tried) <= LIMIT + GridSettings().kp_step
-    assert sum(kp > LIMIT for kp, _ in search.tried) <= 3, "150 at each K_i, 135 once"
+    assert sorted(kp for kp, _ in search.tried if kp > LIMIT) == [135.0, 150.0], "once each, at whichever K_i"
     assert len(search.tried) < 30
     assert np.isinf(search.scores[(150.0, 15.0)]) and search.best_each == [search.best] * 2
     assert search.found
@@ -81,6 +82,14 @@ def test_grid_on_box_and_plant_ends_before_the_box_trips_and_finds_gains_that_tr
     assert not int(graph.box.state["faults"][0]) & Flag.FORCE_LIMIT
 
 
-def test_a_grid_needs_an_integral_gain() -> None:
-    with pytest.raises(ValueError, match="at least one K_i"):
-        GridSettings(ki_values=())
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        ({"ki_values": ()}, "at least one K_i"),
+        ({"kp_max": 40.0}, "begins at K_p = 60, which is above its largest, 40"),
+        ({"ki_max": 30.0}, "not all in"),
+    ],
+)
+def test_a_grid_begins_within_its_limits(settings: dict[str, Any], sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence):
+        GridSettings(**settings)

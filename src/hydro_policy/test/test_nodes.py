@@ -19,6 +19,7 @@ from hydro_bridge.signals import Flag
 from hydro_filter.choice import DEFAULT
 from hydro_policy.checkpoint import load_checkpoint
 from hydro_policy.nodes.companions import PlantOptions, commands
+from hydro_policy.nodes.trainer import DEMO, asked
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
 from hydro_policy.task import GainRange
@@ -117,6 +118,14 @@ def test_evaluate_says_at_once_what_it_cannot_use(words: tuple[str, ...], senten
     done = run("evaluate", *words, timeout=30.0)
     assert done.returncode == 2
     assert sentence in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
+
+
+def test_the_main_job_is_a_set_of_defaults() -> None:
+    plain = vars(asked(["--demo"]))
+    assert {name: plain[name] for name in DEMO} == DEMO
+    told = asked(["--demo", "--plant", "sim", "--exam-every", "0", "--episodes", "12"])
+    assert (told.plant, told.exam_every, told.episodes, told.configuration) == ("sim", 0, 12, "wide")
+    assert asked([]).plant == "external" and asked([]).exam_every is None
 
 
 def test_companions_of_each_plant() -> None:

@@ -37,6 +37,7 @@ from hydro_sim.learned.structured_model import StructuredModel
 from hydro_sim.plant import AnalyticPlant
 
 BENCH = Bench.nominal()
+WILD = replace(BENCH, valve_nominal_flow=1.5 * BENCH.valve_nominal_flow)
 
 
 def short(seed: int = 0, episodes: int = 4, randomise: bool = False) -> Pretraining:
@@ -164,6 +165,18 @@ def test_drawn_benches_of_an_examination_bear_the_reference_gains_and_a_trip_cou
     assert np.isnan(wrong.rmse[0, 0]) and wrong.ratio[0, 0] == TRIPPED
 
 
+def test_an_examination_on_benches_that_bear_no_gains_ends_and_knows_what_no_tracking_is_worth() -> None:
+    """A valve that passes half as much again as the box believes: no gain is stable."""
+    fleet = lambda n: Fleet([BENCH] * n, [AnalyticPlant(WILD) for _ in range(n)])  # noqa: E731
+    evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    alone = Examination(fleet, BENCH, evaluation)
+    assert alone.reference == pytest.approx(300.0 / math.sqrt(2.0))
+    assert alone(fixed(np.array(REFERENCE_GAINS))).score == TRIPPED
+    drawn = Drawn(plant=AnalyticPlant(WILD), spring=2e4, gain_delay=1, dead_time=0, stroke=WILD.stroke)
+    with pytest.raises(ValueError, match="of 50 drawn benches too few bear"):
+        Examination(fleet, BENCH, evaluation, lambda number: drawn, 1)
+
+
 def test_a_network_cannot_be_randomised() -> None:
     learned = replace(Learned.load(None), model=object())  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no constants"):
@@ -176,22 +189,15 @@ def test_many_gains_are_those_of_one_action_each() -> None:
         assert tuple(row) == gains.gains(action)
 
 
-@pytest.mark.parametrize(
-    ("words", "drawn", "episodes"),
-    [
-        (["--configuration", "wide"], False, 160),
-        (["--configuration", "wide", "--randomise", "--episodes", "9"], True, 9),
-        (["--configuration", "adaptive"], True, 1280),
-        (["--configuration", "adaptive", "--no-randomise"], False, 1280),
-    ],
-)
-def test_adaptive_draws_its_benches_unless_told_otherwise(words: list[str], drawn: bool, episodes: int) -> None:
+def test_the_command_line_says_how_long_how_large_and_on_what() -> None:
+    words = ["--configuration", "wide", "--randomise", "--episodes", "320", "--hidden", "64", "--steps", "900"]
     options = parser().parse_args(["--out", "run", *words])
-    assert source_of(options).randomise is drawn
     settings = training_settings(options)
-    assert settings.episodes == episodes
-    assert settings.replay_capacity == (288_000 if episodes <= 160 else 1_152_000)
-    assert settings.task.gains.delta_kp_max == 285.0
+    assert source_of(options).randomise
+    assert (settings.episodes, settings.sac.hidden_size, settings.task.steps_per_episode) == (320, 64, 900)
+    assert settings.replay_capacity == 288_000 and settings.task.gains.delta_kp_max == 285.0
+    options.steps = 1800
+    assert training_settings(options).replay_capacity == 576_000, "as much as is played is remembered"
 
 
 def pretrain(*words: str) -> subprocess.CompletedProcess[str]:

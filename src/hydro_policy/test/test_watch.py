@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a plant is armed: not before the filter's corrections reach it, so that base gains wind up nothing meanwhile."""
+"""When a plant is armed: not before the filter's corrections reach it. When something begins: not before it is calm."""
 
 from __future__ import annotations
 
@@ -12,13 +12,14 @@ class Heard:
 
     def __init__(self) -> None:
         self.armings: list[bool] = []
+        self.references: list[ReferenceSignal] = []
         self.said: list[str] = []
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         raise AssertionError("a watch sends no gains")
 
     def reference(self, signal: ReferenceSignal) -> None:
-        raise AssertionError("a watch sends no reference")
+        self.references.append(signal)
 
     def arm(self, arm: bool) -> None:
         self.armings.append(arm)
@@ -64,3 +65,19 @@ def test_a_person_who_arms_waits_as_well() -> None:
     assert heard.armings == [False]
     run(watch, 0, 5.0, 5.1)
     assert heard.armings == [False, True]
+
+
+def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_disarmed_meanwhile() -> None:
+    heard, armed = Heard(), int(Flag.ARMED)
+    watch = PlantWatch(heard, rearm=True)
+    run(watch, armed, 0.0, 1.0)
+    assert watch.may_begin(1.0) and heard.references == []
+    watch.calm()
+    assert watch.calming and heard.references == [ReferenceSignal()]
+    run(watch, armed, 1.0, 1.8)
+    run(watch, int(Flag.TRIPPED), 1.8, 2.5)
+    assert heard.armings == [False, True], "calm is waited for armed"
+    run(watch, armed, 2.5, 3.4)
+    assert watch.calming and not watch.may_begin(3.4), "0.9 s armed in a row, whatever was before"
+    run(watch, armed, 3.4, 3.6)
+    assert not watch.calming and watch.may_begin(3.6)

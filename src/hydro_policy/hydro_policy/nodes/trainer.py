@@ -7,6 +7,7 @@ ros2 run hydro_policy trainer --plant emulator --episodes 8 --evaluate
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import rclpy
@@ -66,8 +67,7 @@ def parser() -> argparse.ArgumentParser:
     run.add_argument(
         "--configuration",
         choices=CONFIGURATIONS,
-        help="paper: Table training_agent, K_p up to 90; wide: K_p up to 300; adaptive: the same, for benches "
-        "whose spring or supply is not the nominal one (default paper)",
+        help="paper: Table training_agent, K_p up to 90; wide: K_p up to 300 (default paper)",
     )
     run.add_argument("--exam-every", type=int, metavar="N", help="episodes between examinations, 0: none (default 4)")
     run.add_argument("--seed", type=int, metavar="N", help="of networks, exploration and references (default 0)")
@@ -82,15 +82,19 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
+def asked(words: Sequence[str]) -> argparse.Namespace:
+    """What the command line asks for; --demo gives what else would be a default."""
+    result = parser()
+    if result.parse_args(words).demo:
+        result.set_defaults(**DEMO)
+    return result.parse_args(words)
+
+
 @command(ValueError, FileExistsError, CompanionError, LearnerError)
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
-    options = parser().parse_args(own)
-    if options.demo:
-        for name, value in DEMO.items():
-            if getattr(options, name) in (None, False, "", "external"):
-                setattr(options, name, value)
+    options = asked(own)
     options.configuration = options.configuration or "paper"
     torch.set_num_threads(1)
     start_ros(ros)
