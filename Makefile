@@ -5,7 +5,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 # PYTHON=python3.12 chooses the interpreter of a first set-up; later the environment's own is taken.
 PYTHON ?= $(shell [ -x .venv/bin/python ] && echo .venv/bin/python || echo python3)
-# Further words for the command behind a target: make train ARGS="--hours 2", make test ARGS="-k bag".
+# Further words for the command behind a target: make train ARGS="--episodes 12", make test ARGS="-k bag".
 ARGS ?=
 SOURCED := source install/setup.bash &&
 CORES := setup $(wildcard src/hydro_*/hydro_*)
