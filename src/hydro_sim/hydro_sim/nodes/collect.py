@@ -47,11 +47,14 @@ REST = 1.0  # s recorded before arming: the still bench
 
 
 class CollectNode(Node):
-    """One stretch of the schedule after the other, by the plant's own samples; re-arms after a trip."""
+    """One stretch of the schedule after the other, by the plant's own samples; re-arms after a trip.
 
-    def __init__(self, schedule: Sequence[Stretch]) -> None:
+    Finished, too, when the recorder has ended: nothing moves unrecorded.
+    """
+
+    def __init__(self, schedule: Sequence[Stretch], recorder: Companion) -> None:
         super().__init__("collect")
-        self._schedule = list(schedule)
+        self._schedule, self._recorder = list(schedule), recorder
         self._box = BoxConfig()
         self._ends = [sum(stretch.seconds for stretch in schedule[: k + 1]) for k in range(len(schedule))]
         self._index, self._elapsed, self._flags, self._seen = -1, 0.0, Flag(0), False
@@ -78,7 +81,12 @@ class CollectNode(Node):
             self._elapsed += 1e-3
 
     def _on_timer(self) -> None:
-        if not self._seen or self.count_subscribers(STATE) < 2:  # the recorder is the other one
+        if self.finished.done():
+            return
+        if not self._recorder.running:
+            self.finished.set_result(None)
+            return
+        if not self._seen or self.count_subscribers(STATE) < 2:  # the recorder is another one
             self._began = time.monotonic()
         if time.monotonic() - self._began < REST:
             return
@@ -108,8 +116,7 @@ class CollectNode(Node):
         while index < len(self._ends) and self._elapsed >= self._ends[index]:
             index += 1
         if index == len(self._ends):
-            if not self.finished.done():
-                self.finished.set_result(None)
+            self.finished.set_result(None)
             return
         if index != self._index:
             self._index, stretch = index, self._schedule[index]
@@ -123,15 +130,18 @@ def _play(schedule: Sequence[Stretch], out: str, ros: Sequence[str]) -> None:
     start_ros(ros)
     topics = ["--topics", STATE, GAINS, REFERENCE]
     try:
-        with Companion("hydro_bridge", "recorder", ["--out", out, *topics]):
-            node = CollectNode(schedule)
+        with Companion("hydro_bridge", "recorder", ["--out", out, *topics]) as recorder:
+            node = CollectNode(schedule, recorder)
             broken = spin(node, node.finished)
+            lost = "" if recorder.running else recorder.last_words.removeprefix("error: ") or "the recorder has ended"
             node.close()
             node.destroy_node()
     finally:
         rclpy.try_shutdown()
     if node.trips:
         print(f"the plant tripped {node.trips} times; the schedule went on after it was armed anew")
+    if lost:
+        raise UserError(f"nothing records any more: {lost}")
     if broken:
         raise UserError(f"broken off: {out} holds what was played so far")
 
