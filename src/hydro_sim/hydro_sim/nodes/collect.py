@@ -133,7 +133,7 @@ def _play(schedule: Sequence[Stretch], out: str, ros: Sequence[str]) -> None:
         with Companion("hydro_bridge", "recorder", ["--out", out, *topics]) as recorder:
             node = CollectNode(schedule, recorder)
             broken = spin(node, node.finished)
-            lost = "" if recorder.running else recorder.last_words.removeprefix("error: ") or "the recorder has ended"
+            lost = _why_ended(recorder, out)
             node.close()
             node.destroy_node()
     finally:
@@ -144,6 +144,15 @@ def _play(schedule: Sequence[Stretch], out: str, ros: Sequence[str]) -> None:
         raise UserError(f"nothing records any more: {lost}")
     if broken:
         raise UserError(f"broken off: {out} holds what was played so far")
+
+
+def _why_ended(recorder: Companion, out: str) -> str:
+    """Why nothing records any more; empty as long as something does."""
+    if recorder.running:
+        return ""
+    if recorder.process.returncode == 2:  # it could not use `out`
+        return recorder.last_words.removeprefix("error: ")
+    return f"the recorder ended (exit status {recorder.process.returncode}); {out} holds what came before"
 
 
 @command(ValueError, OSError, CompanionError)
