@@ -6,7 +6,7 @@ independent
 and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to the
 curvature
 (the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part covers the
-residuals' own discretisation: a fraction of the smallest size worth claiming.
+residuals' own discretisation, a fraction of the smallest size worth claiming, and noise in what a parameter multiplies.
 """
 
 from __future__ import annotations
@@ -41,11 +41,13 @@ def intervals(problem: Problem, found: Fit) -> list[Interval]:
     parameters, values = pack(found.claims)
     if not len(values):
         return []
+    owners = [claim.effect.id for claim in found.claims for _ in claim.effect.parameters]
     curvature, inflation = _uncertainty(problem, found)
     return [
-        _interval(problem, found, k, parameter, float(values[k]), curvature[k] * parameter.span, inflation[k])
+        _interval(problem, found, k, parameter, float(values[k]), curvature[k] * parameter.span, inflation[k],
+                  problem.attenuation.get(owners[k], 0.0))
         for k, parameter in enumerate(parameters)
-    ]
+    ]  # fmt: skip
 
 
 def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
@@ -65,8 +67,9 @@ def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def _interval(
-    problem: Problem, found: Fit, index: int, parameter: Parameter, value: float, deviation: float, inflation: float
-) -> Interval:
+    problem: Problem, found: Fit, index: int, parameter: Parameter, value: float, deviation: float, inflation: float,
+    attenuation: float,
+) -> Interval:  # fmt: skip
     reach = QUANTILE * deviation * inflation
     sides = []
     for sign in (-1.0, 1.0):
@@ -74,7 +77,7 @@ def _interval(
         sides.append(side)
     shape = parameter.smallest == 0.0
     systematic = parameter.systematic * abs(value) if shape else SYSTEMATIC * parameter.smallest
-    low, high = value - hypot(sides[0], systematic), value + hypot(sides[1], systematic)
+    low, high = (value + sign * hypot(side, systematic, attenuation) for sign, side in zip((-1, 1), sides, strict=True))
     at_bound = min(value - parameter.low, parameter.high - value) <= 1e-3 * (parameter.high - parameter.low) * 1e-3
     flat = not np.isfinite(reach) or reach > 0.5 * (parameter.high - parameter.low)
     return Interval(value, max(low, parameter.low), min(high, parameter.high), not (at_bound or flat))

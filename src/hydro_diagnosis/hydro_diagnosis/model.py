@@ -14,6 +14,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from scipy.ndimage import correlate1d
+
 from hydro_diagnosis.chambers import ChamberRun
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
 from hydro_diagnosis.forces import ForceBalance
@@ -44,8 +46,16 @@ class SegmentModel(ChamberObserver, ForceBalance):
         return self.kept(smooth(measured) - needed)
 
     def arc_residual(self, run: ChamberRun) -> FloatArray:
-        """N, decimated: what the arcs add to the motion residual."""
-        return self.kept(smooth(run.arc))
+        """N, decimated: by how much the mean of f_h around each sample exceeds the sample.
+
+        Straight lines between the samples (second differences over 12), and the arcs upon them.
+        """
+        bench, channels = self.base, self.channels
+        force = channels.get("hydraulic_force")
+        if force is None:
+            force = bench.piston_area * (channels["pressure_a"] - bench.area_ratio * channels["pressure_b"])
+        lines = correlate1d(force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest")
+        return self.kept(smooth(run.arc + lines))
 
     def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated."""

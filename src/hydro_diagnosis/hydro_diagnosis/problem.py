@@ -14,6 +14,7 @@ from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Clai
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.noise import residual_noise, sensor_noise
 from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.smoothing import ACCELERATION_NOISE_GAIN, finish
 from hydro_sim.bench import Bench
 
 CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
@@ -59,6 +60,8 @@ class Problem:
         self._flows = [model.pressure_doubt(self.sensor_noise) for model in self.models] if checked else []
         self.set_doubt(())
         self.layout = self._layout()
+        self.attenuation = {"moving_mass": self._mass_attenuation()} if MOTION in self.blocks else {}
+        """By effect id: how far [SI unit] a parameter may be off because the signal that it multiplies is noisy."""
 
     def _checked_blocks(self) -> tuple[str, ...]:
         have = set.intersection(*(set(model.channels) for model in self.models))
@@ -80,6 +83,16 @@ class Problem:
             return
         self._doubt = [model.kept(model.friction_doubt((*self.baseline, *claims))) for model in self.models]
         self.doubted = tuple(float(np.sum(doubt)) for doubt in self._doubt)
+
+    def _mass_attenuation(self) -> float:
+        """Mass [kg] that the encoder's noise hides: m times the share of noise in the acceleration's power.
+
+        Least squares with a noisy regressor are off by up to that (errors in variables: Fuller 1987); through the
+        controller the noise is also in the motion itself, so that the exact amount is not known.
+        """
+        noise = self.sensor_noise.get("piston_position", 0.0) * ACCELERATION_NOISE_GAIN / self.models[0].step ** 2
+        power = float(np.mean(np.square(np.concatenate([finish(model.a) for model in self.models]))))
+        return self.bench.moving_mass * noise**2 / max(power - noise**2, noise**2, 1e-12)
 
     def deviation(self, channel: str, segment: int) -> FloatArray | float:
         """Standard deviation of a channel's residuals if nothing is missing, physical unit."""

@@ -98,7 +98,9 @@ class Search:
         None at all where the best only mends the form of its kin: what others explain of that is mimicry.
         """
         enough = score(self.problem, base) - self.settings.threshold
-        worth = [one for one in self._extended(base) if score(self.problem, one) <= enough and all_worth(one)]
+        worth = [
+            one for one in self._extended(base) if score(self.problem, one) <= enough and all_worth(self.problem, one)
+        ]
         mends = bool(worth) and form_error(self.problem, base, worth[0], self.settings.form_error)
         return [] if mends else worth
 
@@ -129,7 +131,7 @@ class Search:
             fits = [one for one in self._extended(fit(self.problem, others)) if one.claims[-1].effect.label != label]
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if score(self.problem, one) < score(self.problem, outcome.fit) - 2.0]
-            if better and all_worth(better[0]):
+            if better and all_worth(self.problem, better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed

@@ -9,6 +9,9 @@ from hydro_diagnosis.effects.base import Claim, Parameter
 from hydro_diagnosis.fit import Fit
 from hydro_diagnosis.problem import Problem
 
+ATTENUATIONS = 2.0
+"""Times `Problem.attenuation` that a claim must be."""
+
 
 def worth_claiming(claim: Claim) -> bool:
     """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends."""
@@ -18,9 +21,14 @@ def worth_claiming(claim: Claim) -> bool:
     return not amplitudes or any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
 
 
-def all_worth(found: Fit) -> bool:
-    """Whether every claim of a fit is worth making."""
-    return all(worth_claiming(claim) for claim in found.claims)
+def all_worth(problem: Problem, found: Fit) -> bool:
+    """Whether every claim of a fit is worth making, and more than noise in what its parameter multiplies."""
+    return all(worth_claiming(claim) and _beyond_attenuation(problem, claim) for claim in found.claims)
+
+
+def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
+    least = ATTENUATIONS * problem.attenuation.get(claim.effect.id, 0.0)
+    return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
 
 
 def _at_its_end(parameter: Parameter, value: float) -> bool:

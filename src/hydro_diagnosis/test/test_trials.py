@@ -10,7 +10,7 @@ import pytest
 
 from hydro_bridge.console import UserError
 from hydro_diagnosis.calibrate import run
-from hydro_diagnosis.trials import Trial, calibrated, keep, kept, needed
+from hydro_diagnosis.trials import Trial, calibrated, keep, kept, needed, trial
 from hydro_sim.bench import Bench
 
 BENCH = Bench.nominal()
@@ -55,3 +55,10 @@ def test_threshold_is_worth_what_the_trials_reach() -> None:
     middle, excess = 3.5, (0.5 + 1.5 + 26.5) / 3
     assert outcome.expected == pytest.approx(0.5 * exp(-(20.0 - middle) / excess))
     assert needed(trials, 1e-3) >= 30.0
+
+
+def test_mass_that_a_coarse_encoder_hides_is_not_claimed() -> None:
+    slow = trial(BENCH, 28)  # 0.4 and 0.9 Hz, an encoder of 2.3 um: by least squares 0.19 kg are missing, BIC 47
+    assert slow.noise == pytest.approx(2.32, abs=0.01)
+    assert slow.claim != "moving_mass"
+    assert slow.evidence < 20.0
