@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import subprocess
+import time
 from hashlib import sha256
 from pathlib import Path
 
@@ -13,12 +14,16 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+import rclpy
+
 from hydro_bridge.recording import read_bag
-from hydro_bridge.ros import executable_path
+from hydro_bridge.ros import GAINS, GAINS_QOS, STATE, STATE_QOS, executable_path
 from hydro_bridge.signals import Flag
 from hydro_filter.choice import DEFAULT
+from hydro_msgs.msg import BenchState, Gains
 from hydro_policy.checkpoint import load_checkpoint
 from hydro_policy.nodes.companions import PlantOptions, commands
+from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.trainer import DEMO, asked
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
@@ -126,6 +131,50 @@ def test_the_main_job_is_a_set_of_defaults() -> None:
     told = asked(["--demo", "--plant", "sim", "--exam-every", "0", "--episodes", "12"])
     assert (told.plant, told.exam_every, told.episodes, told.configuration) == ("sim", 0, 12, "wide")
     assert asked([]).plant == "external" and asked([]).exam_every is None
+
+
+class Counted:
+    """A session that counts what it gets, and wants more."""
+
+    finished = False
+
+    def __init__(self) -> None:
+        self.samples = self.ticks = 0
+
+    def on_sample(self, sequence: int, sample: object, flags: int, now: float) -> bool:
+        self.samples += 1
+        return False
+
+    def on_correction(self, after: float, status: int) -> None: ...
+
+    def on_tick(self, now: float) -> None:
+        self.ticks += 1
+
+
+def test_a_newcomer_waits_until_nobody_else_publishes_gains() -> None:
+    rclpy.init()
+    try:
+        other, node, session = rclpy.create_node("the_first"), GraphNode("newcomer", realtime=False), Counted()
+        gains = other.create_publisher(Gains, GAINS, GAINS_QOS)
+        state = other.create_publisher(BenchState, STATE, STATE_QOS)
+        asked: list[bool] = []
+        node.arm = asked.append  # type: ignore[method-assign, assignment]
+        began = time.monotonic()
+
+        def each_tick() -> None:
+            state.publish(BenchState())
+            now = time.monotonic() - began
+            if now > 2.0 and not seen:
+                seen.append(session.samples)
+                other.destroy_publisher(gains)
+            session.finished = session.samples > 5 or now > 10.0
+
+        seen: list[int] = []
+        node.drive(session, each_tick)  # type: ignore[arg-type]
+        assert seen == [0], "nothing reached the session while the first one was there"
+        assert session.samples > 5 and asked == []
+    finally:
+        rclpy.try_shutdown()
 
 
 def test_companions_of_each_plant() -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import queue
 import sys
 import threading
@@ -35,6 +36,7 @@ from hydro_bridge.ros import (
     be_ordinary,
     be_prompt,
     reference_to_message,
+    rivals,
     seconds,
     spin,
     state_from_message,
@@ -52,10 +54,13 @@ PRIORITY = 10
 """Of SCHED_FIFO: below bridge and filter, which have a millisecond where gains have ten."""
 DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 _PERIOD = 0.01  # s, of a policy step
+_LOOK = 0.5  # s from the first sample on, in which others who publish gains are found
 
 
 class GraphNode(Node):
     """Moves messages between the graph and one session at a time; implements `hydro_policy.outputs.Outputs`.
+
+    A newcomer waits, and sends nothing, as long as somebody else publishes gains: the two would alternate unnoticed.
 
     Parameters
     ----------
@@ -77,7 +82,9 @@ class GraphNode(Node):
         self.jitter = Latency()  # |interval between gains - 10 ms|
         self.override = GainOverride(say=lambda sentence: self.say(sentence, warning=True))
         self._session: Session | None = None
+        self._alone, self._heard = False, math.inf  # nobody else publishes gains; when the first sample came, s
         self._each_tick: Callable[[], None] = lambda: None
+        self._crowded = False
         self._done = Future()
         self._gains_out = self._published = 0.0
         self._gains = Gains()
@@ -112,7 +119,7 @@ class GraphNode(Node):
     def disarm(self) -> None:
         """Ask the plant to disarm and wait for its answer, at most 2 s."""
         self._session = None
-        if not self._arm_client.service_is_ready():
+        if not self._alone or not self._arm_client.service_is_ready():
             return
         answer = self._arm_client.call_async(SetBool.Request(data=False))
         executor = EventsExecutor()
@@ -159,6 +166,9 @@ class GraphNode(Node):
         if self._session is None:
             return
         begin = time.monotonic()
+        if not self._alone:
+            self._heard = min(self._heard, begin)
+            return
         sample = np.array(state_from_message(message))
         if self._session.on_sample(message.sequence, sample, message.flags, begin):
             self._measure(begin, message)
@@ -186,15 +196,27 @@ class GraphNode(Node):
         if self._session is None:
             return
         now = time.monotonic()
-        with suppress(queue.Empty):
-            self._keys.get_nowait()
-            self._session.watch.arm_now(now)
-        self._session.on_tick(now)
+        if not self._alone:
+            self._look_around(now)
+        if self._alone:
+            with suppress(queue.Empty):
+                self._keys.get_nowait()
+                self._session.watch.arm_now(now)
+        if self._alone or self._heard == math.inf:
+            self._session.on_tick(now)
         for sentence in self.companions.ended():
             self.say(sentence, warning=True)
         self._each_tick()
         if self._session.finished or self.companions.refused:
             self._finish()
+
+    def _look_around(self, now: float) -> None:
+        trouble = rivals(self, GAINS)
+        looked = now - self._heard > _LOOK
+        if trouble and looked and not self._crowded:
+            self.say(f"{trouble}; {self.get_name()} waits until it is alone", warning=True)
+        self._crowded = bool(trouble) and looked
+        self._alone = looked and not trouble
 
     def _finish(self) -> None:
         if not self._done.done():
