@@ -13,12 +13,17 @@ from pathlib import Path
 
 HERE = Path(__file__).parent
 NAMES = sorted(path.stem for path in HERE.glob("[!_]*.py"))
+STUDIES = frozenset(
+    {"adaptivity", "controllers", "diagnosis_peers", "learned_structures", "sac_peers", "training_seeds"}
+)
+"""Run only if named: they take long, or need what another command makes first."""
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the named benchmarks, default all; the exit status counts those that failed."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description="Measured speeds.")
-    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which: {', '.join(NAMES)}; default all")
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"which: {', '.join(NAMES)}; default all but "
+                        f"{', '.join(sorted(STUDIES))}")  # fmt: skip
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all results into one file")
     asked = parser.parse_args(arguments)
     unknown = set(asked.names) - set(NAMES)
@@ -26,7 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
         parser.error(f"no benchmark {min(unknown)!r}; there are {', '.join(NAMES)}")
     results: dict[str, object] = {"machine": f"{platform.machine()}, Python {platform.python_version()}"}
     failed = 0
-    for name in asked.names or NAMES:
+    for name in asked.names or [name for name in NAMES if name not in STUDIES]:
         print(f"\n== {name}", flush=True)
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "result.json"

@@ -18,6 +18,7 @@ import argparse
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,7 @@ from hydro_sim.emulator.truth import TruthPlant
 from hydro_sim.emulator.truth_config import TruthConfig, truth_from_mapping
 
 PAPER_III = (90.0, 15.0)
+SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_wide"))
 BENCHES: Mapping[str, Mapping[str, Any]] = {
     "default": {},
     "spring 10 kN/m": {"spring_stiffness": {"ratio": 0.5}},
@@ -202,7 +204,7 @@ def main() -> None:
         description=__doc__,
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
-    parser.add_argument("--start", type=Path, nargs="+", required=True, metavar="RUN", help="pretrained agents")
+    parser.add_argument("--start", type=Path, nargs="+", default=[SHIPPED], metavar="RUN", help="pretrained agents")
     names = ", ".join(BENCHES).replace("%", "%%")
     parser.add_argument("--benches", nargs="+", default=["default"], choices=BENCHES, metavar="NAME", help=names)
     parser.add_argument("--seeds", type=int, default=5, help="of noise, default 5")

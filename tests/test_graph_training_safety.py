@@ -105,8 +105,8 @@ def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_r
 ) -> None:
     """With K_p up to 300 the middle of the range, where a policy from scratch starts, is more than the bench bears.
 
-    With the constant metric, that is: the learned one would hold it. Without updates, for a learner that is quick enough
-    finds bearable gains after the second stop, which is well done and no case for giving up.
+    With the constant metric, that is: the learned one would hold it. Without updates, for a learner that is quick finds
+    bearable gains after the second stop, which is well done and no case for giving up.
     """
     run = RunDirectory(tmp_path / "run")
     words = ("--plant", "emulator", "--from", "scratch", "--configuration", "wide", "--filter=--metric constant")
