@@ -63,7 +63,8 @@ class Source:
         )
         self._message = StateMessage()
 
-    def wait(self, condition: Callable[[], bool], timeout: float = 20.0) -> None:
+    def wait(self, condition: Callable[[], bool], timeout: float = 60.0) -> None:
+        """On a fresh machine the filter compiles first."""
         deadline = time.monotonic() + timeout
         while not condition():
             assert time.monotonic() < deadline, "waited in vain"

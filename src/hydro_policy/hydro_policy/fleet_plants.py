@@ -98,7 +98,8 @@ def rows(plants: Sequence[Plant]) -> PlantRows:
             for index, plant in enumerate(plants):
                 copy(result.arrays, index, plant)
             return result
-    raise ValueError(f"a fleet knows no {_kind(plants[0]).__name__}")
+    kind = _kind(plants[0]).__name__
+    raise ValueError(f"many benches at once are structured models, networks of two layers or analytic ones, no {kind}")
 
 
 def put(rows: PlantRows, index: int, plant: Plant) -> None:
