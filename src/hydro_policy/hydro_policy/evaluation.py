@@ -110,8 +110,8 @@ class EvaluationSession:
         if self.finished:
             return False
         if not flags & Flag.ARMED:
-            if self._run is not None and flags & Flag.TRIPPED:
-                self._stop(self._run, self.watch.condition)
+            if flags & Flag.TRIPPED:
+                self._on_trip()
             self._run = None
             return False
         held = self.override.gains(now)
@@ -191,6 +191,13 @@ class EvaluationSession:
         self._outputs.say(f"{name} at {case.name}: {reason}", warning=True)
         self.watch.calm()
         self._run = None
+
+    def _on_trip(self) -> None:
+        """The run's doing, or under gains that a person holds: nobody's."""
+        if self._run is not None:
+            self._stop(self._run, self.watch.condition)
+        elif not self.watch.calming:
+            self.watch.calm()
 
     def _check_held(self, trace: Trace, held: float) -> None:
         """Base gains instead of the controller's for much of the time are no fair comparison."""

@@ -130,7 +130,7 @@ class TrainingSession:
         """Some twenty times a second: arming, loss of the plant, death of the learner."""
         self.watch.on_tick(now)
         if self.watch.lost and self.phase in UNDER_WAY:
-            self._pause("no samples")
+            self._pause("no samples", self._where)
         message = self.learner.revive()
         if message is not None:
             self._outputs.say(message, warning=True)
@@ -198,12 +198,13 @@ class TrainingSession:
 
     def _interrupt(self, sample: FloatArray, flags: int) -> None:
         """The box disarmed under us. If it was the policy's doing, the policy goes, and shall learn it."""
+        where = self._where
         if flags & FAULTS and self.override.active:
             self.watch.calm()
         elif flags & FAULTS:
             self._stop(f"the box {self.watch.condition}", sample)
         if not self.finished:
-            self._pause(self.watch.condition)
+            self._pause(self.watch.condition, where)
 
     def _stop(self, reason: str, sample: FloatArray) -> None:
         """What the policy does is not bearable: base gains, calm, the last good policy; after too many, the end."""
@@ -221,8 +222,8 @@ class TrainingSession:
         self.phase = Phase.FINISHED if self.ledger.gave_up else Phase.PAUSED
         self._outputs.say(sentence, warning=True)
 
-    def _pause(self, reason: str) -> None:
-        sentence = f"paused in {self._where} at step {self.current.steps}: {reason}"
+    def _pause(self, reason: str, where: str) -> None:
+        sentence = f"paused in {where} at step {self.current.steps}: {reason}"
         self.phase, self.exam = Phase.PAUSED, None
         self.progress.interruptions += 1
         self.explorer.forget()
