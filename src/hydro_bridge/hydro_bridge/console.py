@@ -138,11 +138,11 @@ class Table:
 def add_json_argument(parser: argparse.ArgumentParser) -> None:
     """Add the option `--json FILE` that every command with a table has."""
     parser.add_argument(
-        "--json", type=_writable, metavar="FILE", help="also write the table to FILE, keys documented in it"
+        "--json", type=writable, metavar="FILE", help="also write the table to FILE, keys documented in it"
     )
 
 
-def _writable(path: str) -> str:
+def writable(path: str) -> str:
     """`path`, if a file can be made there: found out now, not after what may be hours."""
     folder = next(folder for folder in Path(path).absolute().parents if folder.exists())
     if Path(path).is_dir():

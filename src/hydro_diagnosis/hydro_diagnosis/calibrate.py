@@ -14,7 +14,7 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from hydro_bridge.console import Table, add_json_argument, command, progress
+from hydro_bridge.console import Table, UserError, add_json_argument, command, progress, writable
 from hydro_diagnosis.outcome import SearchSettings
 from hydro_diagnosis.trials import Trial, calibrated, keep, kept, needed, trial
 from hydro_sim.bench import Bench
@@ -32,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--rate", type=float, default=1e-3, help="of false claims to allow (default: 0.001)")
     options.add_argument("--jobs", type=int, default=2, help="processes (default: 2)")
     options.add_argument(
-        "--write", type=Path, metavar="FILE", help="keep the trials there, as JSON, and go on from them"
+        "--write", type=writable, metavar="FILE", help="keep the trials there, as JSON, and go on from them"
     )
     add_json_argument(options)
     return options
@@ -41,16 +41,19 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: Sequence[str]) -> int:
     """Calibrate and print what the threshold is worth; 130 after Ctrl-C before the first trial."""
     chosen = parser().parse_args(arguments)
+    if min(chosen.runs, chosen.jobs) < 1:
+        raise UserError(f"--runs {chosen.runs} --jobs {chosen.jobs}: there must be one of each at least")
     bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()
     threshold = SearchSettings().threshold
     wanted = range(chosen.seed, chosen.seed + chosen.runs)
-    before = kept(chosen.write, bench) if chosen.write else {}
+    file = Path(chosen.write) if chosen.write else None
+    before = kept(file, bench) if file else {}
     trials = {seed: before[seed] for seed in wanted if seed in before}
     try:
         for seed, one in _searched(bench, [seed for seed in wanted if seed not in trials], chosen.jobs):
             trials[seed] = one
-            if chosen.write:
-                keep(chosen.write, bench, {**before, **trials}, threshold)
+            if file:
+                keep(file, bench, {**before, **trials}, threshold)
     except KeyboardInterrupt:
         print("interrupted: what follows rests on the trials that were finished", file=sys.stderr)
     if not trials:
@@ -84,7 +87,7 @@ def _show(trials: Sequence[Trial], threshold: float, rate: float, json_file: str
     )
 
 
-@command()
+@command(ValueError, OSError)
 def main() -> int:
     """Entry point."""
     return run(sys.argv[1:])

@@ -118,11 +118,18 @@ def kept(path: Path, bench: Bench) -> dict[int, Trial]:
     Raises
     ------
     UserError
-        If they are of another bench or another version of the diagnosis: such trials do not add up.
+        They are of another bench or another version of the diagnosis: such trials do not add up. Or it is no such file.
     """
     if not path.exists():
         return {}
-    content = json.loads(path.read_text(encoding="utf-8"))
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return _of(content, path, bench)
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path} is no file of calibrate's: write to another") from error
+
+
+def _of(content: Mapping[str, Any], path: Path, bench: Bench) -> dict[int, Trial]:
     if content["bench"] != bench.to_mapping():
         raise UserError(f"{path} holds trials of another bench: write to another file")
     if content["engine"] != engine():
@@ -140,6 +147,7 @@ def keep(path: Path, bench: Bench, trials: Mapping[int, Trial], threshold: float
         entry["evidence"] = entry["evidence"] if entry["evidence"] > -inf else None
     outcome = asdict(calibrated(list(trials.values()), threshold))
     content = {"outcome": outcome, "engine": engine(), "bench": bench.to_mapping(), "trials": entries}
+    path.parent.mkdir(parents=True, exist_ok=True)
     scratch = path.with_name(f".{path.name}")
     scratch.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
     os.replace(scratch, path)

@@ -40,6 +40,21 @@ def test_trials_of_another_version_do_not_add_up(tmp_path: Path) -> None:
         kept(path, BENCH)
 
 
+@pytest.mark.parametrize("content", ["{}", "[1]", "no JSON", '{"bench": 1, "engine": 2}'])
+def test_another_file_is_not_taken_for_trials(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "other.json"
+    path.write_text(content)
+    with pytest.raises(UserError, match=r"calibrate's|another bench"):
+        kept(path, BENCH)
+    assert path.read_text() == content
+
+
+@pytest.mark.parametrize("words", [["--runs", "0"], ["--jobs", "0"]])
+def test_no_runs_and_no_processes_are_refused(words: list[str]) -> None:
+    with pytest.raises(UserError, match="at least"):
+        run(words)
+
+
 def test_finished_trials_are_not_searched_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "calibration.json"
     keep(path, BENCH, {0: Trial(1.0, 8.25, "valve_gain"), 1: Trial(1.0, -inf, "none")}, 20.0)
