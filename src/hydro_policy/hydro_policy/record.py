@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from datetime import datetime
 from pathlib import Path
 from typing import Any
@@ -26,6 +28,9 @@ class RunRecord:
 
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
+        self._writer = ThreadPoolExecutor(max_workers=1)  # a disk that is busy holds up no gains
+        self._written: Future[None] = Future()
+        self._written.set_result(None)
         self.events: list[dict[str, Any]] = []
         if path is not None and path.exists():
             self.events = json.loads(path.read_text(encoding="utf-8"))["events"]
@@ -36,17 +41,30 @@ class RunRecord:
         if sentence:
             event["sentence"] = sentence
         self.events.append(event | {key: _plain(value) for key, value in numbers.items()})
-        self._write()
+        if self._path is not None:
+            if self._written.done():
+                self._written.result()  # raises what went wrong
+            self._written = self._writer.submit(_write, self._path, tuple(self.events))
 
     def of(self, kind: str) -> list[dict[str, Any]]:
         """All events of a kind."""
         return [event for event in self.events if event["kind"] == kind]
 
-    def _write(self) -> None:
-        if self._path is not None:
-            partial = self._path.with_name(self._path.name + ".partial")
-            partial.write_text(json.dumps({"events": self.events}, indent=1) + "\n", encoding="utf-8")
-            partial.replace(self._path)
+    def flush(self) -> None:
+        """Wait until all is on disk; the end of the process does, too.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        """
+        self._written.result()
+
+
+def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
+    partial = path.with_name(path.name + ".partial")
+    partial.write_text(json.dumps({"events": events}, indent=1) + "\n", encoding="utf-8")
+    partial.replace(path)
 
 
 def _plain(value: Any) -> Any:

@@ -199,8 +199,10 @@ def test_an_override_out_of_reach_is_refused_and_changes_nothing(kp: float, ki: 
 
 def test_what_happened_is_on_disk_after_each_event_and_a_resumed_run_goes_on_in_the_same_file(tmp_path) -> None:
     path = tmp_path / "run.json"
-    RunRecord(path).add("stop", "too loud", reason="noise", chatter=math.nan)
-    RunRecord(path).add("end")
+    for kind, words in (("stop", {"sentence": "too loud", "reason": "noise", "chatter": math.nan}), ("end", {})):
+        record = RunRecord(path)
+        record.add(kind, **words)
+        record.flush()
     events = json.loads(path.read_text())["events"]
     assert [event["kind"] for event in events] == ["stop", "end"]
     assert events[0]["sentence"] == "too loud" and events[0]["chatter"] is None

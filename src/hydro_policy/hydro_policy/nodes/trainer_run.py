@@ -44,6 +44,7 @@ def train(options: argparse.Namespace) -> int:
         record.add("end", session.gave_up, **timing(node, session), complete=finished)
         if results is not None:
             show_results(results, run.evaluation, run.tracking_plot, {"run": str(run.path), "plant": options.plant})
+    record.flush()
     tell_files(run, recording, finished, options, time.monotonic() - began)
     if session.gave_up:
         print(f"Training was given up: {session.gave_up}; {run.record} has what happened.", file=sys.stderr)
