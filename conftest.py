@@ -14,7 +14,11 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A graph test keeps real time: one that fails is run once more, and the report counts it as a rerun."""
+    """A graph test keeps real time: one that fails is run once more, and the report counts it as a rerun.
+
+    They come last: by then what they run is compiled, and a fresh machine does not compile beside a graph.
+    """
+    items.sort(key=lambda item: item.get_closest_marker("graph") is not None)
     for item in items:
         if item.get_closest_marker("graph"):
             item.add_marker(pytest.mark.flaky(reruns=1))
