@@ -232,6 +232,7 @@ class Link:
 
     def _disconnect(self) -> None:
         with self.lock:
+            self.guard.set_arm(False)  # before anyone can see that the line is closed
             self.state = LinkState.CLOSED
             self.port.close()
         self._decoder.reset()
