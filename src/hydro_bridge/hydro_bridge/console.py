@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -23,14 +22,13 @@ from hydro_bridge.bag_types import RecordingError
 from hydro_bridge.port import PortLostError
 from hydro_bridge.schema import UnknownTypeError
 from hydro_bridge.settings import SettingsError
+from hydro_bridge.user_errors import UserError, explained, of_a_file, writable, writable_folder
+
+__all__ = ["Table", "UserError", "add_json_argument", "command", "fail", "progress", "writable", "writable_folder"]
 
 T = TypeVar("T")
 KNOWN_ERRORS: tuple[type[Exception], ...] = (RecordingError, PortLostError, SettingsError, UnknownTypeError)
 """Errors of this package whose message is meant for the user."""
-
-
-class UserError(Exception):
-    """Something that the user can put right; the message is one sentence. `main` prints it, exit status 2."""
 
 
 def fail(sentence: str) -> NoReturn:
@@ -45,7 +43,8 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
     Parameters
     ----------
     errors
-        Known errors besides those of this package: for all others the traceback stays.
+        Known errors besides those of this package, and besides files that cannot be read or written: for all others
+        the traceback stays.
     """
     known: tuple[type[Exception], ...] = (UserError, *KNOWN_ERRORS, *errors)
 
@@ -54,13 +53,15 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
         def wrapped() -> NoReturn:
             try:
                 status = main() or 0
-            except known as error:
-                fail(str(error))
-            except KeyboardInterrupt:
-                status = 130
             except BrokenPipeError:  # `| head` has seen enough
                 sys.stderr.close()
                 status = 0
+            except KeyboardInterrupt:
+                status = 130
+            except Exception as error:
+                if isinstance(error, known) or of_a_file(error):
+                    fail(explained(error))
+                raise
             sys.exit(status)
 
         return wrapped
@@ -140,16 +141,6 @@ def add_json_argument(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--json", type=writable, metavar="FILE", help="also write the table to FILE, keys documented in it"
     )
-
-
-def writable(path: str) -> str:
-    """`path`, if a file can be made there: found out now, not after what may be hours."""
-    folder = next(folder for folder in Path(path).absolute().parents if folder.exists())
-    if Path(path).is_dir():
-        raise argparse.ArgumentTypeError(f"{path} is a folder")
-    if not (folder.is_dir() and os.access(folder, os.W_OK)):
-        raise argparse.ArgumentTypeError(f"{path} cannot be written: {folder} is no folder that can be written to")
-    return path
 
 
 def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:

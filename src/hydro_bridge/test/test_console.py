@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.bag_writer import RecordingError
-from hydro_bridge.console import Table, UserError, add_json_argument, command
+from hydro_bridge.console import Table, UserError, add_json_argument, command, writable, writable_folder
 
 
 def test_table_is_aligned_and_its_json_has_documented_keys(tmp_path, capsys):
@@ -70,13 +70,72 @@ def test_known_errors_are_one_sentence_with_exit_status_2(error, capsys):
     assert capsys.readouterr().err == "error: no bench here\n"
 
 
-def test_unknown_errors_keep_their_traceback():
+@pytest.mark.parametrize("known", [(), (OSError,)])
+def test_a_file_that_the_system_refuses_is_one_sentence_without_a_number(known, tmp_path, capsys):
+    (tmp_path / "file").touch()
+
+    @command(*known)
+    def main() -> None:
+        (tmp_path / "file" / "x").mkdir()
+
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == f"error: {tmp_path / 'file' / 'x'}: Not a directory: choose another place\n"
+
+
+def test_a_full_disk_is_one_sentence_though_the_system_names_no_file(capsys):
     @command()
     def main() -> None:
-        raise ZeroDivisionError
+        with open("/dev/full", "w", buffering=1) as full:
+            full.write("a line\n")
 
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(SystemExit) as ended:
         main()
+    assert ended.value.code == 2
+    assert capsys.readouterr().err == "error: No space left on device: choose another place\n"
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError(), OSError("no file is to blame")])
+def test_unknown_errors_keep_their_traceback(error):
+    @command()
+    def main() -> None:
+        raise error
+
+    with pytest.raises(type(error)):
+        main()
+
+
+def test_a_reader_that_has_seen_enough_is_no_error(monkeypatch, capsys):
+    @command(OSError)
+    def main() -> None:
+        raise BrokenPipeError(32, "Broken pipe")
+
+    monkeypatch.setattr("sys.stderr.close", lambda: None)
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 0 and capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize(("check", "done"), [(writable, "written"), (writable_folder, "made")])
+def test_a_place_below_a_file_or_a_folder_of_others_is_refused_and_nothing_made(check, done, tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match=f"x cannot be {done}: {tmp_path / 'file'} is no folder: choose another place"):
+        check(str(tmp_path / "file" / "deep" / "x"))
+    assert str(check(str(tmp_path / "new" / "x"))) == str(tmp_path / "new" / "x")
+    monkeypatch.setattr("os.access", lambda path, mode: False)  # root may write anywhere
+    with pytest.raises(UserError, match=f"x cannot be {done}: you may not write to {tmp_path}: choose another place"):
+        check(str(tmp_path / "new" / "x"))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_a_file_is_no_folder_and_a_folder_no_file(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match="is a file: name a folder"):
+        writable_folder(tmp_path / "file")
+    with pytest.raises(UserError, match="is a folder: name a file"):
+        writable(str(tmp_path))
+    assert writable(str(tmp_path / "file")) and writable_folder(tmp_path) == tmp_path
 
 
 @pytest.mark.parametrize(("value", "status"), [(None, 0), (3, 3)])
