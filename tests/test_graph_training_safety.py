@@ -82,10 +82,11 @@ def test_a_person_takes_the_gains_within_a_step_and_gives_them_back(probe: Probe
     held = np.isclose(gains["delta_kp"], 45.0) & np.isclose(gains["delta_ki"], 5.0)
     first, last = np.flatnonzero(held)[[0, -1]]
     assert held[first : last + 1].all(), "nobody else's gains in between"
-    told = _when(events[0])
-    assert gains["time"][last] - told < 3.0 + 0.02, "not longer than asked for"
-    assert gains["time"][last + 1] - told > 3.0 - 0.02, "and for so long nobody else's"
-    assert gains["time"][first] - told < 0.02 + 0.01, "the next policy step; 20 ms for a machine that is busy"
+    # Counted in policy steps, not in milliseconds: one may be under way, and a busy machine may stand still in between.
+    told, times = _when(events[0]), gains["time"]
+    assert ((times > told) & (times < times[first])).sum() <= 1, "from the next policy step on"
+    assert (held & (times > told + 3.0)).sum() <= 1, "not longer than asked for"
+    assert times[last + 1] - told > 3.0 - 0.02, "and for so long nobody else's"
     states = bag.state
     during = (states["time"] > gains["time"][first] + 0.1) & (states["time"] < gains["time"][last])
     fresh = (states["flags"] & (Flag.WATCHDOG | Flag.FILTER_STALE)) == 0

@@ -21,7 +21,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = argparse.ArgumentParser(prog="arm", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     result.add_argument("--off", action="store_true", help="disarm: the valve closes")
-    result.add_argument("--timeout", type=float, default=5.0, metavar="S", help="for each step, default 5 s")
+    result.add_argument("--timeout", type=float, default=10.0, metavar="S", help="for each step, default 10 s")
     return result
 
 

@@ -17,7 +17,8 @@ from hydro_bridge.console import UserError, command
 from hydro_bridge.ros import OVERRIDE_SERVICE, ros_arguments, start_ros
 from hydro_msgs.srv import OverrideGains
 
-TIMEOUT = 3.0  # s, to find the service, and again for its answer
+DISCOVERY = 10.0  # s, to find the service: on a busy machine announcements get lost and come again each few seconds
+TIMEOUT = 3.0  # s, for its answer
 
 
 def parser() -> argparse.ArgumentParser:
@@ -73,8 +74,8 @@ def ask(node: Node, wanted: OverrideGains.Request) -> str:
         Nobody is there, or it refuses.
     """
     client = node.create_client(OverrideGains, OVERRIDE_SERVICE)
-    if not client.wait_for_service(timeout_sec=TIMEOUT):
-        raise UserError("no trainer or evaluate runs here: nobody to take the gains from")
+    if not client.wait_for_service(timeout_sec=DISCOVERY):
+        raise UserError(f"no trainer or evaluate found in {DISCOVERY:g} s: nobody to take the gains from")
     answer = client.call_async(wanted)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=TIMEOUT)
     if not answer.done():
