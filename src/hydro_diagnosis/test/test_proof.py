@@ -270,6 +270,17 @@ def test_wilson_interval_agrees_with_the_published_example() -> None:
     assert wilson(0, 60)[0] == 0.0
 
 
+def test_place_that_cannot_be_written_is_found_before_anything_is_sealed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "runs").touch()
+    monkeypatch.chdir(tmp_path)
+    for words in (["--out", "runs/x"], []):  # by default it is below runs/, too
+        with pytest.raises(UserError, match="runs is no folder: choose another place"):
+            run(["--cases", "1", "--seed", "1", *words])
+    assert [path.name for path in tmp_path.iterdir()] == ["runs"]
+
+
 @pytest.mark.slow
 def test_proof_goes_on_after_time_was_up_and_opens_its_own_seal(tmp_path: Path) -> None:
     words = ["--cases", "2", "--seed", str(SEED), "--workers", "2", "--out", str(tmp_path / "proof")]

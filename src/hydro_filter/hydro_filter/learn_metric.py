@@ -9,7 +9,6 @@ words of the command.
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from collections import Counter
@@ -22,8 +21,8 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from hydro_bridge.console import UserError, command, progress
-from hydro_bridge.settings import SettingsError, check
+from hydro_bridge.console import UserError, add_json_argument, command, progress, writable
+from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
 from hydro_filter.learned_metric import LearnedMetric, Thresholds
 from hydro_filter.loop_model import Q_SPOOL_RATE, LoopModel, loop_model
@@ -170,9 +169,6 @@ def _say(sentence: str) -> None:
 
 def _settings(options: argparse.Namespace) -> tuple[DataSettings, TrainingSettings]:
     """Settings of the words; refuses before the work what cannot work."""
-    folder = Path(options.out).absolute().parent
-    if not os.access(folder, os.W_OK) or Path(options.out).is_dir():
-        raise SettingsError(f"--out {options.out} cannot be written: it names a file in a folder that exists")
     data = DataSettings(rollouts=options.rollouts, seed=options.seed)
     loss = LossSettings(rate=options.contraction_rate, unstable_weight=options.unstable_weight)
     training = TrainingSettings(
@@ -190,7 +186,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
         prog="learn_metric", description="Train the contraction metric on the learned bench."
     )
     parser.add_argument(
-        "--out", required=True, metavar="METRIC", help="file to write, .safetensors; its curve beside it"
+        "--out", required=True, type=writable, metavar="METRIC", help="file to write, .safetensors; its curve beside it"
     )
     parser.add_argument("--model", metavar="WEIGHTS", help="the learned bench; the shipped one by default")
     parser.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
@@ -206,7 +202,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0, help="of gains, references, noise, weights and shuffles")
     parser.add_argument("--resume", action="store_true", help="go on from METRIC's checkpoint, if there is one")
     parser.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
-    parser.add_argument("--json", metavar="FILE", help="also write the certificate's table to FILE")
+    add_json_argument(parser)
     asked = parser.parse_args(given)
     if asked.seed < 0 or asked.threads < 0:
         parser.error("--seed and --threads need 0 or more")

@@ -183,6 +183,7 @@ def _note(state: Progress, network: Network, training_loss: float, quality: Qual
 
 def _save(path: Path, state: Progress, network: Network, optimizer: torch.optim.Optimizer) -> None:
     content = {**asdict(replace(state)), "best": torch.from_numpy(state.best.copy())}
+    path.parent.mkdir(parents=True, exist_ok=True)
     torch.save({"progress": content, "network": network.state_dict(), "optimizer": optimizer.state_dict()}, path)
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from hydro_bridge.console import Table, UserError, add_json_argument, command, progress
+from hydro_bridge.console import Table, UserError, add_json_argument, command, progress, writable_folder
 from hydro_filter.learned_metric import LearnedMetric
 from hydro_filter.validation import COLUMNS, FILTERS, Outcome, Task, outcome, perform, row
 from hydro_filter.validation_cases import CASES
@@ -90,7 +90,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=18.0, help="s, of each run; the paper's episode")
     parser.add_argument("--contraction-rate", type=float, help="lambda [1/s] of the certified range; default 0.1")
     parser.add_argument("--jobs", type=int, default=-1, help="processes at once; -1: one a core")
-    parser.add_argument("--plots", metavar="DIR", help="draw the tracking figures into DIR")
+    parser.add_argument("--plots", type=writable_folder, metavar="DIR", help="draw the tracking figures into DIR")
     add_json_argument(parser)
     asked = parser.parse_args(given)
     if asked.seeds < 1 or not asked.seconds >= 1.0 or asked.jobs == 0:

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
+from hydro_filter import validate
 from hydro_filter.learn_metric import arguments, correction
 from hydro_filter.learned_metric import LearnedMetric
 from hydro_filter.loop_model import LoopModel, loop_model
@@ -164,3 +166,20 @@ def test_the_network_at_zero_is_the_solved_metric(asked: tuple[LearnedMetric, Sa
 def test_an_impossible_word_is_refused() -> None:
     with pytest.raises(SystemExit):
         arguments(["--out", "metric.safetensors", "--seed", "-1"])
+
+
+@pytest.mark.parametrize(
+    ("parse", "words"),
+    [
+        (arguments, ["--out", "/dev/null/x"]),
+        (arguments, ["--out", "metric.safetensors", "--json", "/dev/null/x"]),
+        (validate.arguments, ["--plots", "/dev/null/x"]),
+    ],
+)
+def test_a_place_that_cannot_be_written_is_found_before_the_work(
+    parse: Callable[[list[str]], object], words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parse(words)
+    assert ended.value.code == 2
+    assert "/dev/null is no folder: choose another place" in capsys.readouterr().err.splitlines()[-1]

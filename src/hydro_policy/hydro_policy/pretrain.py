@@ -20,7 +20,7 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
-from hydro_bridge.console import UserError, add_json_argument, command, progress
+from hydro_bridge.console import UserError, add_json_argument, command, progress, writable_folder
 from hydro_bridge.recording_run import code_version
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.configurations import CONFIGURATIONS, configuration
@@ -49,7 +49,7 @@ def parser() -> argparse.ArgumentParser:
         prog="pretrain", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     where = result.add_mutually_exclusive_group(required=True)
-    where.add_argument("--out", type=Path, metavar="RUN", help="folder of a new run")
+    where.add_argument("--out", type=writable_folder, metavar="RUN", help="folder of a new run")
     where.add_argument("--resume", type=Path, metavar="RUN", help="go on with a run that was interrupted")
     what = result.add_argument_group("what is simulated")
     what.add_argument(
@@ -131,8 +131,6 @@ def _create(run: RunDirectory, settings: TrainingSettings, source: Source) -> No
         source.save(run.path)
     except FileExistsError as error:
         raise UserError(str(error)) from error
-    except OSError as error:
-        raise UserError(f"{run.path} cannot be written: {error.strerror}") from error
 
 
 def _resume(run: RunDirectory, pretraining: Pretraining) -> None:

@@ -58,7 +58,7 @@ def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
 
 
 def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:
-    """Settings, every single run, and `notes`; what is not finite becomes null."""
+    """Settings, every single run, and `notes`; what is not finite becomes null. A missing folder is made."""
 
     def plain(score: Score) -> dict[str, Any]:
         values = asdict(score)
@@ -71,6 +71,7 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
         "warnings": session.warnings,
         "runs": [plain(score) for score in session.scores],
     }
+    path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
 
 

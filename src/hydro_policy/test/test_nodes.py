@@ -116,7 +116,7 @@ def test_what_the_user_can_put_right_is_one_sentence_and_status_2(
     [
         (("--fixed", "nan", "5"), "fixed gains are two finite numbers, not nan and 5"),
         (("--repeats", "0"), "repeats is 0"),
-        (("--json", "/nowhere/figures.json"), "there is no folder /nowhere"),
+        (("--json", "/dev/null/figures.json"), "/dev/null is no folder: choose another place"),
     ],
 )
 def test_evaluate_says_at_once_what_it_cannot_use(words: tuple[str, ...], sentence: str) -> None:

@@ -236,3 +236,10 @@ def test_command_refuses_in_one_sentence(tmp_path: Path, words: list[str], said:
     ended = pretrain("--out", str(tmp_path / "run"), *words)
     assert ended.returncode == 2
     assert ended.stderr.startswith("error: ") and said in ended.stderr and ended.stderr.count("\n") == 1
+
+
+def test_a_place_that_cannot_be_written_is_found_before_the_work(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parser().parse_args(["--out", "/dev/null/run"])
+    assert ended.value.code == 2
+    assert "/dev/null is no folder: choose another place" in capsys.readouterr().err.splitlines()[-1]

@@ -19,7 +19,7 @@ from hydro_sim.nodes.collect import main
         (["--seconds", "nan"], "--seconds nan: 1 to 36000 is meant"),
         (["--seconds", "-5"], "--seconds -5: 1 to 36000 is meant"),
         (["--seed", "-1"], "--seed -1: 0 or more is meant"),
-        (["--seconds", "5", "--write-schedule", "/nowhere/schedule.yaml"], "No such file or directory"),
+        (["--seconds", "5", "--write-schedule", "/dev/null/s.yaml"], "/dev/null/s.yaml cannot be written"),
         (["--seconds", "5", "--out", "/dev/null/bag"], "/dev/null/bag cannot be made"),
     ],
 )

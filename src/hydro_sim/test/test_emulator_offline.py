@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
 from hydro_bridge.recording import read_bag
 from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, Command, Flag, StateArray
@@ -162,3 +163,23 @@ def test_wrong_words_end_in_one_sentence_and_status_2(
     error = capsys.readouterr().err
     assert sentence in error
     assert error.count("\n") == 1
+
+
+@pytest.mark.parametrize("words", [["--out", "/dev/null/x"], ["--out", "bag", "--noise-free", "/dev/null/x"]])
+def test_a_place_that_cannot_be_written_is_found_before_the_recording(
+    words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["--offline", *words])
+    assert ended.value.code == 2
+    assert "/dev/null is no folder: choose another place" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_what_the_system_refuses_in_a_batch_is_one_sentence_without_a_number(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    job = {"out": str(tmp_path / "bag"), "seconds": 0.1, "noise_free": "/dev/null/x.npz"}
+    (tmp_path / "jobs.yaml").write_text(yaml.safe_dump({"jobs": [job]}), encoding="utf-8")
+    assert main(["--batch", str(tmp_path / "jobs.yaml")]) == 2
+    error = capsys.readouterr().err
+    assert error.startswith("emulator: /dev/null") and "Errno" not in error and error.count("\n") == 1

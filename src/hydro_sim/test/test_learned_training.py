@@ -185,7 +185,7 @@ def test_coverage_counts_what_was_visited(recording):
         (["--horizon", "0"], "--horizon is 0, needs 1 or more"),
         (["--hidden", "32", "0"], "--hidden is 0, needs 1 or more"),
         (["--learning-rate", "nan"], "--learning-rate is nan"),
-        (["--out", "/nowhere/x.safetensors"], "--out /nowhere/x.safetensors cannot be written"),
+        (["--out", "/dev/null/x.safetensors"], "argument --out: /dev/null/x.safetensors cannot be written"),
     ],
 )
 def test_learn_refuses_what_cannot_work_before_the_work(words, sentence, tmp_path, monkeypatch, capsys):

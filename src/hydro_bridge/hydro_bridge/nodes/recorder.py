@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from hydro_bridge.bag_types import TopicQos
-from hydro_bridge.console import UserError, command
+from hydro_bridge.console import UserError, command, writable_folder
 from hydro_bridge.recording import repair
 from hydro_bridge.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
 from hydro_bridge.ros import GRAPH, DiagnosticsPublisher, Level, Status, be_prompt, ros_arguments, run_node
@@ -98,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         epilog="In Python: hydro_bridge.recording.read_bag(DIR).state['load_force'].",
     )
     action = parser.add_mutually_exclusive_group(required=True)
-    action.add_argument("--out", type=Path, metavar="DIR", help="folder to make; it must not exist")
+    action.add_argument("--out", type=writable_folder, metavar="DIR", help="folder to make; it must not exist")
     action.add_argument("--repair", type=Path, metavar="DIR", help="make a recording whole whose recorder was killed")
     parser.add_argument("--topics", nargs="+", default=list(GRAPH), metavar="TOPIC", help="default: all of the graph")
     parser.add_argument(

@@ -20,7 +20,7 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.console import UserError, add_json_argument, command
+from hydro_bridge.console import UserError, add_json_argument, command, writable_folder
 from hydro_diagnosis.proof import page, pictures, seal
 from hydro_diagnosis.proof.bench_graph import record_by_graph
 from hydro_diagnosis.proof.blind import ANSWER
@@ -63,8 +63,7 @@ def run(arguments: Sequence[str]) -> int:
     cases = _drawn(chosen)
     _check(chosen, len(cases))
     until = time.monotonic() + 60.0 * chosen.minutes
-    folder = chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}"
-    folder = folder.absolute()
+    folder = writable_folder(chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}").absolute()
     digest = seal.close(cases, folder / SEALED)
     print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
     recorded = _record(cases, folder / BLIND, chosen, until)

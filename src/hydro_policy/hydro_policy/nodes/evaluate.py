@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 
 import rclpy
 
-from hydro_bridge.console import UserError, command
+from hydro_bridge.console import command, writable, writable_folder
 from hydro_bridge.recording_run import code_version
 from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_policy import report
@@ -68,9 +68,9 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--repeats", type=int, metavar="N", help="runs of each at each frequency (default 1)")
     what.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise of simulation or emulator")
     files = result.add_argument_group("files")
-    files.add_argument("--json", type=Path, metavar="FILE", help="write every run's figures")
-    files.add_argument("--plot", type=Path, metavar="FILE", help="plot tracking and gains at the fastest sine")
-    files.add_argument("--record", type=Path, metavar="DIR", help="record the graph (companions only)")
+    files.add_argument("--json", type=writable, metavar="FILE", help="write every run's figures")
+    files.add_argument("--plot", type=writable, metavar="FILE", help="plot tracking and gains at the fastest sine")
+    files.add_argument("--record", type=writable_folder, metavar="DIR", help="record the graph (companions only)")
     return result
 
 
@@ -92,9 +92,6 @@ def evaluate(options: argparse.Namespace) -> int:
     controllers += [FixedGains(kp, ki) for kp, ki in options.fixed or [(90.0, 15.0), (15.0, 5.0)]]
     settings = evaluation_settings(options)
     grid = GridSettings(kp_max=options.kp_max)
-    for path in filter(None, (options.json, options.plot)):  # found out now, not after minutes on the bench
-        if not path.parent.is_dir():
-            raise UserError(f"{path} cannot be written: there is no folder {path.parent}")
     with ExitStack() as stack:
         node = GraphNode("evaluate")
         stack.callback(node.destroy_node)
@@ -117,7 +114,8 @@ def evaluate(options: argparse.Namespace) -> int:
             else:
                 node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
         results = evaluate_on(node, controllers, rearm=rearms(options), settings=settings)
-    show_results(results, options.json, options.plot, {"plant": options.plant, "seed": options.seed})
+    json, plot = (Path(name) if name else None for name in (options.json, options.plot))
+    show_results(results, json, plot, {"plant": options.plant, "seed": options.seed})
     return 0 if results.finished else 130
 
 

@@ -12,8 +12,10 @@ from types import FrameType
 
 import yaml
 
+from hydro_bridge.console import writable, writable_folder
 from hydro_bridge.protocol import BoxInfo
 from hydro_bridge.recording import RecordingError
+from hydro_bridge.user_errors import explained
 from hydro_sim.bench import Bench
 from hydro_sim.box import BoxConfig
 from hydro_sim.emulator import jobs
@@ -39,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             _serve(options)
     except (ConfigError, RecordingError, ValueError, OSError) as error:
-        print(f"emulator: {error}", file=sys.stderr)
+        print(f"emulator: {explained(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:  # before it runs: from then on Ctrl-C is asked for politely
         return 130
@@ -52,7 +54,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--bench", metavar="FILE", help="what the box believes (default: the nominal bench)")
     parser.add_argument("--seconds", type=float, metavar="S", help="how long (default: until stopped)")
     parser.add_argument("--seed", type=int, default=0, metavar="N", help="of noise, random forces and link faults")
-    parser.add_argument("--noise-free", metavar="FILE.npz", help="also write the run without noise, for scoring only")
+    parser.add_argument(
+        "--noise-free", type=writable, metavar="FILE.npz", help="also write the run without noise, for scoring only"
+    )
     parser.add_argument("--print-truth", action="store_true", help="print the whole truth as YAML and stop")
     line = parser.add_argument_group("on a serial line, in real time")
     line.add_argument("--link", type=Path, metavar="PATH", help=f"where the port appears (default: {default_link()})")
@@ -61,7 +65,7 @@ def _parser() -> argparse.ArgumentParser:
     line.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders such as 'unplug 2'")
     offline = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
     offline.add_argument("--offline", action="store_true")
-    offline.add_argument("--out", metavar="BAG", help="folder of the recording, made here")
+    offline.add_argument("--out", type=writable_folder, metavar="BAG", help="folder of the recording, made here")
     offline.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
     offline.add_argument("--batch", metavar="FILE", help="many recordings: a list `jobs` with these options as keys")
     return parser
@@ -76,7 +80,9 @@ def _jobs(options: argparse.Namespace) -> list[jobs.Job]:
     if not options.out:
         raise ConfigError("--offline needs --out, the folder of the recording")
     keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed")
-    return [from_mapping(jobs.Job, {key: getattr(options, key) for key in keys}, "emulator")]
+    return [
+        from_mapping(jobs.Job, {**{key: getattr(options, key) for key in keys}, "out": str(options.out)}, "emulator")
+    ]
 
 
 def _serve(options: argparse.Namespace) -> None:

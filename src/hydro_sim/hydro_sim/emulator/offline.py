@@ -34,7 +34,8 @@ class Recording:
     """The truth before any sensor, columns `TRUTH_FIELDS`, shape (n, 12); for scoring only."""
 
     def save_noise_free(self, path: str | Path) -> None:
-        """Write `noise_free` and `physical` (with `physical_fields`) to an .npz file."""
+        """Write `noise_free` and `physical` (with `physical_fields`) to an .npz file; a missing folder is made."""
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
         np.savez_compressed(
             path, noise_free=self.noise_free, physical=self.physical, physical_fields=np.array(TRUTH_FIELDS)
         )

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 import time
 from dataclasses import asdict, replace
@@ -16,7 +15,7 @@ import numba
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from hydro_bridge.console import command, progress
+from hydro_bridge.console import command, progress, writable
 from hydro_sim.bench import Bench
 from hydro_sim.learned import adam, engine, identification, recordings, training
 from hydro_sim.learned.curves import draw_curves
@@ -87,7 +86,7 @@ def _say(sentence: str) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse numbers that cannot work and a place that cannot be written, before the work; raises ValueError."""
+    """Refuse numbers that cannot work, before the work; raises ValueError."""
     counts = {"--horizon": options.horizon, "--batch": options.batch, "--epochs": options.epochs}
     counts |= {"--patience": options.patience, "--hidden": min(options.hidden)}
     for word, count in counts.items():
@@ -104,9 +103,6 @@ def _check(options: argparse.Namespace) -> None:
     if deep and (options.device == "cuda" or options.printed_loss):
         raise ValueError("--device cuda and --printed-loss are for a network alone of two layers, and for structured")
     engine.engines(options.device)
-    folder = Path(options.out).absolute().parent
-    if not os.access(folder, os.W_OK) or Path(options.out).is_dir():
-        raise ValueError(f"--out {options.out} cannot be written: it names a file in a folder that exists")
 
 
 def _settings(options: argparse.Namespace) -> training.Settings:
@@ -122,7 +118,13 @@ def _settings(options: argparse.Namespace) -> training.Settings:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="learn", description="Train the bench's model from recordings.")
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings; of three or more the last one validates")
-    parser.add_argument("--out", required=True, metavar="WEIGHTS", help="file to write, .safetensors")
+    parser.add_argument(
+        "--out",
+        required=True,
+        type=writable,
+        metavar="WEIGHTS",
+        help="file to write, .safetensors; its curve beside it",
+    )
     parser.add_argument("--structure", choices=training.CHOICES, default="structured", help=STRUCTURE_HELP)
     parser.add_argument("--bench", metavar="FILE", help="bench.yaml to start from; the shipped one by default")
     parser.add_argument("--hidden", nargs="+", type=int, default=[32, 32], metavar="WIDTH", help=HIDDEN_HELP)

@@ -107,7 +107,8 @@ def _stretch(seconds: float, limits: Range, generator: np.random.Generator) -> S
 
 
 def save(stretches: Sequence[Stretch], path: str | Path) -> None:
-    """Write a schedule as YAML: a list under `segments`."""
+    """Write a schedule as YAML: a list under `segments`; missing folders are made."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump({"segments": [asdict(stretch) for stretch in stretches]}, sort_keys=False)
     Path(path).write_text(text, encoding="utf-8")
 

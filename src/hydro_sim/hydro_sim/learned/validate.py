@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.console import Table as ConsoleTable
-from hydro_bridge.console import UserError, add_json_argument, command
+from hydro_bridge.console import UserError, add_json_argument, command, writable_folder
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray, matrix
 from hydro_sim.bench import Bench
 from hydro_sim.hydraulics import SAMPLE
@@ -165,6 +165,8 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--bench", metavar="FILE", help="bench.yaml of the analytic model; the shipped one by default")
     parser.add_argument("--horizon", type=int, default=70, help="samples predicted")
     parser.add_argument("--stride", type=int, default=37, help="samples between the starts of predictions")
-    parser.add_argument("--plots", metavar="DIR", help="draw horizon curves, errors by region and a free run")
+    parser.add_argument(
+        "--plots", type=writable_folder, metavar="DIR", help="draw horizon curves, errors by region and a free run"
+    )
     add_json_argument(parser)
     return parser.parse_args()

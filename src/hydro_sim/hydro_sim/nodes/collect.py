@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import rclpy
@@ -19,7 +20,7 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 from tqdm import tqdm
 
-from hydro_bridge.console import UserError, add_json_argument, command, progress
+from hydro_bridge.console import UserError, add_json_argument, command, progress, writable, writable_folder
 from hydro_bridge.recording import read_bag
 from hydro_bridge.ros import (
     ARM_SERVICE,
@@ -125,12 +126,12 @@ class CollectNode(Node):
             self._gains.delta_ki = stretch.ki - self._box.base_ki
 
 
-def _play(schedule: Sequence[Stretch], out: str, ros: Sequence[str]) -> None:
+def _play(schedule: Sequence[Stretch], out: Path, ros: Sequence[str]) -> None:
     """Record while the schedule plays; raises UserError if it was broken off."""
     start_ros(ros)
     topics = ["--topics", STATE, GAINS, REFERENCE]
     try:
-        with Companion("hydro_bridge", "recorder", ["--out", out, *topics]) as recorder:
+        with Companion("hydro_bridge", "recorder", ["--out", str(out), *topics]) as recorder:
             node = CollectNode(schedule, recorder)
             broken = spin(node, node.finished)
             lost = _why_ended(recorder, out)
@@ -146,7 +147,7 @@ def _play(schedule: Sequence[Stretch], out: str, ros: Sequence[str]) -> None:
         raise UserError(f"broken off: {out} holds what was played so far")
 
 
-def _why_ended(recorder: Companion, out: str) -> str:
+def _why_ended(recorder: Companion, out: Path) -> str:
     """Why nothing records any more; empty as long as something does."""
     if recorder.running:
         return ""
@@ -171,11 +172,13 @@ def main() -> None:
 
 def _arguments(own: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="collect", description="Record random references and gains for training.")
-    parser.add_argument("--out", metavar="BAG", help="recording to make")
+    parser.add_argument("--out", type=writable_folder, metavar="BAG", help="recording to make")
     parser.add_argument("--seconds", type=float, default=600.0, help="length of the schedule")
     parser.add_argument("--seed", type=int, default=1, help="of the schedule")
     parser.add_argument("--schedule", metavar="FILE", help="play this one instead of drawing one")
-    parser.add_argument("--write-schedule", metavar="FILE", help="write the schedule, for instance for the emulator")
+    parser.add_argument(
+        "--write-schedule", type=writable, metavar="FILE", help="write the schedule, for instance for the emulator"
+    )
     add_json_argument(parser)
     options = parser.parse_args(own)
     if not 1.0 <= options.seconds <= 36000.0:
