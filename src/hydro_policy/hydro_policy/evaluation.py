@@ -55,6 +55,8 @@ class EvaluationSession:
         The graph.
     watch, rearm
         Of a session that this one is part of; else one of its own, with `rearm` (see `watch.PlantWatch`).
+    after
+        The watch of the session before this one: a calm that it asked for is waited for here.
     override
         Gains that a person holds.
     monitor
@@ -71,6 +73,7 @@ class EvaluationSession:
         *,
         rearm: bool = True,
         watch: PlantWatch | None = None,
+        after: PlantWatch | None = None,
         override: GainOverride | None = None,
         monitor: SafetyMonitor | None = None,
         retries: int = 0,
@@ -88,6 +91,8 @@ class EvaluationSession:
         self._clock = StepClock()
         self._run: _Run | None = None
         self._steps = 0
+        if after is not None and after.calming:
+            self.watch.calm()
 
     @property
     def finished(self) -> bool:

@@ -23,12 +23,13 @@ from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_
 from hydro_policy import report
 from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
-from hydro_policy.grid import GridSearch, GridSession, GridSettings
+from hydro_policy.grid import GridSession, GridSettings
 from hydro_policy.nodes.companions import CompanionWatch, guard_range, start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.progress import EvaluationProgress
 from hydro_policy.task import GainRange
+from hydro_policy.watch import PlantWatch
 
 
 def parser() -> argparse.ArgumentParser:
@@ -105,15 +106,18 @@ def evaluate(options: argparse.Namespace) -> int:
         if not rearms(options):
             node.listen_for_enter()
         stack.callback(node.disarm)
+        before: GridSession | None = None
         if options.grid:
-            search = search_on(node, grid, settings, rearm=rearms(options))
-            if search is None:
+            before = search_on(node, grid, settings, rearm=rearms(options))
+            if not before.finished:
                 return 130
-            if search.found:
-                controllers.append(FixedGains(*search.best))
+            if before.search.found:
+                controllers.append(FixedGains(*before.search.best))
             else:
                 node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
-        results = evaluate_on(node, controllers, rearm=rearms(options), settings=settings)
+        results = evaluate_on(
+            node, controllers, rearm=rearms(options), settings=settings, after=before.watch if before else None
+        )
     json, plot = (Path(name) if name else None for name in (options.json, options.plot))
     show_results(results, json, plot, {"plant": options.plant, "seed": options.seed})
     return 0 if results.finished else 130
@@ -127,8 +131,8 @@ def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
     return EvaluationSettings(**{key: value for key, value in given.items() if value is not None})
 
 
-def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, *, rearm: bool) -> GridSearch | None:
-    """Find the best fixed gains on the plant, by short runs; None if a signal came before they were found."""
+def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, *, rearm: bool) -> GridSession:
+    """Look for the best fixed gains on the plant, by short runs; not `finished` if a signal came before."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
     session = GridSession(grid, short, node, rearm=rearm, override=node.override)
     told = 0
@@ -140,11 +144,11 @@ def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings,
             node.say(f"grid ({pair[0]:g}, {pair[1]:g}): RMSE {cells} N")
             told += 1
 
-    finished = node.drive(session, tick)
+    node.drive(session, tick)
     tick()
     if session.search.tried:
         print(f"\n{report.grid_table(session.search, short).text()}")
-    return session.search if finished else None
+    return session
 
 
 def evaluate_on(
@@ -153,10 +157,14 @@ def evaluate_on(
     *,
     rearm: bool,
     settings: EvaluationSettings | None = None,
+    after: PlantWatch | None = None,
 ) -> EvaluationSession:
-    """Run an evaluation on a node that is up; what is there when a signal comes is returned all the same."""
+    """Run an evaluation on a node that is up; what is there when a signal comes is returned all the same.
+
+    `after` is the watch of the session before, if there was one.
+    """
     session = EvaluationSession(
-        settings or EvaluationSettings(), controllers, node, rearm=rearm, override=node.override
+        settings or EvaluationSettings(), controllers, node, rearm=rearm, after=after, override=node.override
     )
     bar = EvaluationProgress(session)
     try:
