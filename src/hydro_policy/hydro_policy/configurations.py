@@ -6,6 +6,8 @@ docs/training.md says what each value of `wide` was measured to do.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hydro_policy.run import TrainingSettings
 from hydro_policy.sac import SacSettings
 from hydro_policy.task import GainRange, TaskSettings
@@ -33,3 +35,17 @@ def configuration(name: str, seed: int = 0) -> TrainingSettings:
         sac = SacSettings(seed=seed, reward_scale=0.2)
         return TrainingSettings(seed=seed, sac=sac, task=WIDE_TASK)
     raise ValueError(f"there is no configuration {name!r}; there are {', '.join(CONFIGURATIONS)}")
+
+
+def configuration_of(settings: TrainingSettings) -> str | None:
+    """The name of the configuration that a run was begun with; None if its task is that of no name."""
+    task, scale = settings.task, settings.sac.reward_scale
+    named = {name: configuration(name) for name in CONFIGURATIONS}
+    return next(
+        (
+            name
+            for name, other in named.items()
+            if replace(other.task, steps_per_episode=task.steps_per_episode) == task and other.sac.reward_scale == scale
+        ),
+        None,
+    )

@@ -13,6 +13,7 @@ import argparse
 import signal
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -22,8 +23,9 @@ from tqdm import tqdm
 
 from hydro_bridge.console import UserError, add_json_argument, command, progress, writable_folder
 from hydro_bridge.recording_run import code_version
+from hydro_bridge.resuming import NEW_ONLY, given, refuse_changes
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.configurations import CONFIGURATIONS, configuration
+from hydro_policy.configurations import CONFIGURATIONS, configuration, configuration_of
 from hydro_policy.environment import Transitions
 from hydro_policy.fleet_filter import FILTERS
 from hydro_policy.policy import Policy
@@ -50,7 +52,12 @@ def parser() -> argparse.ArgumentParser:
     )
     where = result.add_mutually_exclusive_group(required=True)
     where.add_argument("--out", type=writable_folder, metavar="RUN", help="folder of a new run")
-    where.add_argument("--resume", type=Path, metavar="RUN", help="go on with a run that was interrupted")
+    where.add_argument(
+        "--resume",
+        type=Path,
+        metavar="RUN",
+        help="go on with a run as it was begun, after Ctrl-C or with more --episodes",
+    )
     what = result.add_argument_group("what is simulated")
     what.add_argument(
         "--model",
@@ -88,7 +95,7 @@ def main() -> int:
     torch.set_num_threads(1)  # the work is compiled; torch only draws numbers
     run = RunDirectory(options.resume or options.out)
     if options.resume:
-        settings, source = run.load_settings(), load_source(run.path)
+        settings, source = resumed(run, sys.argv[1:])
         pretraining = source.pretraining(settings)
         _resume(run, pretraining)
     else:
@@ -123,6 +130,21 @@ def training_settings(options: argparse.Namespace) -> TrainingSettings:
         sac=replace(settings.sac, hidden_size=hidden),
         task=replace(settings.task, steps_per_episode=steps),
     )
+
+
+def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, Source]:
+    """What a run that goes on was begun with; raises UserError where `words` say otherwise. Only --episodes may."""
+    settings, source = run.load_settings(), load_source(run.path)
+    begun = {
+        **asdict(source), "configuration": configuration_of(settings) or NEW_ONLY, "hidden": settings.sac.hidden_size,
+        "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
+    }  # fmt: skip
+    refuse_changes(parser(), words, str(run.path), begun)
+    episodes = given(parser(), words).get("episodes", settings.episodes)
+    if episodes != settings.episodes:
+        settings = replace(settings, episodes=episodes)
+        run.save_settings(settings)
+    return settings, source
 
 
 def _create(run: RunDirectory, settings: TrainingSettings, source: Source) -> None:

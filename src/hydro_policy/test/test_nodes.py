@@ -100,6 +100,7 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
         (("--ros-args", "-p", "sac.discount:=1.5"), "sac.discount"),
         (("--ros-args", "-p", "sac.discont:=0.9"), "no parameter sac.discont; is sac.discount meant?"),
         (("--plant", "emulator", "--truth", "/nowhere"), "emulator: /nowhere cannot be read"),
+        (("--plant", "emulator", "--bench", "/nowhere"), "/nowhere"),
         (("--runs", "/dev/null"), "cannot be made"),
     ],
 )
@@ -109,6 +110,7 @@ def test_what_the_user_can_put_right_is_one_sentence_and_status_2(
     done = run("trainer", "--runs", str(tmp_path), *words)
     assert done.returncode == 2
     assert sentence in done.stderr.splitlines()[-1] and "Traceback" not in done.stderr
+    assert not any(tmp_path.iterdir()), "nothing is left behind"
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -13,19 +14,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import yaml
 
+from hydro_bridge.console import UserError
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_policy.cases import EvaluationSettings
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.fleet import Fleet
 from hydro_policy.fleet_runs import fixed
 from hydro_policy.policy import load_policy
-from hydro_policy.pretrain import parser, training_settings
+from hydro_policy.pretrain import parser, resumed, training_settings
 from hydro_policy.pretrain_exam import REFERENCE_GAINS, TRIPPED, Examination
 from hydro_policy.pretrain_source import source_of
 from hydro_policy.pretraining import Pretraining, PretrainSettings
 from hydro_policy.randomisation import Drawn, Randomisation, draw
-from hydro_policy.run import TrainingSettings
+from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import SacSettings
 from hydro_policy.snapshot import dump
 from hydro_policy.task import GainRange, TaskSettings
@@ -220,6 +223,30 @@ def test_command_writes_an_agent_its_policy_and_the_learning_curve(tmp_path: Pat
     assert again.returncode == 2 and "holds a run already" in again.stderr
     done = pretrain("--resume", str(run))
     assert done.returncode == 0, done.stderr
+
+
+def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(tmp_path: Path) -> None:
+    bench = tmp_path / "bench.yaml"
+    bench.write_text(yaml.safe_dump(Bench.nominal().to_mapping()), encoding="utf-8")
+    begun = ["--configuration", "wide", "--seed", "3", "--steps", "60", "--bench", str(bench), "--randomise"]
+    options = parser().parse_args(["--out", str(tmp_path / "run"), *begun])
+    run = RunDirectory(tmp_path / "run").create()
+    run.save_settings(training_settings(options))
+    source_of(options).save(run.path)
+    going_on = ["--resume", str(run.path)]
+    settings, source = resumed(run, going_on)
+    assert resumed(run, [*going_on, *begun]) == (settings, source), "the same words again are fine"
+    assert (settings.seed, source.bench, source.randomise) == (3, str(bench), True)
+    for words, told in (
+        (["--seed", "0"], "--seed 0 (it has 3)"),
+        (["--configuration", "paper"], "--configuration paper (it has wide)"),
+        (["--box", str(bench), "--hidden", "64"], f"--box {bench} (it has none) and --hidden 64 (it has 32)"),
+    ):
+        with pytest.raises(UserError, match=re.escape(f"goes on as it was begun, without {told}: leave that out")):
+            resumed(run, [*going_on, *words])
+    assert run.load_settings() == settings
+    more, _ = resumed(run, [*going_on, "--episodes", "320"])
+    assert more == replace(settings, episodes=320) == run.load_settings()
 
 
 @pytest.mark.parametrize(

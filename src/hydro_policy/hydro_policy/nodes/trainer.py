@@ -14,11 +14,13 @@ import rclpy
 import torch
 
 from hydro_bridge.console import command
+from hydro_bridge.resuming import NEW_ONLY, refuse_changes
 from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
-from hydro_policy.configurations import CONFIGURATIONS
+from hydro_policy.configurations import CONFIGURATIONS, configuration_of
 from hydro_policy.nodes.options import add_plant_options
 from hydro_policy.nodes.trainer_run import train
 from hydro_policy.nodes.trainer_start import SCRATCH
+from hydro_policy.run import RunDirectory
 from hydro_policy.supervisor import LearnerError
 
 DEMO = {
@@ -77,17 +79,36 @@ def parser() -> argparse.ArgumentParser:
         "--runs", type=Path, default=Path("runs"), metavar="DIR", help="folder of all runs (default: runs)"
     )
     files.add_argument("--name", help="of the run's folder (default: date and time)")
-    files.add_argument("--resume", type=Path, metavar="RUN", help="continue the run in this folder")
+    files.add_argument(
+        "--resume",
+        type=Path,
+        metavar="RUN",
+        help="continue the run in this folder as it was begun; --episodes, --updates-per-step, --exam-every and ROS "
+        "parameters may change, and hold from now on",
+    )
     files.add_argument("--no-record", dest="record", action="store_false", help="make no recording")
     return result
 
 
 def asked(words: Sequence[str]) -> argparse.Namespace:
-    """What the command line asks for; --demo gives what else would be a default."""
+    """What the command line asks for; --demo gives what else would be a default.
+
+    Raises
+    ------
+    UserError
+        A run that goes on is told to be another one than it was begun as.
+    """
     result = parser()
     if result.parse_args(words).demo:
         result.set_defaults(**DEMO)
-    return result.parse_args(words)
+    options = result.parse_args(words)
+    if options.resume is not None:
+        run = RunDirectory(options.resume)
+        settings = run.load_settings()
+        begun = {"start": NEW_ONLY, "configuration": configuration_of(settings) or NEW_ONLY, "seed": settings.seed}
+        place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
+        refuse_changes(parser(), words, str(run.path), {**begun, **place})
+    return options
 
 
 @command(ValueError, FileExistsError, CompanionError, LearnerError)

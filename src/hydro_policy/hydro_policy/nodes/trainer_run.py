@@ -16,7 +16,7 @@ from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import rearms
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.nodes.trainer_results import compared, tell_files, timing
-from hydro_policy.nodes.trainer_start import Prepared, begin_record, prepare, start_plant
+from hydro_policy.nodes.trainer_start import Prepared, begin_record, prepare, start_plant, taken_back
 from hydro_policy.record import RunRecord
 from hydro_policy.start import Start
 from hydro_policy.supervisor import LearnerSupervisor
@@ -30,6 +30,7 @@ def train(options: argparse.Namespace) -> int:
         node = GraphNode("trainer")
         stack.callback(node.destroy_node)
         prepared = prepare(options, node)
+        stack.enter_context(taken_back(prepared, node))
         run, settings = prepared.run, prepared.settings
         node.log = log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import ExitStack
+import shlex
+import shutil
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO
 
-from hydro_bridge.console import UserError
-from hydro_bridge.ros import Companion, refuse_unknown_parameters
+from hydro_bridge.console import writable_folder
+from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.configurations import configuration
 from hydro_policy.nodes.companions import guard_range, start_companions
@@ -20,6 +23,7 @@ from hydro_policy.override import GainOverride
 from hydro_policy.record import RunRecord
 from hydro_policy.run import RunDirectory, TrainingSettings, new_run
 from hydro_policy.start import AGENT, Start, load_start, shipped_start
+from hydro_sim.bench import Bench
 
 SCRATCH = "scratch"
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
@@ -34,6 +38,8 @@ class Prepared:
     settings: TrainingSettings
     checkpoint: Checkpoint | None
     start: Start | None
+    made: bool = False
+    """Whether the run's folder was made for it."""
 
     @property
     def agent(self) -> bytes | None:
@@ -47,14 +53,29 @@ class Prepared:
         return path.read_bytes() if self.checkpoint is not None and path.is_file() else None
 
 
+@contextmanager
+def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
+    """Of a new run whose companions cannot use what they were given nothing stays: its name is free again."""
+    try:
+        yield
+    except CompanionError:
+        if prepared.made and node.response.count == 0:  # no gains have ever gone out
+            shutil.rmtree(prepared.run.path)
+        raise
+
+
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
-    """A new run with its folder, or one to continue."""
+    """A new run with its folder, or one to continue; nothing is made where something cannot be used."""
     start = None
+    shlex.split(options.filter)
+    if options.bench is not None:
+        Bench.load(options.bench)
     if options.resume is not None:
         run = RunDirectory(options.resume)
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
     else:
         run, checkpoint = new_run(options.runs, options.name), None
+        writable_folder(run.path)
         start = find_start(options)
         updates = UPDATES_PER_STEP["agent" if start else "scratch"]
         settings = replace(configuration(options.configuration), updates_per_step=updates)
@@ -67,13 +88,11 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         settings = replace(settings, exam=replace(settings.exam, every=options.exam_every))
     settings = declare_settings(node, settings)
     refuse_unknown_parameters(node)
+    made = not run.path.exists()
     if options.resume is None:
-        try:
-            run.create()
-        except (NotADirectoryError, PermissionError) as error:
-            raise UserError(f"{run.path} cannot be made: {error.strerror}") from None
+        run.create()
     run.save_settings(settings)
-    return Prepared(run, settings, checkpoint, start)
+    return Prepared(run, settings, checkpoint, start, made)
 
 
 def find_start(options: argparse.Namespace) -> Start | None:

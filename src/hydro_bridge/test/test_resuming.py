@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import argparse
+
+import pytest
+
+from hydro_bridge.console import UserError
+from hydro_bridge.resuming import NEW_ONLY, given, refuse_changes
+
+
+def parser() -> argparse.ArgumentParser:
+    options = argparse.ArgumentParser()
+    options.add_argument("--seed", type=int, default=0)
+    options.add_argument("--from", dest="start")
+    options.add_argument("--bench")
+    options.add_argument("--randomise", action="store_true")
+    options.add_argument("--hidden", type=int, nargs="+", default=[32, 32])
+    options.add_argument("--episodes", type=int, default=160)
+    return options
+
+
+BEGUN = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidden": [32, 32]}
+
+
+def test_given_is_what_was_said_even_where_it_is_the_default():
+    assert given(parser(), []) == {}
+    assert given(parser(), ["--seed", "0", "--hidden", "32", "32"]) == {"seed": 0, "hidden": [32, 32]}
+    assert given(parser(), ["--from", "runs/b", "--randomise"]) == {"start": "runs/b", "randomise": True}
+
+
+@pytest.mark.parametrize("words", [[], ["--seed", "5"], ["--hidden", "32", "32"], ["--episodes", "320"]])
+def test_the_same_words_again_and_what_may_change_are_fine(words):
+    refuse_changes(parser(), words, "runs/a", BEGUN)
+
+
+def test_a_file_is_the_same_by_any_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refuse_changes(parser(), ["--bench", "b.yaml"], "runs/a", {"bench": str(tmp_path / "b.yaml")})
+    with pytest.raises(UserError, match=r"--bench c\.yaml"):
+        refuse_changes(parser(), ["--bench", "c.yaml"], "runs/a", {"bench": str(tmp_path / "b.yaml")})
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--seed", "0"], "--seed 0 (it has 5)"),
+        (["--from", "runs/b"], "--from runs/b"),
+        (["--bench", "b.yaml"], "--bench b.yaml (it has none)"),
+        (["--randomise", "--hidden", "8"], "--randomise and --hidden 8 (it has 32 32)"),
+    ],
+)
+def test_words_that_say_otherwise_are_refused_in_one_sentence(words, told):
+    with pytest.raises(UserError) as refused:
+        refuse_changes(parser(), words, "runs/a", BEGUN)
+    assert str(refused.value) == f"runs/a goes on as it was begun, without {told}: leave that out, or begin anew"

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the trainer refuses by its words alone, and what stays of a run that never began."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.console import UserError
+from hydro_policy.configurations import CONFIGURATIONS, configuration, configuration_of
+from hydro_policy.nodes.trainer import asked
+from hydro_policy.run import RunDirectory
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunDirectory:
+    directory = RunDirectory(tmp_path / "a").create()
+    directory.save_settings(configuration("wide", seed=3))
+    return directory
+
+
+def test_a_run_that_goes_on_takes_what_may_change_and_the_same_words_again(run: RunDirectory) -> None:
+    resume = ["--plant", "emulator", "--resume", str(run.path)]
+    assert asked([*resume, "--episodes", "320", "--exam-every", "8", "--updates-per-step", "2"]).episodes == 320
+    place = ["--runs", str(run.path.parent), "--name", "a"]
+    assert asked([*resume, "--configuration", "wide", "--seed", "3", *place]).resume == run.path
+    assert asked(["--demo", "--resume", str(run.path)]).evaluate, "the main job's defaults are nobody's words"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--from", "runs/other"], "--from runs/other"),
+        (["--configuration", "paper"], "--configuration paper (it has wide)"),
+        (["--seed", "0", "--name", "b"], "--seed 0 (it has 3) and --name b (it has a)"),
+    ],
+)
+def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(
+    words: list[str], told: str, run: RunDirectory
+) -> None:
+    with pytest.raises(UserError, match=re.escape(told)) as refused:
+        asked(["--resume", str(run.path), *words])
+    assert str(refused.value).startswith(f"{run.path} goes on as it was begun, without ")
+
+
+@pytest.mark.parametrize("name", CONFIGURATIONS)
+def test_a_runs_configuration_is_known_by_its_task(name: str) -> None:
+    settings = configuration(name, seed=7)
+    shorter = replace(settings, episodes=3, task=replace(settings.task, steps_per_episode=60))
+    assert configuration_of(settings) == configuration_of(shorter) == name
+    assert configuration_of(replace(settings, task=replace(settings.task, trip_penalty=1.0))) is None
