@@ -12,6 +12,8 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("port", description="serial device of the box"),
-            Node(package="hydro_bridge", executable="bridge", arguments=["--port", port], output="screen"),
+            Node(
+                package="hydro_bridge", executable="bridge", arguments=["--realtime", "--port", port], output="screen"
+            ),
         ]
     )

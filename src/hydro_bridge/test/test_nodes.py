@@ -215,11 +215,11 @@ def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start)
 
 def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, start, tmp_path):
     small_box()
-    start("bridge", "--port", cable.path)
+    start("bridge", "--port", cable.path, "--realtime")
     probe.wait(lambda: len(probe.states) > 20)
     attached = tmp_path / "bench.yaml"
     attached.write_text("stroke: 0.08\n")
-    recorder = start("recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached)
+    recorder = start("recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached, "--realtime")
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
     probe.listen(6.0)  # the bridge may hear of the recorder only by its second announcement, 3 s after the first
     assert recorder.stop() == 0
@@ -236,9 +236,9 @@ def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, s
 
 def test_killed_recorder_loses_less_than_a_second(cable, small_box, probe, start, tmp_path):
     small_box()
-    start("bridge", "--port", cable.path)
+    start("bridge", "--port", cable.path, "--realtime")
     probe.wait(lambda: len(probe.states) > 20)
-    recorder = start("recorder", "--out", tmp_path / "run")
+    recorder = start("recorder", "--out", tmp_path / "run", "--realtime")
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
     probe.listen(6.0)
     os.killpg(recorder.process.pid, signal.SIGKILL)

@@ -8,7 +8,7 @@ from launch_ros.actions import Node
 
 
 def generate_launch_description() -> LaunchDescription:
-    words = ["--every", LaunchConfiguration("every"), "--metric", LaunchConfiguration("metric")]
+    words = ["--realtime", "--every", LaunchConfiguration("every"), "--metric", LaunchConfiguration("metric")]
     return LaunchDescription(
         [
             DeclareLaunchArgument("every", default_value="1", description="answer every Nth sample: 1 kHz / N"),

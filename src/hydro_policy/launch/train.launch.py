@@ -36,7 +36,8 @@ def plant(kind: str, port: str) -> list[LaunchDescriptionEntity]:
 
 
 def recorder(out: Path) -> Node:
-    return Node(package="hydro_bridge", executable="recorder", arguments=["--out", str(out / "bag")], output="screen")
+    words = ["--realtime", "--out", str(out / "bag")]
+    return Node(package="hydro_bridge", executable="recorder", arguments=words, output="screen")
 
 
 def trainer(kind: str, out: Path) -> Node:

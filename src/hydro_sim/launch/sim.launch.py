@@ -12,6 +12,6 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("speed", default_value="1", description="times real time; 0: in lock-step"),
-            Node(package="hydro_sim", executable="sim", arguments=["--speed", speed], output="screen"),
+            Node(package="hydro_sim", executable="sim", arguments=["--realtime", "--speed", speed], output="screen"),
         ]
     )

@@ -27,13 +27,15 @@ from hydro_bridge.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, 
 from hydro_bridge.ros import GRAPH, DiagnosticsPublisher, Level, Status, be_prompt, ros_arguments, run_node
 
 _QUEUE = 2000  # messages per topic that wait while the disk is slow: 2 s of samples
+_PRIORITY = 5  # of SCHED_FIFO: below all that acts. The middleware hands over some 0.5 s of samples, then drops them
 
 
 class RecorderNode(Node):
     """Subscribes to serialized messages and writes them as they are."""
 
-    def __init__(self, make_run: Callable[[], RecordingRun], topics: Sequence[str]) -> None:
+    def __init__(self, make_run: Callable[[], RecordingRun], topics: Sequence[str], *, realtime: bool) -> None:
         super().__init__("recorder")
+        scheduling = be_prompt(realtime=realtime, priority=_PRIORITY)  # before samples come in
         self._run = make_run()
         self._unknown = [topic for topic in topics if topic not in GRAPH]
         for topic in topics:
@@ -44,8 +46,7 @@ class RecorderNode(Node):
         if self._unknown:
             self.create_timer(0.5, self._look_for_unknown, clock=steady)
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        be_prompt(realtime=False)
-        self.get_logger().info(f"recording into {self._run.writer.folder}")
+        self.get_logger().info(f"recording into {self._run.writer.folder}; {scheduling}")
 
     def close(self) -> None:
         """Finish the recording."""
@@ -107,6 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--attach", nargs="+", action="extend", default=[], type=Path, metavar="FILE", help="kept too, e.g. bench.yaml"
     )
+    parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
     return parser
 
 
@@ -124,4 +126,9 @@ def main() -> None:
         except InvalidTopicNameException as error:
             raise UserError(f"--topics {topic}: {str(error).splitlines()[0].rstrip(':')}") from None
     metadata, attachments = parse_pairs(options.metadata), read_attachments(options.attach)
-    run_node(lambda: RecorderNode(lambda: RecordingRun(options.out, metadata, attachments), options.topics), ros)
+    run_node(
+        lambda: RecorderNode(
+            lambda: RecordingRun(options.out, metadata, attachments), options.topics, realtime=options.realtime
+        ),
+        ros,
+    )

@@ -162,7 +162,7 @@ def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     digests = provenance.weights(options.plant, options.bench, options.policies)
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [provenance.bench_file(options.bench), *options.attachments]
-    return ["--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]
+    return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]
 
 
 def guard_range(gains: GainRange) -> GainRange:
