@@ -7,13 +7,16 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
+from safetensors.numpy import save_file
 
+from hydro_bridge.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, Flag, matrix
 from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.schedules import load_schedule
 from hydro_sim.emulator.truth_config import profile
 from hydro_sim.learned import adam, constants, identification, learn, observer, recordings, schedule, training
+from hydro_sim.learned.checkpoint import Checkpoint
 from hydro_sim.learned.coverage import coverage
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.objectives import StructuredObjective, Windows
@@ -38,9 +41,18 @@ def settings(**changes):
 LONG = adam.Settings(epochs=40, validate_every=5, learning_rate=1e-2)
 
 
-def trained(data, chosen, checkpoint=None, resume=False, stop=None):
-    model = training.start(data, chosen, Bench.nominal())
-    for last in training.steps(model, data, chosen, checkpoint, resume=resume):
+def trained(data, chosen, path=None, stop=None, model=None):
+    """Train; with `path` from the checkpoint that is there, or else leaving some."""
+    begun = Checkpoint.load(path) if path is not None and path.exists() else None
+    if begun is None:
+        model = model or training.start(data, chosen, Bench.nominal())
+        begun = Checkpoint(progress=adam.Progress.begin(model.flat), model=model, settings=chosen)
+
+    def keep(state):
+        if path is not None:
+            replace(begun, progress=state).save(path)
+
+    for last in training.steps(begun.model, data, begun.settings, begun.progress, keep):
         if stop is not None and last[0].epoch >= stop:
             break
     return last
@@ -59,21 +71,49 @@ def test_one_step_training_predicts_worse_than_multi_step(data):
     assert many.best_error < 0.8 * one.best_error
 
 
+def same(one, other):
+    return all(np.array_equal(array, other.arrays()[name], equal_nan=True) for name, array in one.arrays().items())
+
+
 def test_resumed_training_gives_the_same_numbers(data, tmp_path):
     whole, _ = trained(data, settings())
     trained(data, settings(), tmp_path / "c", stop=4)
-    resumed, _ = trained(data, settings(), tmp_path / "c", resume=True)
-    assert np.array_equal(whole.parameters, resumed.parameters)
-    assert np.array_equal(whole.history, resumed.history, equal_nan=True)
+    resumed, _ = trained(data, None, tmp_path / "c")
+    assert same(resumed, whole)
 
 
-def test_checkpoint_of_another_model_is_refused(data, tmp_path):
-    trained(data, settings(), tmp_path / "c", stop=2)
-    with pytest.raises(DataError, match="another model"):
-        trained(data, settings(hidden=(8, 8)), tmp_path / "c", resume=True)
+@pytest.mark.parametrize("structure", ["structured", "residual"])
+def test_resumed_training_goes_on_with_the_model_it_was_begun_with(structure, data, tmp_path):
+    """The constants that were identified before the loop, and how readings are weighed, are no part of its state."""
+    loop = adam.Settings(epochs=4, validate_every=2)
+    chosen = training.Settings(structure=structure, hidden=(8, 8), stride=200, batch=64, adam=loop)
+    model = training.start(data, chosen, Bench.nominal())
+    if structure == "structured":
+        model = replace(model, theta=model.theta + 0.01, left=1.5 * model.left, trust=3.0)
+    whole, best = trained(data, chosen, model=model)
+    trained(data, chosen, tmp_path / "c", stop=2, model=model)
+    resumed, again = trained(data, None, tmp_path / "c")
+    assert same(resumed, whole)
+    tensors = best.tensors()
+    assert all(np.array_equal(tensors[name], tensor) for name, tensor in again.tensors().items())
+    assert again.header() == best.header()
+
+
+def test_what_was_identified_is_kept_before_the_first_epoch(data, tmp_path):
+    model = training.start(data, settings(), Bench.nominal())
+    begun = Checkpoint(progress=adam.Progress.begin(model.flat), model=model, settings=settings())
+    begun.save(tmp_path / "new" / "c")
+    again = Checkpoint.load(tmp_path / "new" / "c")
+    assert same(again.progress, begun.progress) and again.settings == begun.settings
+
+
+def test_what_is_no_checkpoint_is_refused(data, tmp_path):
     (tmp_path / "c").write_text("nothing")
     with pytest.raises(DataError, match="no checkpoint"):
-        trained(data, settings(), tmp_path / "c", resume=True)
+        Checkpoint.load(tmp_path / "c")
+    save_file({"progress.parameters": np.zeros(3)}, str(tmp_path / "c"), metadata={"hydro": "{}"})
+    with pytest.raises(DataError, match="no checkpoint"):
+        Checkpoint.load(tmp_path / "c")
 
 
 def test_training_stops_when_validation_no_longer_gets_better(data):
@@ -195,3 +235,53 @@ def test_learn_refuses_what_cannot_work_before_the_work(words, sentence, tmp_pat
         learn.main()
     assert ended.value.code == 2
     assert sentence in capsys.readouterr().err
+
+
+@pytest.fixture
+def begun(data, tmp_path):
+    """WEIGHTS whose training was interrupted, and the recordings that it was begun with."""
+    model = training.start(data, settings(), Bench.nominal())
+    digests = {"one": "12", "two": "34"}
+    asked = {"recordings": digests, "bench": None}
+    first = Checkpoint(progress=adam.Progress.begin(model.flat), model=model, settings=settings(), asked=asked)
+    first.save(tmp_path / "x.checkpoint")
+    return tmp_path / "x.safetensors"
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--seed", "3"], "without --seed 3 (it has 0): leave that out"),
+        (
+            ["--batch", "8192", "--hidden", "8", "8"],
+            "without --hidden 8 8 (it has 32 32) and --batch 8192 (it has 256)",
+        ),
+        (["--structure", "structured"], "without --structure structured (it has network)"),
+        (["--bench", "b.yaml"], "without --bench b.yaml (it has none)"),
+    ],
+)
+def test_learn_that_goes_on_is_refused_what_it_was_not_begun_with(words, sentence, begun, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["learn", "/no/recording", "--out", str(begun), "--resume", *words])
+    with pytest.raises(SystemExit) as ended:
+        learn.main()
+    error = capsys.readouterr().err
+    assert ended.value.code == 2 and sentence in error and error.count("\n") == 1
+
+
+def test_learn_goes_on_with_what_it_was_begun_with_and_what_may_change(begun, monkeypatch, capsys):
+    words = ["learn", "/no/recording", "--out", str(begun), "--resume", "--batch", "256"]
+    monkeypatch.setattr("sys.argv", [*words, "--epochs", "20"])
+    kept = learn.going_on(learn.parser().parse_args())
+    assert kept.settings == settings(adam=replace(settings().adam, epochs=20))
+    begun.with_suffix(".checkpoint").unlink()
+    assert learn.going_on(learn.parser().parse_args()) is None
+    assert "begins at its beginning" in capsys.readouterr().err
+
+
+def test_learn_goes_on_with_the_same_recordings_alone(begun, recording, tmp_path, monkeypatch, capsys):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_states(recording.states)
+    monkeypatch.setattr("sys.argv", ["learn", str(tmp_path / "bag"), "--out", str(begun), "--resume"])
+    with pytest.raises(SystemExit) as ended:
+        learn.main()
+    assert ended.value.code == 2 and "is of other recordings: one, two" in capsys.readouterr().err

@@ -1,24 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adam (Kingma and Ba, 2015) on one vector, with early stopping and checkpoints: the loop that trains every structure.
+"""Adam (Kingma and Ba, 2015) on one vector, with early stopping: the loop that trains every structure.
 
 An epoch depends on the parameters, the optimizer's state, and the epoch's number alone (shuffles are drawn from seed
-and
-epoch): a run that was resumed gives the same numbers, to the bit, as one that was not interrupted.
+and epoch): a run that was resumed gives the same numbers, to the bit, as one that was not interrupted.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
-from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
-from safetensors.numpy import load_file, save_file
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.learned.recordings import DataError
 
 GAIN = 1e-3
 """Share by which a validation must be better than the best to count."""
@@ -59,7 +55,7 @@ class Settings:
 
 @dataclass(kw_only=True)
 class Progress:
-    """Where training stands: all that a checkpoint holds."""
+    """Where training stands: all that the loop goes on from."""
 
     parameters: FloatArray
     first_moment: FloatArray
@@ -84,27 +80,15 @@ class Progress:
             second_moment=zeros.copy(), history=np.empty((0, 3)),
         )  # fmt: skip
 
-    def save(self, path: Path) -> None:
-        """Write a checkpoint; the old one stays until the new one is whole."""
-        arrays = {entry.name: np.atleast_1d(np.asarray(getattr(self, entry.name))) for entry in fields(self)}
-        scratch = path.with_name(path.name + ".new")
-        save_file({name: np.ascontiguousarray(array) for name, array in arrays.items()}, str(scratch))
-        scratch.replace(path)
+    def arrays(self) -> dict[str, FloatArray]:
+        """All of it by name; numbers as arrays of one."""
+        return {entry.name: np.atleast_1d(np.asarray(getattr(self, entry.name))) for entry in fields(self)}
 
     @classmethod
-    def load(cls, path: Path, count: int) -> Progress:
-        """Read a checkpoint of `count` parameters; DataError if it is none."""
-        try:
-            arrays: dict[str, Any] = load_file(str(path))
-            scalars = {name: arrays.pop(name)[0].item() for name in ("best_error", "best_epoch", "epoch", "steps")}
-            progress = cls(**arrays, **scalars)
-        except Exception as error:
-            raise DataError(f"{path} is no checkpoint of a training: {' '.join(str(error).split())}") from error
-        if progress.parameters.shape != (count,):
-            raise DataError(
-                f"{path} is a checkpoint of another model: {len(progress.parameters)} parameters, not {count}"
-            )
-        return progress
+    def of(cls, arrays: Mapping[str, FloatArray]) -> Progress:
+        """What `arrays` gave; KeyError or TypeError if they are not whole."""
+        scalars = {name: arrays[name][0].item() for name in ("best_error", "best_epoch", "epoch", "steps")}
+        return cls(**{**arrays, **scalars})
 
 
 def train(objective: Objective, settings: Settings, progress: Progress) -> Iterator[Progress]:

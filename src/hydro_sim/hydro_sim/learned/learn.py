@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from dataclasses import asdict, replace
@@ -15,9 +16,11 @@ import numba
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
-from hydro_bridge.console import command, progress, writable
+from hydro_bridge.console import UserError, command, progress, writable
+from hydro_bridge.resuming import given, refuse_changes
 from hydro_sim.bench import Bench
 from hydro_sim.learned import adam, engine, identification, recordings, training
+from hydro_sim.learned.checkpoint import Checkpoint
 from hydro_sim.learned.curves import draw_curves
 from hydro_sim.learned.model import Model
 from hydro_sim.learned.recordings import DataError
@@ -34,28 +37,30 @@ STRUCTURE_HELP = (
     "structured: equations with learned constants, and a network for the rest; residual: a network on top of the bench "
     "file's equations; network: the paper's, x' by a network alone (default structured; docs/learned_model.md compares)"
 )
+RESUME_HELP = (
+    "go on from WEIGHTS' checkpoint, if there is one, with what it was begun with; --epochs, --patience, --device and "
+    "--threads may change"
+)
 HIDDEN_HELP = "hidden layers' widths, as many as there are to be layers; two for structured (default 32 32)"
 
 
 @command(DataError, ValueError)
 def main() -> None:
     """Entry point."""
-    options = _arguments()
+    options = parser().parse_args()
     _check(options)
-    settings = _settings(options)
+    out, began = Path(options.out), time.monotonic()
+    before = going_on(options)
+    settings = before.settings if before else _settings(options)
     numba.set_num_threads(min(options.threads or numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS))
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     if bench.effects:
         _say(f"the learning starts from the bench file's numbers, without its {len(bench.effects)} effects")
     data = recordings.split(recordings.load(options.bags))
-    out, began = Path(options.out), time.monotonic()
     threadpool_limits(1, "blas")  # numba's threads call BLAS: its own would only get in their way
-    checkpoint = out.with_suffix(".checkpoint")
-    resume = options.resume and checkpoint.exists()
-    model = training.start(data, settings, bench)
-    if isinstance(model, StructuredModel) and not resume:
-        model = identification.identified(model, data, settings.identify_windows, settings.seed, _say)
-    last, model = _train(model, data, settings, checkpoint, resume)
+    if before and before.asked["recordings"] != data.digests:
+        raise UserError(f"{_checkpoint(out)} is of other recordings: {', '.join(before.asked['recordings'])}")
+    last, model = _train(before or _begun(options, data, settings, bench), data, _checkpoint(out))
     if isinstance(model, StructuredModel):
         model = identification.trusted(model, data)
     facts = {
@@ -65,15 +70,50 @@ def main() -> None:
     }  # fmt: skip
     training.finished(model, data, facts).save(out)
     draw_curves(last.history, out.with_suffix(".png"), settings.structure)
-    checkpoint.unlink(missing_ok=True)
+    _checkpoint(out).unlink(missing_ok=True)
     print(f"{out}: {settings.structure}, validation error {last.best_error:.5f} at epoch {last.best_epoch}")
 
 
-def _train(
-    model: Model, data: recordings.Data, settings: training.Settings, checkpoint: Path, resume: bool
-) -> tuple[adam.Progress, Model]:
-    bar: tqdm[Any] = progress(total=settings.adam.epochs, label="training", unit="epoch")
-    for last in training.steps(model, data, settings, checkpoint, resume=resume):
+def _checkpoint(out: Path) -> Path:
+    return out.with_suffix(".checkpoint")
+
+
+def going_on(options: argparse.Namespace) -> Checkpoint | None:
+    """What --resume goes on from, with what may change; UserError where the words say otherwise than it was begun."""
+    path = _checkpoint(Path(options.out))
+    if not options.resume:
+        return None
+    if not path.exists():
+        _say(f"there is no {path}: the training begins at its beginning")
+        return None
+    before = Checkpoint.load(path)
+    begun = {"bench": before.asked["bench"], "learning_rate": before.settings.adam.learning_rate}
+    begun |= {
+        name: getattr(before.settings, name) for name in ("structure", "horizon", "batch", "seed", "printed_loss")
+    }
+    refuse_changes(parser(), sys.argv[1:], str(path), {**begun, "hidden": list(before.settings.hidden)})
+    said = given(parser(), sys.argv[1:])
+    loop = replace(before.settings.adam, **{name: said[name] for name in ("epochs", "patience") if name in said})
+    device = said.get("device", before.settings.device)
+    return replace(before, settings=replace(before.settings, adam=loop, device=device))
+
+
+def _begun(options: argparse.Namespace, data: recordings.Data, settings: training.Settings, bench: Bench) -> Checkpoint:
+    """A training at its beginning; of a structured model the constants are identified."""
+    model = training.start(data, settings, bench)
+    if isinstance(model, StructuredModel):
+        model = identification.identified(model, data, settings.identify_windows, settings.seed, _say)
+    asked = {"recordings": data.digests, "bench": options.bench and os.path.abspath(options.bench)}
+    return Checkpoint(progress=adam.Progress.begin(model.flat), model=model, settings=settings, asked=asked)
+
+
+def _train(first: Checkpoint, data: recordings.Data, path: Path) -> tuple[adam.Progress, Model]:
+    bar: tqdm[Any] = progress(total=first.settings.adam.epochs, label="training", unit="epoch")
+
+    def keep(state: adam.Progress) -> None:
+        replace(first, progress=state).save(path)
+
+    for last in training.steps(first.model, data, first.settings, first.progress, keep):
         state = last[0]
         bar.update(state.epoch - bar.n)
         bar.set_postfix_str(f"loss {state.history[-1, 1]:.4g}, validation {state.best_error:.5f}")
@@ -115,30 +155,31 @@ def _settings(options: argparse.Namespace) -> training.Settings:
     )  # fmt: skip
 
 
-def _arguments() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="learn", description="Train the bench's model from recordings.")
-    parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings; of three or more the last one validates")
-    parser.add_argument(
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(prog="learn", description="Train the bench's model from recordings.")
+    result.add_argument("bags", nargs="+", metavar="BAG", help="recordings; of three or more the last one validates")
+    result.add_argument(
         "--out",
         required=True,
         type=writable,
         metavar="WEIGHTS",
         help="file to write, .safetensors; its curve beside it",
     )
-    parser.add_argument("--structure", choices=training.CHOICES, default="structured", help=STRUCTURE_HELP)
-    parser.add_argument("--bench", metavar="FILE", help="bench.yaml to start from; the shipped one by default")
-    parser.add_argument("--hidden", nargs="+", type=int, default=[32, 32], metavar="WIDTH", help=HIDDEN_HELP)
-    parser.add_argument("--horizon", type=int, default=70, help="samples rolled out; 1: one-step training")
-    parser.add_argument("--batch", type=int, default=8192, help="windows per gradient")
-    parser.add_argument("--epochs", type=int, help="at most; 1000, and 60 for structured")
-    parser.add_argument("--learning-rate", type=float, help="1e-3, and 3e-4 for structured")
-    parser.add_argument("--patience", type=int, help="epochs without a better validation before training stops")
-    parser.add_argument("--seed", type=int, default=0, help="of first weights and shuffles")
-    parser.add_argument("--printed-loss", action="store_true", help="network: eq. loss as printed (errors may cancel)")
-    parser.add_argument("--resume", action="store_true", help="go on from WEIGHTS' checkpoint, if there is one")
-    parser.add_argument("--device", choices=engine.DEVICES, default="auto", help=DEVICE_HELP)
-    parser.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
-    return parser.parse_args()
+    result.add_argument("--structure", choices=training.CHOICES, default="structured", help=STRUCTURE_HELP)
+    result.add_argument("--bench", metavar="FILE", help="bench.yaml to start from; the shipped one by default")
+    result.add_argument("--hidden", nargs="+", type=int, default=[32, 32], metavar="WIDTH", help=HIDDEN_HELP)
+    result.add_argument("--horizon", type=int, default=70, help="samples rolled out; 1: one-step training")
+    result.add_argument("--batch", type=int, default=8192, help="windows per gradient")
+    result.add_argument("--epochs", type=int, help="at most; 1000, and 60 for structured")
+    result.add_argument("--learning-rate", type=float, help="1e-3, and 3e-4 for structured")
+    result.add_argument("--patience", type=int, help="epochs without a better validation before training stops")
+    result.add_argument("--seed", type=int, default=0, help="of first weights and shuffles")
+    result.add_argument("--printed-loss", action="store_true", help="network: eq. loss as printed (errors may cancel)")
+    result.add_argument("--resume", action="store_true", help=RESUME_HELP)
+    result.add_argument("--device", choices=engine.DEVICES, default="auto", help=DEVICE_HELP)
+    result.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
+    return result
 
 
 def _code_version() -> str:

@@ -11,9 +11,8 @@ structured  constants identified on many short windows (`identification`), then 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import numpy as np
 
@@ -104,18 +103,19 @@ def _engine(target: NetworkObjective | StructuredObjective, choice: tuple[engine
 
 
 def steps(
-    model: Model, data: Data, settings: Settings, checkpoint: Path | None = None, *, resume: bool = False
-) -> Iterator[tuple[adam.Progress, Model]]:
-    """The loop: progress and the best model so far after every epoch; a checkpoint at every validation."""
+    model: Model, data: Data, settings: Settings, progress: adam.Progress | None = None,
+    keep: Callable[[adam.Progress], None] = lambda progress: None,
+) -> Iterator[tuple[adam.Progress, Model]]:  # fmt: skip
+    """The loop, from its beginning or from `progress`: progress and the best model so far after every epoch.
+
+    `keep` gets what there is to go on from: at the beginning and at every validation.
+    """
     target = objective(model, data, settings)
-    first = target.model.flat
-    if resume and checkpoint is not None and checkpoint.exists():
-        progress = adam.Progress.load(checkpoint, len(first))
-    else:
-        progress = adam.Progress.begin(first)
+    progress = progress or adam.Progress.begin(target.model.flat)
+    keep(progress)
     for state in adam.train(target, settings.adam, progress):
-        if checkpoint is not None and state.epoch % settings.adam.validate_every == 0:
-            state.save(checkpoint)
+        if state.epoch % settings.adam.validate_every == 0:
+            keep(state)
         best = (
             target.at(state.best) if isinstance(target, StructuredObjective) else target.model.with_weights(state.best)
         )
