@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import signal
 import time
 from collections import deque
 from contextlib import suppress
@@ -194,5 +195,11 @@ class LearnerSupervisor:
         self._process: BaseProcess = self._context.Process(
             target=run_learner, args=arguments, name="learner", daemon=True
         )
-        self._process.start()
+        # Ctrl-C goes to the whole terminal, and would meet the child importing, long before it can say that it ignores
+        # it. A blocked signal is inherited; ours, if one comes now, waits.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
         theirs.close()

@@ -48,6 +48,7 @@ def trainer(kind: str, out: Path) -> Node:
         arguments=["--plant", "external", "--rearm", "ask" if kind == "bench" else "auto", *run],
         output="screen",
         emulate_tty=True,
+        sigterm_timeout="30",  # on Ctrl-C: it disarms, and writes what was learnt
         on_exit=Shutdown(reason="the trainer has ended"),
     )
 

@@ -85,6 +85,20 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
     assert load_checkpoint(run.latest).trainer == {"episode": 6}
 
 
+def test_ctrl_c_while_it_starts_does_not_reach_the_learner(tmp_path: Path) -> None:
+    learner = LearnerSupervisor(SETTINGS, RunDirectory(tmp_path / "run").create())
+    try:
+        assert learner.pid is not None
+        for _ in range(20):  # from its first millisecond on; importing takes it longer
+            os.kill(learner.pid, signal.SIGINT)
+            time.sleep(0.005)
+        wait(lambda: learner.ready)
+        assert learner.alive and learner.restarts == 0
+        assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ()), "ours still comes"
+    finally:
+        learner.stop({})
+
+
 def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
     learner = LearnerSupervisor(SETTINGS, RunDirectory(tmp_path / "run").create())
     try:
