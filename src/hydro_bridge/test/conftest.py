@@ -54,9 +54,9 @@ class Cable:
 
     def unplug(self) -> None:
         self.path.unlink(missing_ok=True)
-        if self.box >= 0:
-            os.close(self.box)
-        self.box = -1
+        box, self.box = self.box, -1  # first: what is opened next may get the same number, and nobody shall write there
+        if box >= 0:
+            os.close(box)
 
 
 @pytest.fixture
@@ -69,11 +69,13 @@ def cable(tmp_path: Path) -> Iterator[Cable]:
 class SmallBox:
     """Speaks the protocol at 1 kHz: answers greetings, arms when told to."""
 
-    def __init__(self, cable: Cable, *, info: BoxInfo | None = None, obeys: bool = True, version: int = 1) -> None:
+    def __init__(
+        self, cable: Cable, *, info: BoxInfo | None = None, obeys: bool = True, version: int = 1, first: int = 0
+    ) -> None:
         self.cable, self.info, self.obeys, self.version = cable, info or BoxInfo(name="small box"), obeys, version
         self.commands: list[CommandFrame] = []
         self.flags = Flag(0)
-        self.sequence = 0
+        self.sequence = first
         self.running = True
         self.thread = threading.Thread(target=self._run, daemon=True)
         self.thread.start()

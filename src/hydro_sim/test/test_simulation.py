@@ -27,6 +27,22 @@ VALVE, NOMINAL, K_P = (
 )
 
 
+@pytest.fixture(autouse=True, scope="module")
+def compiled() -> None:
+    """Before any thread is waited for: on a fresh machine it takes longer than that, and is told of as a sentence."""
+    bench = Bench.nominal()
+    still = Simulation(
+        Box(bench),
+        AnalyticPlant(bench),
+        CommandGuard(),
+        SimSettings(),
+        lambda stamp, fields: None,
+        lambda sentence: None,
+    )
+    still.stop()
+    still.run()
+
+
 class Graph:
     """A simulation, and whoever else: `answer` is called in a thread of its own with each sample."""
 
@@ -97,6 +113,13 @@ def silent(_graph: Graph, _fields: tuple[Any, ...]) -> None:
     """Nobody is there."""
 
 
+def taken(running: Graph, count: int) -> float:
+    """s for so many samples."""
+    begin, before = time.monotonic(), len(running.samples)
+    running.wait(lambda: len(running.samples) > before + count)
+    return time.monotonic() - begin
+
+
 def dither(sequence: int) -> float:
     return 1e-4 * (sequence % 7 - 3)
 
@@ -127,9 +150,7 @@ def test_in_lock_step_each_sample_carries_the_correction_of_the_one_before(graph
 def test_lock_step_is_as_fast_as_its_peers(graph: Callable[..., Graph]) -> None:
     running = graph(lambda one, fields: one.correct(fields), speed=0.0)
     running.wait(lambda: len(running.samples) > 100)
-    begin, before = time.monotonic(), len(running.samples)
-    running.wait(lambda: len(running.samples) > before + 2000)
-    assert (time.monotonic() - begin) < 2.0
+    assert min(taken(running, 500) for _ in range(6)) < 0.5, "faster than real time, unless the machine is busy"
 
 
 def test_a_peer_that_falls_silent_is_named_and_left_behind(graph: Callable[..., Graph]) -> None:
@@ -155,7 +176,7 @@ def test_a_sample_that_got_lost_is_sent_again(graph: Callable[..., Graph]) -> No
 
     running = graph(answer, speed=0.0)
     running.wait(lambda: len(running.samples) > 100)
-    assert [fields[1] for fields in running.samples].count(40) == 2
+    assert [fields[1] for fields in running.samples].count(40) >= 2  # more than twice where a thread was kept waiting
     assert running.said == ["in lock-step with the filter"]
 
 
@@ -186,12 +207,13 @@ def test_real_time_stamps_are_a_millisecond_apart_and_commands_age_by_the_host(g
 
 
 def test_a_multiple_of_real_time_counts_its_own_time(graph: Callable[..., Graph]) -> None:
+    begun = time.monotonic()
     running = graph(silent, speed=5.0)
-    running.wait(lambda: len(running.samples) > 0)
-    begin, before = time.monotonic(), len(running.samples)
-    running.wait(lambda: len(running.samples) > before + 1000)
-    assert 0.19 < time.monotonic() - begin < 1.0
-    assert running.simulation.clock() == pytest.approx(1e-3 * len(running.samples), abs=0.1)
+    running.wait(lambda: len(running.samples) > 1000)
+    assert time.monotonic() - begun > 0.19, "never ahead of its time"
+    assert min(taken(running, 500) for _ in range(4)) < 0.5, "nor only as fast as the clock, unless the machine is busy"
+    before, clock, after = len(running.samples), running.simulation.clock(), len(running.samples)
+    assert 1e-3 * before - 0.1 <= clock <= 1e-3 * after + 0.1
 
 
 def test_a_tripped_box_says_how_to_go_on(graph: Callable[..., Graph]) -> None:
@@ -202,21 +224,23 @@ def test_a_tripped_box_says_how_to_go_on(graph: Callable[..., Graph]) -> None:
     running.wait(lambda: running.simulation.flags & Flag.TRIPPED)
     refusal = running.simulation.arm(True)
     assert refusal.startswith("the box has tripped (") and refusal.endswith("disarm it, then arm it")
-    assert any("FORCE_LIMIT" in sentence for sentence in running.said)
+    running.wait(lambda: any("FORCE_LIMIT" in sentence for sentence in running.said))  # said after it is to be seen
     assert running.simulation.arm(False) == ""
 
 
 def test_time_away_is_left_out_and_a_short_delay_is_caught_up_on() -> None:
-    pacer = Pacer(1e-3, give_up=0.05)
+    pacer = Pacer(1e-3, give_up=2.0)  # longer than a busy machine keeps a thread waiting
     start = pacer.scheduled_ns
     time.sleep(0.02)
     for _ in range(30):
         pacer.wait()
     assert pacer.scheduled_ns == start + 30_000_000 and pacer.skipped == 0.0 and pacer.late >= 15
+    pacer = Pacer(1e-3, give_up=0.05)
     time.sleep(0.1)
+    before = time.time_ns()
     pacer.wait()
     assert pacer.skipped >= 0.09
-    assert abs(pacer.scheduled_ns - time.time_ns()) < 5_000_000
+    assert before - 1_000_000 <= pacer.scheduled_ns <= time.time_ns() + 1_000_000
 
 
 @pytest.mark.parametrize("bad", [{"speed": -1.0}, {"noise": float("nan")}, {"seed": -1}])
