@@ -4,12 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from hydro_bridge.console import command
+from hydro_bridge.console import command, writable_folder
 from hydro_diagnosis.corrected import write_corrected
 from hydro_diagnosis.page import write_page
 from hydro_diagnosis.pipeline import Diagnosis, diagnose
@@ -45,7 +44,7 @@ def parser() -> argparse.ArgumentParser:
         metavar="ID",
         help="causes that it cannot be, for instance backlash or friction_viscous:directional: they are not tried",
     )
-    options.add_argument("--out", required=True, type=Path, metavar="DIR", help="where the report goes")
+    options.add_argument("--out", required=True, type=writable_folder, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")
     return options
 
@@ -54,9 +53,6 @@ def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 130 after Ctrl-C, with what was finished by then."""
     chosen = parser().parse_args(arguments)
     quiet = chosen.quiet or not sys.stderr.isatty()
-    chosen.out.mkdir(parents=True, exist_ok=True)  # now: a folder that cannot be made shall not cost the work
-    if not os.access(chosen.out, os.W_OK):
-        raise InputError(f"--out {chosen.out} cannot be written: choose another folder")
     try:
         found = diagnose(
             chosen.recordings,
@@ -68,12 +64,14 @@ def run(arguments: Sequence[str]) -> int:
             progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
         )
     except DiagnosisInterrupted as interrupted:
+        _made(chosen.out)
         interrupted.report.write(chosen.out)
         print(f"interrupted: {chosen.out / 'report.json'} holds what was finished, no verdict", file=sys.stderr)
         return 130
     except KeyboardInterrupt:
         print("interrupted while reading: nothing was written", file=sys.stderr)
         return 130
+    _made(chosen.out)
     found.report.write(chosen.out)
     write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")
     write_page(found, chosen.out / "report.html")
@@ -85,6 +83,11 @@ def run(arguments: Sequence[str]) -> int:
 def main() -> int:
     """Entry point; 2 for input that cannot be diagnosed, 130 when interrupted."""
     return run(sys.argv[1:])
+
+
+def _made(folder: Path) -> None:
+    """Not before there is something to write: what is refused leaves nothing behind."""
+    folder.mkdir(parents=True, exist_ok=True)
 
 
 def _say(found: Diagnosis, folder: Path) -> None:

@@ -14,6 +14,7 @@ import pytest
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
+from hydro_diagnosis.cli import run
 from hydro_diagnosis.corrected import claims_of, corrected_bench
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.model import SegmentModel
@@ -101,11 +102,23 @@ def test_recording_without_pressures_is_diagnosed_for_what_it_shows(
 
 
 def test_bad_input_ends_in_one_sentence_and_status_2(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "hydro_diagnosis.cli", str(tmp_path / "none.mcap"), "--out", str(tmp_path)]
+    command = [sys.executable, "-m", "hydro_diagnosis.cli", str(tmp_path / "none.mcap"), "--out", str(tmp_path / "out")]
     ended = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ended.returncode == 2
     assert len(ended.stderr.strip().splitlines()) == 1
     assert "there is no such recording" in ended.stderr
+    assert not (tmp_path / "out").exists(), "nothing is left behind"
+
+
+def test_place_that_cannot_be_written_is_found_before_anything_is_read(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    for place, told in (("file/x", "is no folder: choose another place"), ("file", "is a file: name a folder")):
+        with pytest.raises(SystemExit) as ended:
+            run(["none.mcap", "--out", str(tmp_path / place)])
+        error = capsys.readouterr().err.splitlines()[-1]
+        assert ended.value.code == 2 and told in error and "Errno" not in error
 
 
 def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> None:
