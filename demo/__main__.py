@@ -20,7 +20,7 @@ import numpy as np
 
 from demo import page, stages, trial
 from demo.stages import Plan
-from hydro_bridge.console import Table, add_json_argument, command, progress
+from hydro_bridge.console import Table, add_json_argument, command, progress, writable_folder
 from hydro_policy.controllers import Controller, FixedGains, policy_controller
 from hydro_sim.bench import Bench
 
@@ -67,7 +67,7 @@ def parser() -> argparse.ArgumentParser:
     options = argparse.ArgumentParser(
         prog="demo", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    options.add_argument("--out", type=Path, default=Path("runs/demo"), metavar="DIR", help="default runs/demo")
+    options.add_argument("--out", type=writable_folder, default="runs/demo", metavar="DIR", help="default runs/demo")
     options.add_argument("--truth", type=Path, default=Path(__file__).parent / "truth.yaml", metavar="FILE",
                          help="the bench, a truth.yaml of the emulator (docs/emulator.md)")  # fmt: skip
     options.add_argument("--seeds", type=int, default=Plan.seeds, help="policies trained in either simulation")
