@@ -34,7 +34,7 @@ class FilterSettings:
     noise_floor: float = 1.8
     """N, force errors up to it are taken for noise, [0, 100]; three standard deviations of the load cell."""
     state_age_max: float = 5e-3
-    """s, an older state is not acted upon, [0.001, 0.1]."""
+    """s, a state that is older, or stamped so far ahead, is not acted upon, [0.001, 0.1]."""
     bypass: bool = False
     """Correct nothing and say so in every correction: status BYPASSED."""
 
@@ -92,7 +92,7 @@ class ContractionFilter:
         if self.settings.bypass:
             before = -self.certificate.evaluate(sample).b
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
-        if not age <= self.settings.state_age_max:
+        if not abs(age) <= self.settings.state_age_max:
             return Result(0.0, nan, nan, CorrectionStatus.STALE)
         if not all(map(isfinite, (*sample.state, sample.nominal_current))):  # also of what v does not look at
             return Result(0.0, nan, nan, CorrectionStatus.NAN)

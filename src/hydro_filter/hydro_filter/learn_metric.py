@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from hydro_bridge.console import UserError, add_json_argument, command, progress, writable
+from hydro_bridge.console import UserError, command, progress
 from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
 from hydro_filter.learned_metric import LearnedMetric, Thresholds
@@ -44,6 +44,7 @@ from hydro_filter.metric_levels import integral_allowance, noise_sizes
 from hydro_filter.metric_loss import LossSettings, Samples
 from hydro_filter.metric_polish import polished_rows
 from hydro_filter.metric_training import Progress, TrainingSettings, corrected, questions, train
+from hydro_filter.metric_words import arguments, begun
 from hydro_sim.bench import Bench
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
@@ -84,9 +85,7 @@ def main() -> None:
     how = settings.loss
     samples = questions(material.training, metric, correcting, push, how)
     held_out = questions(material.held_out, metric, correcting, push, how)
-    last, best = _train(
-        metric, samples, held_out, data.horizon, settings, out.with_suffix(".checkpoint"), options.resume
-    )
+    last, best = _train(metric, samples, held_out, data.horizon, settings, options)
     sizes = noise_sizes(best, loop, LearnedPlant(learned), LearnedPlant(learned, noise=0.0))
     allowance = integral_allowance(loop, LearnedPlant(learned), bench)
     facts = {
@@ -142,10 +141,11 @@ def _polished(
 
 def _train(
     metric: LearnedMetric, samples: Samples, held_out: Samples, horizon: int, settings: TrainingSettings,
-    checkpoint: Path, resume: bool,
+    options: argparse.Namespace,
 ) -> tuple[Progress, LearnedMetric]:  # fmt: skip
+    checkpoint, resume = Path(options.out).with_suffix(".checkpoint"), options.resume
     bar: tqdm[Any] = progress(total=settings.epochs, label="training", unit="epoch")
-    for last in train(metric, samples, held_out, horizon, settings, checkpoint, resume=resume):
+    for last in train(metric, samples, held_out, horizon, settings, checkpoint, resume=resume, begun=begun(options)):
         state, row = last[0], last[0].history[-1]
         bar.update(state.epoch - bar.n)
         bar.set_postfix_str(f"loss {row[1]:.4g}, held out {row[2]:.4g}, violated {100 * row[3]:.2f} %")
@@ -178,32 +178,3 @@ def _settings(options: argparse.Namespace) -> tuple[DataSettings, TrainingSettin
     for each in (data, loss, training):
         check(each)
     return data, training
-
-
-def arguments(given: list[str]) -> argparse.Namespace:
-    """Parse the command line."""
-    parser = argparse.ArgumentParser(
-        prog="learn_metric", description="Train the contraction metric on the learned bench."
-    )
-    parser.add_argument(
-        "--out", required=True, type=writable, metavar="METRIC", help="file to write, .safetensors; its curve beside it"
-    )
-    parser.add_argument("--model", metavar="WEIGHTS", help="the learned bench; the shipped one by default")
-    parser.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
-    parser.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth is not trained on")
-    parser.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")
-    parser.add_argument("--unstable-weight", type=float, default=0.02, help="of unstable samples beside stable ones")
-    parser.add_argument("--epochs", type=int, default=400, help="at most; 0: the solved metrics alone, as shipped")
-    parser.add_argument("--patience", type=int, default=40, help="epochs without a better validation before it stops")
-    parser.add_argument("--batch", type=int, default=1024, help="windows per step (Table training_metric)")
-    parser.add_argument(
-        "--learning-rate", type=float, default=1e-4, help="of Adam; the paper's 1e-3 leaps away from solved metrics"
-    )
-    parser.add_argument("--seed", type=int, default=0, help="of gains, references, noise, weights and shuffles")
-    parser.add_argument("--resume", action="store_true", help="go on from METRIC's checkpoint, if there is one")
-    parser.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
-    add_json_argument(parser)
-    asked = parser.parse_args(given)
-    if asked.seed < 0 or asked.threads < 0:
-        parser.error("--seed and --threads need 0 or more")
-    return asked

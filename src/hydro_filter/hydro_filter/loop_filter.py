@@ -49,7 +49,7 @@ class LoopFilterSettings:
     noise_share: float = 1.0
     """What of the metric's own noise level counts as nothing, [0, 100]; 0: correct noise as well."""
     state_age_max: float = 5e-3
-    """s, an older state is not acted upon, [0.001, 0.1]."""
+    """s, a state that is older, or stamped so far ahead, is not acted upon, [0.001, 0.1]."""
     bypass: bool = False
     """Correct nothing and say so in every correction: status BYPASSED."""
 
@@ -116,7 +116,7 @@ class LoopFilter:
         if self.settings.bypass:
             before, _ = judge(problem, 0.0)
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
-        if not age <= self.settings.state_age_max:
+        if not abs(age) <= self.settings.state_age_max:
             return Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
         if not sample.armed:
             return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)

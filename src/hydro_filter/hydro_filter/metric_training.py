@@ -8,10 +8,10 @@ finite differences).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -147,9 +147,12 @@ def judge(network: Network, samples: Samples, floor: float, how: LossSettings) -
 
 def train(
     metric: LearnedMetric, training: Samples, validation: Samples, horizon: int, settings: TrainingSettings,
-    checkpoint: Path, *, resume: bool = False,
+    checkpoint: Path, *, resume: bool = False, begun: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[Progress, LearnedMetric]]:  # fmt: skip
-    """Train; yields after every epoch, the metric with the best weights so far. The first is the solved one."""
+    """Train; yields after every epoch, the metric with the best weights so far. The first is the solved one.
+
+    The checkpoint keeps `begun`, numbers and texts, for `begun_with`.
+    """
     torch.manual_seed(settings.seed)
     network, floor = network_of(metric), metric.floor
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
@@ -171,7 +174,7 @@ def train(
         assert size > 0
         state.epoch += 1
         _note(state, network, total, judge(network, validation, floor, settings.loss))
-        _save(checkpoint, state, network, optimizer)
+        _save(checkpoint, state, network, optimizer, dict(begun or {}))
         yield state, metric.with_weights(state.best)
 
 
@@ -181,10 +184,23 @@ def _note(state: Progress, network: Network, training_loss: float, quality: Qual
         state.best_loss, state.best_epoch, state.best = quality.loss, state.epoch, flat_of(network)
 
 
-def _save(path: Path, state: Progress, network: Network, optimizer: torch.optim.Optimizer) -> None:
+def begun_with(checkpoint: Path) -> dict[str, Any]:
+    """What the training was begun with; ValueError if there is no checkpoint of one."""
+    try:
+        return dict(torch.load(checkpoint, weights_only=True)["begun"])
+    except Exception as error:  # torch has errors of its own
+        raise ValueError(f"{checkpoint} is no checkpoint of a training: {str(error).splitlines()[0]}") from error
+
+
+def _save(
+    path: Path, state: Progress, network: Network, optimizer: torch.optim.Optimizer, begun: dict[str, Any]
+) -> None:
     content = {**asdict(replace(state)), "best": torch.from_numpy(state.best.copy())}
     path.parent.mkdir(parents=True, exist_ok=True)
-    torch.save({"progress": content, "network": network.state_dict(), "optimizer": optimizer.state_dict()}, path)
+    torch.save(
+        {"progress": content, "network": network.state_dict(), "optimizer": optimizer.state_dict(), "begun": begun},
+        path,
+    )
 
 
 def _load(path: Path, network: Network, optimizer: torch.optim.Optimizer) -> Progress:

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import subprocess
 import time
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -27,6 +28,7 @@ from hydro_bridge.ros import (  # noqa: E402
     STATE_QOS,
     Companion,
     StateMessage,
+    executable_path,
 )
 from hydro_bridge.signals import (  # noqa: E402
     PLANT_FIELDS,
@@ -63,7 +65,7 @@ class Source:
         )
         self._message = StateMessage()
 
-    def wait(self, condition: Callable[[], bool], timeout: float = 60.0) -> None:
+    def wait(self, condition: Callable[[], bool], timeout: float = 150.0) -> None:
         """On a fresh machine the filter compiles first."""
         deadline = time.monotonic() + timeout
         while not condition():
@@ -181,12 +183,33 @@ def test_bypass_is_loud(started: Callable[..., Source], still: FloatArray) -> No
 
 
 def test_every_tenth_sample_is_a_hundred_hertz(started: Callable[..., Source], still: FloatArray) -> None:
-    source = started("--every", "10", *PATIENT)
+    source = started("--every", "10", *CONSTANT)
     for k in range(35):
         source.publish(k, samples(still, 1)[0])
     source.wait(lambda: len(source.corrections) >= 4)
     source.wait(lambda: len(source.diagnostics) > 1)
     assert [message.sequence for message in source.corrections] == [0, 10, 20, 30]
+
+
+def test_the_learned_metric_is_not_asked_to_hold_a_correction_for_ten_samples() -> None:
+    refused = subprocess.run(
+        [str(executable_path("hydro_filter", "filter")), "--every", "10"], capture_output=True, text=True, check=False
+    )
+    assert refused.returncode == 2 and "--every 10 needs --metric constant" in refused.stderr
+
+
+def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callable[..., Source]) -> None:
+    """Its stamps are /clock's; nobody told the filter, and it finds out within a second or two."""
+    source = started()
+    simulation = Companion("hydro_sim", "sim", ["--speed", "0"])
+    try:
+        source.wait(lambda: any(message.status == CorrectionStatus.PASS for message in source.corrections))
+        before = len(source.corrections)
+        source.wait(lambda: len(source.corrections) > before + 500)
+        later = [message.status for message in source.corrections[before:]]
+        assert later.count(CorrectionStatus.PASS) == len(later)
+    finally:
+        simulation.stop()
 
 
 def test_diagnostics_count_what_happened(started: Callable[..., Source], still: FloatArray) -> None:

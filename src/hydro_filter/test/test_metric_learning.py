@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hydro_bridge.console import UserError
 from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
 from hydro_filter import validate
 from hydro_filter.learn_metric import arguments, correction
@@ -31,6 +32,7 @@ from hydro_filter.metric_design import MetricDesign, decay_rate, rest_loop
 from hydro_filter.metric_loss import Samples
 from hydro_filter.metric_polish import polish
 from hydro_filter.metric_training import TrainingSettings, judge, network_of, questions, train
+from hydro_filter.metric_words import begun
 from hydro_sim.bench import Bench
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
@@ -154,6 +156,25 @@ def test_training_lowers_the_held_out_loss_and_resumes(asked: tuple[LearnedMetri
     resumed = list(train(metric, samples, samples, 10, settings, tmp_path / "parts", resume=True))[-1]
     np.testing.assert_allclose(resumed[1].flat, whole[1].flat, rtol=1e-12, atol=1e-14)
     assert resumed[0].history[1:] == whole[0].history[1:]
+
+
+def test_learning_that_goes_on_has_the_words_that_it_was_begun_with(
+    asked: tuple[LearnedMetric, Samples], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--out", str(tmp_path / "new" / "m.safetensors"), "--seed", "3", "--bench", "bench.yaml", "--epochs", "1"]
+    metric, samples = asked
+    assert arguments([*words, "--resume"]).seed == 3 and "begins at its beginning" in capsys.readouterr().err
+    settings = TrainingSettings(epochs=1, batch=16)
+    checkpoint = tmp_path / "new" / "m.checkpoint"
+    list(train(metric, samples, samples, 10, settings, checkpoint, begun=begun(arguments(words))))
+    again = arguments([*words[:2], "--resume", "--epochs", "9"])
+    assert (again.seed, again.bench, again.epochs) == (3, str(Path("bench.yaml").absolute()), 9)
+    assert begun(arguments([*words, "--resume"])) == begun(again), "the same words again are fine"
+    with pytest.raises(UserError, match=r"m\.checkpoint goes on as it was begun, without --seed 0 \(it has 3\): leave"):
+        arguments([*words[:2], "--resume", "--seed", "0"])
+    checkpoint.write_text("nothing")
+    with pytest.raises(ValueError, match="no checkpoint of a training"):
+        arguments([*words, "--resume"])
 
 
 def test_the_network_at_zero_is_the_solved_metric(asked: tuple[LearnedMetric, Samples]) -> None:

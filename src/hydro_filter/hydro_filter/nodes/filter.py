@@ -1,16 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter: a Correction for every BenchState, also when there is nothing to correct, so that silence means dead.
 
-ros2 run hydro_filter filter [--metric learned|constant|FILE] [--model FILE] [--bench FILE] [--every 10] [--bypass]
+ros2 run hydro_filter filter [--metric learned|constant|FILE] [--model FILE] [--bench FILE] [--every N] [--bypass]
 
 States are answered in order, each once. After a hold-up those older than `state_age_max` are answered STALE without
 being acted upon. The filter with the learned metric follows the valve's spool from sample to sample: where samples are
 missing it begins anew.
+
+Ages are by the machine's clock, or by /clock where a simulation off real time stamps its states by that.
 """
 
 from __future__ import annotations
 
 import argparse
+import signal
 import threading
 import time
 from dataclasses import replace
@@ -18,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from hydro_bridge.console import command
 from hydro_bridge.ros import (
@@ -38,7 +42,7 @@ from hydro_bridge.ros import (
 )
 from hydro_bridge.settings import check, describe
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag
-from hydro_filter.choice import CONSTANT, DEFAULT, LEARNED, Choice, Settings, warm_up
+from hydro_filter.choice import CONSTANT, DEFAULT, LEARNED, Choice, Filter, Settings, warm_up
 from hydro_filter.filter import FilterSettings, Result
 from hydro_filter.loop_filter import LoopFilterSettings
 from hydro_filter.sample import Sample
@@ -52,6 +56,9 @@ NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "noise_floor", "st
 PATIENCE = 2.0
 """s after which somebody who waits is told why."""
 
+FOREIGN = 1.0
+"""s between a stamp and now that no hold-up explains: the states are stamped by another clock."""
+
 
 class FilterNode(Node):
     """Moves states to the filter and corrections out.
@@ -63,7 +70,8 @@ class FilterNode(Node):
     settings
         Defaults of the ROS parameters.
     every
-        Answer every so manieth sample (of the sequence), 1 or more; 10 is the paper's 100 Hz.
+        Answer every so manieth sample (of the sequence), 1 or more; 10 is the paper's 100 Hz. The constant metric's
+        alone: the learned one certifies a correction for one sample, and held for ten it loses the bench.
     realtime
         Ask for SCHED_FIFO.
     """
@@ -71,12 +79,11 @@ class FilterNode(Node):
     def __init__(self, choice: Choice, settings: Settings, *, every: int = 1, realtime: bool = False) -> None:
         super().__init__("filter")
         self.settings = declare_parameters(self, settings)
-        self.filter = choice.make(self.settings)
+        self.filter = self._compiled(choice)
         self.tally = Tally()
-        self._every = every
+        self._every, self._age = every, 0.0
         self._message = Correction()
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
-        self._compile(choice)
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         scheduling = be_prompt(realtime=realtime)
@@ -86,24 +93,29 @@ class FilterNode(Node):
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)  # last: states wait from now on
 
-    def _compile(self, choice: Choice) -> None:
+    def _compiled(self, choice: Choice) -> Filter:
         """Compile now, not at the first sample, and say so if it takes its time: numba keeps it for the next start."""
         say = self.get_logger().info
         begin = time.monotonic()
         late = threading.Timer(PATIENCE, say, ["compiling the filter; this happens once and takes up to a minute"])
         late.daemon = True
         late.start()
-        warm_up(self.filter, choice.bench)
+        before = signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
+        made = choice.make(self.settings)
+        warm_up(made, choice.bench)
+        signal.signal(signal.SIGINT, before)
         late.cancel()
         if (taken := time.monotonic() - begin) > PATIENCE:
             say(f"compiled in {taken:.0f} s")
+        return made
 
     def _on_state(self, message: BenchState) -> None:
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
             self.filter.reset()
         stamp = seconds(message.header.stamp)
-        result = self.filter.correct(sample_of(message), self._now() - stamp)
+        self._age = self._now() - stamp
+        result = self.filter.correct(sample_of(message), self._age)
         if message.sequence % self._every:
             return
         self._publish(message, result)
@@ -122,7 +134,15 @@ class FilterNode(Node):
     def _now(self) -> float:
         return 1e-9 * float(self.get_clock().now().nanoseconds)
 
+    def _follow_the_plants_clock(self) -> None:
+        """Change to /clock where somebody publishes it and the states are stamped by it; and back."""
+        name, simulated = "use_sim_time", self.count_publishers("/clock") > 0
+        if abs(self._age) > FOREIGN and simulated != self.get_parameter(name).value:
+            self.set_parameters([Parameter(name, value=simulated)])
+            self.get_logger().warning("states come by " + ("/clock" if simulated else "the machine's clock") + " now")
+
     def _status(self) -> Status:
+        self._follow_the_plants_clock()
         news = self.tally.news()
         told = sentence(news)
         level = Level.OK
@@ -157,9 +177,20 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--metric", default=DEFAULT, metavar="METRIC", help=f"{text}; default {DEFAULT}")
     result.add_argument("--model", type=Path, metavar="FILE", help="the learned bench; default: the shipped one")
     for name in NUMBERS:
-        docs = {**describe(LoopFilterSettings), **describe(FilterSettings)}
-        result.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=docs[name].text)
-    result.add_argument("--every", type=int, default=1, metavar="N", help="answer every Nth sample; 10 is 100 Hz")
+        docs = {
+            kind: describe(kind)[name].text for kind in (LoopFilterSettings, FilterSettings) if name in describe(kind)
+        }
+        text = "; with the constant metric: ".join(dict.fromkeys(docs.values()))
+        if list(docs) == [FilterSettings]:
+            text += " Of the constant metric."
+        result.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=text)
+    result.add_argument(
+        "--every",
+        type=int,
+        default=1,
+        metavar="N",
+        help="answer every Nth sample, by the constant metric; 10 is 100 Hz",
+    )
     result.add_argument("--bypass", action="store_true", help=describe(FilterSettings)["bypass"].text)
     result.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
     return result
@@ -170,6 +201,10 @@ def arguments(given: list[str]) -> tuple[Choice, Settings, argparse.Namespace]:
     asked = parser().parse_args(given)
     if asked.every < 1:
         parser().error("--every needs 1 or more")
+    if asked.every > 1 and asked.metric != CONSTANT:
+        parser().error(
+            f"--every {asked.every} needs --metric constant: the learned metric certifies a correction for one sample"
+        )
     if asked.metric == CONSTANT and asked.model:
         parser().error("the constant metric is solved for the bench file; --model needs a learned one")
     bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
