@@ -11,14 +11,16 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, ClassVar
 
 import pytest
 
 rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from rclpy.publisher import Publisher  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 
@@ -158,6 +160,89 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box
     assert probe.arm(True).success
 
 
+@pytest.fixture
+def steered(cable, small_box, probe, start):
+    """A bridge that is armed, its box, the diagnostics, what it says, and how the probe publishes gains."""
+
+    class Steered:
+        box, output = small_box(), io.StringIO()
+        bridge = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.abandoned_after:=2.0", output=output)
+        told: ClassVar[list[DiagnosticStatus]] = []
+
+        def gain(self, seconds: float, *senders: Publisher) -> None:
+            end = time.monotonic() + seconds
+            while time.monotonic() < end:
+                for sender in senders:
+                    sender.publish(Gains(delta_kp=32.0))
+                probe.executor.spin_once(timeout_sec=0.01)
+
+        def armed(self) -> bool:
+            return bool(self.box.flags & Flag.ARMED)
+
+    listen = lambda array: Steered.told.extend(s for s in array.status if s.name == "bridge")  # noqa: E731
+    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
+    probe.wait(lambda: len(probe.states) > 20)
+    assert probe.arm(True).success
+    return Steered()
+
+
+def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_says_so(steered, probe):
+    sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5)
+    probe.senders[REFERENCE].publish(reference_to_message(sine))
+    steered.gain(2.5, probe.senders[GAINS])
+    assert steered.armed() and steered.box.commands[-1].command.reference == sine
+    probe.wait(lambda: not steered.armed(), 10.0)
+    assert steered.box.commands[-1].command.reference == ReferenceSignal()
+    steered.told.clear()
+    probe.wait(lambda: steered.told and "no gains for 2 s, whoever chose them is gone" in steered.told[-1].message)
+    assert steered.told[-1].level == DiagnosticStatus.WARN
+    assert "disarmed until it is armed anew" in steered.output.getvalue()
+    probe.listen(0.5)
+    assert not steered.armed()
+    assert probe.arm(True).success
+    steered.told.clear()
+    probe.wait(lambda: steered.told and steered.told[-1].message == "armed")
+
+
+def test_a_second_node_whose_gains_come_in_disarms_the_plant_and_is_named(steered, probe):
+    rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
+    probe.wait(lambda: steered.told and "2 nodes publish /hydro/gains" in steered.told[-1].message)
+    steered.gain(3.5, probe.senders[GAINS])
+    assert steered.armed(), "it is there, but it waits until it is alone"
+    steered.gain(0.2, rival)
+    steered.gain(3.5, probe.senders[GAINS])
+    assert not steered.armed(), "the second took the gains, and the first took them back"
+    assert "2 nodes publish /hydro/gains (probe, probe): end all but one; reference 0 N" in steered.output.getvalue()
+    assert not probe.arm(True).success
+
+
+def test_a_handover_of_the_gains_disarms_nothing(steered, probe):
+    steered.gain(1.0, probe.senders[GAINS])
+    heir = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
+    probe.wait(lambda: probe.node.count_publishers(GAINS) == 2)
+    steered.gain(2.5, probe.senders[GAINS])
+    steered.gain(2.5, heir)
+    assert steered.armed() and "2 nodes" not in steered.output.getvalue()
+
+
+def test_a_second_plant_disarms_the_first(steered, probe):
+    other = probe.node.create_publisher(BenchState, STATE, GRAPH[STATE][1])
+    probe.wait(lambda: not steered.armed(), 5.0)
+    sentence = "2 nodes publish /hydro/state (bridge, probe): end all but one; reference 0 N, disarmed"
+    probe.wait(lambda: sentence in steered.output.getvalue(), 2.0)
+    probe.node.destroy_publisher(other)
+
+
+def test_a_parameter_that_is_not_there_is_refused_before_the_box_is_greeted(cable, start):
+    refused = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.gaga:=1")
+    heard = b""
+    while refused.process.poll() is None:
+        with suppress(BlockingIOError, OSError):
+            heard += os.read(cable.box, 4096)
+        time.sleep(0.005)
+    assert refused.process.returncode == 2 and heard == b""
+
+
 def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, start):
     box = small_box()
     alone = start("arm", "--timeout", "0.5")
@@ -208,7 +293,7 @@ def test_bridge_disarms_the_box_when_it_is_ended(cable, small_box, probe, start)
     probe.wait(lambda: len(probe.states) > 20)
     assert probe.arm(True).success
     assert bridge.stop() == 0
-    assert not box.commands[-1].command.arm
+    probe.wait(lambda: not box.commands[-1].command.arm)  # the box may have to read it yet
 
 
 def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, start, tmp_path):
