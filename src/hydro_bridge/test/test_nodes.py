@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -174,7 +175,7 @@ def steered(cable, small_box, probe, start):
             while time.monotonic() < end:
                 for sender in senders:
                     sender.publish(Gains(delta_kp=32.0))
-                probe.executor.spin_once(timeout_sec=0.01)
+                probe.listen(0.01)
 
         def armed(self) -> bool:
             return bool(self.box.flags & Flag.ARMED)
@@ -336,6 +337,25 @@ def test_killed_recorder_loses_less_than_a_second(cable, small_box, probe, start
     with Reader(tmp_path / "run") as reader:
         read = [connection.topic for connection, _, _ in reader.messages()]
     assert read.count(STATE_TOPIC) == len(states)
+
+
+def test_a_full_disk_ends_the_recording_as_a_failure_and_leaves_what_was_written(
+    cable, small_box, probe, start, tmp_path
+):
+    small_box()
+    start("bridge", "--port", cable.path)
+    probe.wait(lambda: len(probe.states) > 20)
+    output = io.StringIO()
+    recorder = start("recorder", "--out", tmp_path / "run", output=output)
+    file = tmp_path / "run/run_0.mcap"
+    probe.wait(lambda: file.exists() and file.stat().st_size > 20_000)
+    resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (file.stat().st_size + 20_000,) * 2)
+    probe.wait(lambda: not recorder.running)
+    assert recorder.process.wait() == 1, "not 2: that is for a command line that cannot be used"
+    recorder.stop()
+    assert "the recording ends here: File too large" in output.getvalue() and "Traceback" not in output.getvalue()
+    recording = read_bag(tmp_path / "run")
+    assert len(recording.state) > 100 and "was not finished" in recording.notes[0]
 
 
 def test_recorder_refuses_to_overwrite(start, tmp_path):

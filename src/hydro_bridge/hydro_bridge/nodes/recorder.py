@@ -14,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
@@ -31,26 +32,31 @@ _PRIORITY = 5  # of SCHED_FIFO: below all that acts. The middleware hands over s
 
 
 class RecorderNode(Node):
-    """Subscribes to serialized messages and writes them as they are."""
+    """Subscribes to serialized messages and writes them as they are, until the disk refuses.
+
+    What cannot be written ends the recording, in one sentence and with `failed` set: not as a bad command line does,
+    for those who wait for the recorder tell the two by its exit status.
+    """
 
     def __init__(self, make_run: Callable[[], RecordingRun], topics: Sequence[str], *, realtime: bool) -> None:
         super().__init__("recorder")
         scheduling = be_prompt(realtime=realtime, priority=_PRIORITY)  # before samples come in
         self._run = make_run()
+        self.failed = False
         self._unknown = [topic for topic in topics if topic not in GRAPH]
         for topic in topics:
             if topic in GRAPH:
                 self._subscribe(topic, *GRAPH[topic])
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(FLUSH_PERIOD, self._run.writer.flush, clock=steady)
+        self.create_timer(FLUSH_PERIOD, partial(self._write, self._run.writer.flush), clock=steady)
         if self._unknown:
             self.create_timer(0.5, self._look_for_unknown, clock=steady)
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self.get_logger().info(f"recording into {self._run.writer.folder}; {scheduling}")
 
     def close(self) -> None:
-        """Finish the recording."""
-        self._run.writer.close()
+        """Finish the recording; one that failed stays as it is, readable like that of a killed recorder."""
+        self._write(self._run.writer.close)
         self.get_logger().info(self._run.summary())
 
     def _subscribe(self, topic: str, kind: type[Any], offered: QoSProfile) -> None:
@@ -72,7 +78,17 @@ class RecorderNode(Node):
         self.create_subscription(kind, topic, partial(self._take, topic), qos, raw=True)
 
     def _take(self, topic: str, data: bytes) -> None:
-        self._run.take(topic, data, self.get_clock().now().nanoseconds)
+        self._write(self._run.take, topic, data, self.get_clock().now().nanoseconds)
+
+    def _write(self, write: Callable[..., None], *what: object) -> None:
+        if self.failed:
+            return
+        try:
+            write(*what)
+        except OSError as error:
+            self.failed = True
+            self.get_logger().error(f"{self._run.writer.folder}: the recording ends here: {error.strerror}")
+            rclpy.try_shutdown()
 
     def _look_for_unknown(self) -> None:
         """Subscribe to topics outside our graph once somebody publishes them and says their type."""
@@ -126,9 +142,13 @@ def main() -> None:
         except InvalidTopicNameException as error:
             raise UserError(f"--topics {topic}: {str(error).splitlines()[0].rstrip(':')}") from None
     metadata, attachments = parse_pairs(options.metadata), read_attachments(options.attach)
-    run_node(
-        lambda: RecorderNode(
-            lambda: RecordingRun(options.out, metadata, attachments), options.topics, realtime=options.realtime
-        ),
-        ros,
-    )
+    made: list[RecorderNode] = []
+
+    def make() -> RecorderNode:
+        run = partial(RecordingRun, options.out, metadata, attachments)
+        made.append(RecorderNode(run, options.topics, realtime=options.realtime))
+        return made[0]
+
+    run_node(make, ros)
+    if made[0].failed:
+        sys.exit(1)
