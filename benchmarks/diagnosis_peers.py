@@ -24,7 +24,7 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from benchmarks import _report
-from hydro_bridge.console import Table, progress
+from hydro_bridge.console import Table, UserError, command, progress
 from hydro_diagnosis.proof.blind import ANSWER
 from hydro_diagnosis.proof.cases import Case
 from hydro_diagnosis.proof.facts import Result
@@ -44,6 +44,7 @@ COLUMNS = {
 }
 
 
+@command()
 def main() -> None:
     """Run the peers on the cases of a proof."""
     options = _report.parser("diagnosis_peers", __doc__)
@@ -54,6 +55,8 @@ def main() -> None:
     options.add_argument("--minutes", type=float, default=float("inf"), help="run again to go on")
     chosen = options.parse_args()
     folder = chosen.proof or max(Path("runs").glob("proof-*"), key=lambda path: path.stat().st_mtime, default=None)
+    if chosen.proof and not (folder / BLIND).is_dir():
+        raise UserError(f"--proof {folder}: no folder of `prove`; that holds `{BLIND}` with a folder for each case")
     if folder is None or not chosen.python.exists():
         print("skipped: needs the folder of a proof (--proof) and an environment with PySINDy (--python)")
         return

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from benchmarks.diagnosis_peers import said
+from benchmarks.diagnosis_peers import main, said
 from benchmarks.peers import terms
 from benchmarks.peers.neural import _windows
 from benchmarks.peers.run import Corrected, held_out, signals
@@ -81,3 +83,13 @@ def test_a_term_that_two_causes_share_counts_for_either() -> None:
     assert said({"load_force": ["load_cell_gain|spring_stiffness"]}, {"moving_mass"}) == (False, 1)
     assert said({"pressure_a": ["valve_deadband@0.001", "valve_deadband@5e-05"]}, {"valve_deadband"}) == (True, 0)
     assert said({"velocity": ["moving_mass"]}, set()) == (True, 1)
+
+
+def test_folder_that_is_no_proof_is_one_sentence(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setattr(sys, "argv", ["diagnosis_peers", "--proof", str(tmp_path / "nowhere")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "no folder of `prove`" in capsys.readouterr().err

@@ -11,7 +11,7 @@ from hydro_diagnosis.intervals import Interval, intervals
 from hydro_diagnosis.locate import Place
 from hydro_diagnosis.outcome import Outcome, score
 from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.report import EffectReport, Location, ParameterEstimate, Rival
+from hydro_diagnosis.report import EffectReport, Location, LookAlike, ParameterEstimate, Rival
 from hydro_diagnosis.screen import cause
 from hydro_diagnosis.verdict import Assessment
 
@@ -42,6 +42,7 @@ def _report(
         for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
         if parameter.reported
     }
+    rivals, look_alikes = _rivals(problem, outcome, found, claim)
     return EffectReport(
         id=claim.effect.id,
         equation=claim.effect.equations[0],
@@ -52,7 +53,8 @@ def _report(
             "delta_bic": score(problem, without) - score(problem, found),
             "holdout_gain": _holdout_gain(held, without, found),
         },
-        rivals=_rivals(problem, outcome, found, claim),
+        rivals=rivals,
+        look_alikes=look_alikes,
     )
 
 
@@ -63,23 +65,29 @@ def _holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
     return (fewer - everything) / max(nothing - everything, 1e-12)
 
 
-def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> list[Rival]:
-    rivals = []
+def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
+    """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
+    rivals, look_alikes = [], []
     seen = {cause(claim.effect)}
     for other in outcome.rivals.get(claim.effect.label, []):
-        effect = other.claims[-1].effect
-        if cause(effect) in seen or len(other.claims) != len(found.claims):
+        last = other.claims[-1]
+        if cause(last.effect) in seen or len(other.claims) != len(found.claims):
             continue
-        seen.add(cause(effect))
+        seen.add(cause(last.effect))
         distance = score(problem, other) - score(problem, found)
-        apart = distance > CLOSE
+        apart, words = distance > CLOSE, last.effect.label.replace(":", " ")
+        words = words if last.effect.named else words.replace("_", " ")
         why = (
-            f"{effect.label.replace(':', ' ')} in its place leaves {distance:.0f} more of BIC unexplained"
+            f"{words} in its place leaves {distance:.0f} more of BIC unexplained"
             if apart
-            else f"{effect.label.replace(':', ' ')} explains these recordings as well: another recording must tell"
+            else f"{words} explains these recordings as well: another recording must tell"
         )
-        rivals.append(Rival(id=effect.id, delta_bic=distance, distinguishable=apart, why=why))
-    return rivals[:3]
+        if last.effect.named:
+            rivals.append(Rival(id=last.effect.id, delta_bic=distance, distinguishable=apart, why=why))
+        else:
+            likeness = last.effect.sentence(last.values)
+            look_alikes.append(LookAlike(likeness=likeness, delta_bic=distance, distinguishable=apart, why=why))
+    return rivals[:3], look_alikes
 
 
 def location_of(place: Place, problem: Problem) -> Location:

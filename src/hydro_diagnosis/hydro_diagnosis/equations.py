@@ -3,7 +3,7 @@
 
 `equation_errors` is what each equation leaves of the recordings, without simulating. For rigs whose recordings cannot
 be simulated (no pressures, no current) this is the proof; the number to compare with the relative errors that the
-literature on inverse models gives is `rmse_after` over `signal`.
+literature on inverse models gives is `rmse_after` over `signal`; samples near velocity reversals hardly count in it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _UNITS = {"pressure_a": "Pa", "pressure_b": "Pa", "motion": "N", "load": "N", "h
 
 @dataclass(frozen=True)
 class EquationError:
-    """Root mean square of one equation's residual."""
+    """Weighted root mean square of one equation's residual, each residual weighted as in the fit."""
 
     unit: str
     rmse_before: float
@@ -62,31 +62,34 @@ def held_out(
 
 
 def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, EquationError]:
-    """Errors on the recordings of `problem`, by channel of residuals, before and after the claims are added."""
-    before, after = _squares(problem, ()), _squares(problem, claims)
+    """Errors on the recordings of `problem`, by channel of residuals, before and after the claims are added.
+
+    Weighted like the fit that the verdict rests on, by the inverse square of each residual's deviation under the
+    problem's doubt (`Problem.set_doubt`): where dry friction reverses, its sign is not known, and its level would stand
+    in every figure. `before` and `after` have the same weights.
+    """
+    before, after = problem.residual(()), problem.residual(claims)
     return {
         name: EquationError(
             unit=_UNITS[name],
-            rmse_before=float(np.sqrt(np.mean(before[name]))),
-            rmse_after=float(np.sqrt(np.mean(after[name]))),
+            rmse_before=_weighted(problem, name, before),
+            rmse_after=_weighted(problem, name, after),
             noise_floor=problem.noise[name],
             signal=_signal(problem, name),
         )
-        for name in before
+        for name in (CHANNELS[index] for index in np.unique(problem.layout.channel))
     }
 
 
-def _squares(problem: Problem, claims: Sequence[Claim]) -> dict[str, FloatArray]:
-    """Squared residuals in physical units."""
-    layout, residual = problem.layout, problem.residual(claims)
-    squares: dict[str, FloatArray] = {}
-    for index in np.unique(layout.channel):
-        name, parts = CHANNELS[index], []
-        for k in range(len(problem.models)):
-            at = (layout.channel == index) & (layout.segment == k)
-            parts.append(np.square(residual[at] * problem.deviation(name, k)))
-        squares[name] = np.concatenate(parts)
-    return squares
+def _weighted(problem: Problem, name: str, residual: FloatArray) -> float:
+    """Root of the weighted mean square of a channel's residuals, physical unit; `residual` is over its deviations."""
+    layout = problem.layout
+    squares = weights = 0.0
+    for k in range(len(problem.models)):
+        own = residual[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)]
+        squares += float(np.sum(np.square(own)))
+        weights += float(np.sum(np.broadcast_to(np.square(1.0 / problem.deviation(name, k)), own.shape)))
+    return float(np.sqrt(squares / weights))
 
 
 def _signal(problem: Problem, name: str) -> float:

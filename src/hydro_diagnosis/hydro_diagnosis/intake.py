@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from hashlib import sha256
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,7 @@ from joblib import Parallel, delayed
 
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.quality import MOVING, REMEDY, SHORTEST, checked
-from hydro_diagnosis.recording import Recording, Segment
+from hydro_diagnosis.recording import MEASURED, Recording, Segment
 from hydro_diagnosis.survey import read_bag_within
 from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
 from hydro_diagnosis.windows import WINDOW, Visits, telling
@@ -40,12 +42,37 @@ def taken(
     Raises
     ------
     InputError
-        If nothing of them can be diagnosed.
+        If nothing of them can be diagnosed, or one is given twice: what is checked on must not be fitted.
     """
-    fitted, held, quality = _split(*_read(recordings, bench, columns), *_read(holdout, bench, columns, spare=True))
+    to_fit, notes = _read(recordings, bench, columns)
+    to_check, more_notes = _read(holdout, bench, columns, spare=True)
+    _refuse_twice([*to_fit, *to_check])
+    fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
     _refuse_too_little(fitted)
     fitted = _informative(fitted, "fitted", bench, quality)
     return fitted, _informative(held, "checked on", bench, quality), quality
+
+
+def _refuse_twice(recordings: list[Recording]) -> None:
+    """The noise of a sensor never comes again: recordings that share a stretch of it are copies of one another."""
+    for (one, first), (other, second) in combinations([(one, _contents(one)) for one in recordings], 2):
+        if first & second:
+            which = (
+                f"{one.name} was given twice"
+                if one.name == other.name
+                else f"{one.name} and {other.name} hold the same"
+            )
+            raise InputError(f"{which}: what is checked on must not be fitted, and nothing counts twice")
+
+
+def _contents(recording: Recording) -> set[str]:
+    """Digests of what each sensor that moves read in each segment; in single precision, as any file has it."""
+    return {
+        f"{name} {sha256(segment.channels[name].astype(np.float32).tobytes()).hexdigest()}"
+        for segment in recording.segments
+        for name in MEASURED
+        if name in segment.channels and np.ptp(segment.channels[name]) > 0.0
+    }
 
 
 def _refuse_too_little(segments: list[Segment]) -> None:

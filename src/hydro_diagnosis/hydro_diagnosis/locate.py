@@ -19,8 +19,10 @@ from hydro_diagnosis.freeform import FreeForm, variable_of
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.problem import CHANNELS, Problem
 
-NOTICEABLE = 1.35
-"""Mean square over the noise's, from which a channel holds more than noise: with nothing missing it stays below."""
+NOTICEABLE = 0.35
+"""Mean square over the noise's, beyond 1, from which a channel holds more than noise: how well the noise is known."""
+CHANCE = 4.0
+"""Standard deviations of the mean of n squares of white noise, sqrt(2 / n), that it must exceed 1 by too."""
 _PAUSE = 2.0
 """s, pauses of excess that `windows` bridge."""
 _WINDOW = 0.5
@@ -50,15 +52,33 @@ def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
     return {name: float(squares[k] / count[k]) for k, name in enumerate(CHANNELS) if count[k]}
 
 
+def bounds(problem: Problem) -> dict[str, float]:
+    """Each channel's mean square over the noise's above which it holds more than noise.
+
+    The residuals are all but independent, so the mean of n squares has variance 2 / n (chi-square).
+    """
+    count = problem.layout.count()
+    return {
+        name: 1.0 + max(NOTICEABLE, CHANCE * float(np.sqrt(2.0 / count[k])))
+        for k, name in enumerate(CHANNELS)
+        if count[k]
+    }
+
+
+def remaining(problem: Problem, residual: FloatArray) -> dict[str, float]:
+    """Mean square over the noise's of those channels that hold more than noise."""
+    limit = bounds(problem)
+    return {name: square for name, square in mean_squares(problem, residual).items() if square > limit[name]}
+
+
 def noticeable(problem: Problem, residual: FloatArray) -> bool:
     """Whether any channel holds more than noise."""
-    return any(square > NOTICEABLE for square in mean_squares(problem, residual).values())
+    return bool(remaining(problem, residual))
 
 
 def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm]) -> list[Place]:
     """Equations that hold more than noise, the largest share first; empty if there is none."""
-    squares = mean_squares(problem, residual)
-    excess = {name: square - 1.0 for name, square in squares.items() if square > NOTICEABLE}
+    excess = {name: square - 1.0 for name, square in remaining(problem, residual).items()}
     counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
     weights: dict[str, float] = {}
     channel_of: dict[str, str] = {}

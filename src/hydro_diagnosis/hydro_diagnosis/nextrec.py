@@ -75,7 +75,8 @@ def _closest(problem: Problem, outcome: Outcome, assessment: Assessment) -> tupl
     for claim in assessment.fit.claims:
         for rival in outcome.rivals.get(claim.effect.label, []):
             distance = score(problem, rival) - score(problem, assessment.fit)
-            if distance < CLOSE and rival.claims[-1].effect.id != claim.effect.id:
+            other = rival.claims[-1].effect
+            if distance < CLOSE and other.named and other.id != claim.effect.id:
                 close.append((distance, claim.effect.label, rival))
     if not close:
         return None

@@ -112,7 +112,8 @@ def _effect(found: Diagnosis, effect: EffectReport) -> str:
         f"<td>{_bounds(estimate.ci95)}</td></tr>"
         for name, estimate in effect.parameters.items()
     )
-    rivals = "".join(f"<li>{escape(rival.why)}.</li>" for rival in effect.rivals)
+    tried = [*(rival.why for rival in effect.rivals), *(alike.why for alike in effect.look_alikes)]
+    rivals = "".join(f"<li>{escape(why)}.</li>" for why in tried)
     others = f"<p class='quiet'>Other causes that were tried:</p><ul class='quiet'>{rivals}</ul>" if rivals else ""
     which = " ".join([effect.id, *effect.options.values()])
     return (
@@ -184,7 +185,8 @@ def _equations(report: Report) -> str:
     head = "".join(f"<th class='n'>{title}</th>" for title in ("before", "after", "noise floor", "signal"))
     return (
         f"<table><tr><th>equation</th><th>unit</th>{head}</tr>{rows}</table><p class='quiet'>Root mean square of what "
-        "each equation leaves unexplained on recordings that nothing was fitted to, and of the measured signal.</p>"
+        "each equation leaves unexplained on recordings that nothing was fitted to, each residual weighted as in the "
+        "fit, and of the measured signal.</p>"
     )
 
 

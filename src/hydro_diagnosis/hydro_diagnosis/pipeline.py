@@ -91,14 +91,15 @@ def diagnose(
     base = baseline(bench, model)
     believed = base.bench
     progress("reading")
+    candidates = [effect.adapted(believed) for effect in _candidates(without)]
     fitted, held, quality = taken(recordings, holdout, believed, ColumnMap.load(columns))
     problem = Problem(fitted, believed, claims_of(believed))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
-    search = Search(problem, [effect.adapted(believed) for effect in _candidates(without)], settings, progress)
+    search = Search(problem, candidates, settings, progress)
     facts: dict[str, Any] = {
-        "checked": [name for block, name in _EQUATIONS.items() if block in problem.blocks],
-        "not_checked": [name for block, name in _EQUATIONS.items() if block not in problem.blocks],
+        "checked": [name for block, names in _EQUATIONS.items() if block in problem.blocks for name in names],
+        "not_checked": [name for block, names in _EQUATIONS.items() if block not in problem.blocks for name in names],
         "data_quality": [*base.notes, *quality],
         "baseline": {"bench": believed.to_mapping(), "model": base.model},
         "versions": {"hydro_diagnosis": _version()},
@@ -120,6 +121,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     models = [SegmentModel(segment, believed) for segment in held]
     progress("checking on held-out recordings")
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
+    unseen.set_doubt(assessment.fit.claims)
     effects = describe(problem, unseen, outcome, assessment)
     report = Report(
         verdict=assessment.verdict,
@@ -155,11 +157,12 @@ def _steps(search: Search) -> list[dict[str, Any]]:
 
 
 _EQUATIONS = {
-    PRESSURE: "pressure_a, pressure_b, actuation",
-    MOTION: "motion",
-    LOAD: "load",
-    HYDRAULIC: "hydraulic force against pressures (sensors)",
+    PRESSURE: ("pressure_a", "pressure_b", "actuation"),
+    MOTION: ("motion",),
+    LOAD: ("load",),
+    HYDRAULIC: ("sensor",),
 }
+"""What each block of residuals checks; `sensor`: the hydraulic force against the pressures."""
 
 
 def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | None:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.frozen import Mask, frozen_encoder, repeats
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
 from hydro_diagnosis.table import RawTable, UnusableRecordingError
 from hydro_sim.bench import Bench
@@ -19,8 +20,6 @@ BRIDGED = 5
 """Samples, the longest gap that is bridged by a straight line."""
 SHORTEST = 1.5
 """s, the shortest segment that is used."""
-FROZEN = 40
-"""Samples: a noisy sensor that repeats the same number so often has stopped."""
 STOP_MARGIN = 5e-4
 """m from an end stop."""
 CAVITATION = 5e4
@@ -36,7 +35,6 @@ REMEDY = (
     "diagnosis, a bench.yaml with a valve_nominal_flow that is 25 % higher or more"
 )
 """What an operator can do about a bench that cannot be driven: the velocity term is then compensated by less."""
-Mask = npt.NDArray[np.bool_]
 
 
 def checked(table: RawTable, bench: Bench) -> Recording:
@@ -53,7 +51,7 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     if not any(name in columns for name in MEASURED):
         raise UnusableRecordingError(f"{table.name}: no sensor in it is alive")
     _refuse_useless(table.name, columns, bench)
-    bad = _bad_samples(table.name, columns, notes)
+    bad = _bad_samples(columns, step, bench, notes)
     outside = _outside_equations(columns, bench, notes)
     bad |= outside
     segments = _segments(table.name, step, index, columns, bad, notes)
@@ -130,7 +128,7 @@ def _stands(columns: dict[str, FloatArray]) -> bool:
     return len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MOVING
 
 
-def _bad_samples(name: str, columns: dict[str, FloatArray], notes: list[str]) -> Mask:
+def _bad_samples(columns: dict[str, FloatArray], step: float, bench: Bench, notes: list[str]) -> Mask:
     bad = np.zeros(len(next(iter(columns.values()))), dtype=bool)
     for channel, values in columns.items():
         if channel not in MEASURED and channel != "valve_current":
@@ -138,11 +136,17 @@ def _bad_samples(name: str, columns: dict[str, FloatArray], notes: list[str]) ->
         missing = ~np.isfinite(values)
         if missing.any():
             notes.append(f"{channel} is not a number in {int(missing.sum())} samples")
-        frozen = _repeats(values) if channel in MEASURED and channel != "piston_position" else np.zeros_like(bad)
+        frozen = _frozen(channel, columns, step, bench)
         if frozen.any():
             notes.append(f"{channel} is frozen in {int(frozen.sum())} samples; the recording is cut there")
         bad |= missing | frozen
     return bad
+
+
+def _frozen(channel: str, columns: dict[str, FloatArray], step: float, bench: Bench) -> Mask:
+    if channel == "valve_current":  # a command: it may stay what it is
+        return np.zeros(len(columns[channel]), dtype=bool)
+    return frozen_encoder(columns, step, bench) if channel == "piston_position" else repeats(columns[channel])
 
 
 def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list[str]) -> Mask:
@@ -161,17 +165,6 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
     )
     wide: Mask = np.convolve(outside, np.ones(2 * EVENT_MARGIN + 1), mode="same") > 0.5
     return wide
-
-
-def _repeats(values: FloatArray) -> Mask:
-    """Samples within a run of at least `FROZEN` equal values."""
-    same = np.concatenate([[False], np.diff(values) == 0.0, [False]])
-    edges = np.flatnonzero(np.diff(same.astype(np.int8)))
-    repeats = np.zeros(len(values), dtype=bool)
-    for begin, end in zip(edges[::2], edges[1::2], strict=True):
-        if end - begin >= FROZEN:
-            repeats[begin : end + 1] = True
-    return repeats
 
 
 def _segments(

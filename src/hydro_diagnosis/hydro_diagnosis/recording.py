@@ -12,7 +12,6 @@ from hydro_diagnosis.effects.base import FloatArray
 
 MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """What sensors give; the rates are computed by the box and not used."""
-COMMANDED = ("valve_current", "reference_force", "proportional_gain", "integral_gain")
 UNITS = {
     "hydraulic_force": "N",
     "load_force": "N",

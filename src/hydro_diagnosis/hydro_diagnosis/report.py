@@ -40,8 +40,20 @@ class ParameterEstimate:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LookAlike:
+    """Another cause in a claim's place for which the table has no id."""
+
+    likeness: str
+    """What it looks like, in words."""
+    delta_bic: float
+    """How much worse it explains the recordings."""
+    distinguishable: bool
+    why: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Rival:
-    """Another cause in a claim's place."""
+    """Another cause of the table in a claim's place."""
 
     id: str
     delta_bic: float
@@ -63,6 +75,7 @@ class EffectReport:
     evidence: dict[str, float]
     """delta_bic: loss without it; holdout_gain: share of the held-out error beyond the noise that it removes."""
     rivals: list[Rival]
+    look_alikes: list[LookAlike]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +91,7 @@ class Report:
     fit: dict[str, Any]
     next_recording: dict[str, Any] | None
     checked: list[str]
+    """Equations, as in `Location.equation`; sensor: the hydraulic force against the pressures."""
     not_checked: list[str]
     data_quality: list[str]
     baseline: dict[str, Any]

@@ -2,8 +2,8 @@
 """Which causes together account for the recordings: forward, backward and swap steps by evidence.
 
 Evidence is the Bayesian information criterion on the deviance of `fit`: a claim must gain more than ln(n) per
-parameter plus a threshold. What chance alone reaches, `calibrate` finds by running this whole search on recordings in
-which nothing is missing.
+parameter plus a threshold; so must each parameter that a cause has more than the one whose place it takes. What chance
+alone reaches, `calibrate` finds by running this whole search on recordings in which nothing is missing.
 """
 
 from __future__ import annotations
@@ -17,13 +17,15 @@ from hydro_diagnosis.fit import Fit, fit, pack
 from hydro_diagnosis.locate import noticeable
 from hydro_diagnosis.outcome import Outcome, SearchSettings, Step, score
 from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.screen import screen
+from hydro_diagnosis.screen import cause, screen
 from hydro_diagnosis.worth import all_worth, form_error
 
 SKETCHED = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
 SWAPS = 3
 """Rounds of exchanging causes at most, after each claim."""
+EXCHANGED = 2.0
+"""BIC by which another cause must do better, its further parameters paid: enough to never go back and forth."""
 RIPENING = 6
 """Rounds of weighing and fitting at most."""
 
@@ -130,11 +132,22 @@ class Search:
             label = claim.effect.label
             fits = [one for one in self._extended(fit(self.problem, others)) if one.claims[-1].effect.label != label]
             outcome.rivals[label] = fits[:4]
-            better = [one for one in fits if score(self.problem, one) < score(self.problem, outcome.fit) - 2.0]
+            better = [one for one in fits if self._pays_in_place(one, claim.effect, outcome.fit)]
             if better and all_worth(self.problem, better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
+
+    def _pays_in_place(self, other: Fit, effect: Effect, current: Fit) -> bool:
+        """Whether the newest claim of `other` may take the place of `effect`.
+
+        What it has more of parameters must each be worth the threshold. A form of the same cause with fewer is taken
+        unless the richer one is worth it.
+        """
+        newest = other.claims[-1].effect
+        more = len(newest.parameters) - len(effect.parameters)
+        toll = self.settings.threshold * (more if cause(newest) == cause(effect) else max(more, 0))
+        return score(self.problem, other) + toll < score(self.problem, current) - EXCHANGED
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False

@@ -18,7 +18,7 @@ from hydro_diagnosis.constancy import without_varying
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.fit import Fit, fit
 from hydro_diagnosis.freeform import FreeForm, free_forms
-from hydro_diagnosis.locate import NOTICEABLE, Place, locate, locate_claims, mean_squares, noticeable
+from hydro_diagnosis.locate import Place, bounds, locate, locate_claims, mean_squares, noticeable, remaining
 from hydro_diagnosis.problem import CHANNELS, Problem
 
 MOST_OF_THE_GAP = 0.98
@@ -88,7 +88,7 @@ def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
 
 def _suspects(problem: Problem, found: Fit) -> set[str]:
     """Labels of claims that show mainly in channels in which something remains."""
-    noisy = {name for name, square in mean_squares(problem, found.residual).items() if square > NOTICEABLE}
+    noisy = remaining(problem, found.residual)
     suspects = set()
     for claim in found.claims:
         without = problem.residual(tuple(one for one in found.claims if one is not claim))
@@ -102,19 +102,16 @@ def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
     """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
     counts = problem.layout.count()
     before, after = mean_squares(problem, nothing.residual), mean_squares(problem, found.residual)
-    gaps = {
-        name: max(square - 1.0, 0.0)
-        for name, square in before.items()
-        if square > NOTICEABLE or after[name] > NOTICEABLE
-    }
+    limit = bounds(problem)
+    gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if max(square, after[name]) > limit[name]}
     left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
-    shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and left[name] > NOTICEABLE - 1.0]
+    shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and after[name] > limit[name]]
     return float(min(shares, default=1.0)) if counts.sum() else 1.0
 
 
 def _judged(problem: Problem, found: Fit) -> npt.NDArray[np.bool_]:
     """Residuals of the channels in which something remains."""
-    noisy = [k for k, name in enumerate(CHANNELS) if mean_squares(problem, found.residual).get(name, 0.0) > NOTICEABLE]
+    noisy = [CHANNELS.index(name) for name in remaining(problem, found.residual)]
     return np.isin(problem.layout.channel, noisy)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import StateArray
+from hydro_diagnosis.conclude import describe
 from hydro_diagnosis.constancy import without_varying
 from hydro_diagnosis.effects import CANDIDATES, Claim, Effect
 from hydro_diagnosis.effects.base import FloatArray
@@ -97,6 +98,11 @@ def test_wrong_bulk_modulus_is_no_hoses(problem_of: Callable[..., Problem]) -> N
     rival = fit(problem, [claim(HOSES)])
     assert score(problem, rival) > score(problem, outcome.fit) + 100.0
     assert HOSES in [one.claims[-1].effect.label for one in outcome.rivals[BULK]]
+    (effect,) = describe(problem, problem, outcome, assess(problem, outcome.fit, outcome.nothing))
+    assert HOSES not in [one.id for one in effect.rivals]  # the table has no such id
+    (alike,) = effect.look_alikes
+    assert "hoses that widen" in alike.likeness
+    assert alike.distinguishable and alike.delta_bic > 100.0
 
 
 def test_other_causes_beside_hoses_keep_name_and_size(problem_of: Callable[..., Problem]) -> None:

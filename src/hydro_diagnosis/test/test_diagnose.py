@@ -19,6 +19,7 @@ from hydro_diagnosis.corrected import claims_of, corrected_bench
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.table import InputError
 from hydro_sim.bench import Bench
 
 Record = Callable[..., StateArray]
@@ -99,6 +100,24 @@ def test_recording_without_pressures_is_diagnosed_for_what_it_shows(
     assert [effect.id for effect in report.effects] == ["friction_viscous"]
     assert report.checked == ["motion"]
     assert any("pressure_a" in name for name in report.not_checked)
+
+
+def test_equation_errors_do_not_contradict_the_verdict(tmp_path: Path, record: Record, frame: Frame) -> None:
+    """Near reversals dry friction may have either sign: counted in full, they would leave ten times the noise."""
+    friction = Claim(next(one for one in LIBRARY if one.label == "friction_coulomb"), {"force": 15.0})
+    paths = [tmp_path / f"dry{k}.csv" for k in range(2)]
+    for k, path in enumerate(paths):
+        frame(record(corrected_bench(Bench.nominal(), [friction]), 40 + k, seconds=8.0)).to_csv(path, index=False)
+    report = diagnose(paths[:1], holdout=paths[1:]).report
+    assert report.verdict == "explained"
+    motion = report.fit["equations"]["motion"]
+    assert motion["rmse_before"] > 30.0 * motion["noise_floor"]
+    assert motion["rmse_after"] < 1.2 * motion["noise_floor"]
+
+
+def test_cause_that_there_is_none_of_is_refused_before_anything_is_read(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="'bcklash' is no effect, did you mean 'backlash'"):
+        diagnose([tmp_path / "nowhere"], without=["bcklash"])
 
 
 def test_bad_input_ends_in_one_sentence_and_status_2(tmp_path: Path) -> None:

@@ -40,6 +40,10 @@ def tripped(recording: Path, folder: Path, moving: float) -> Path:
     stands = data["time"] > data["time"].iloc[0] + moving
     data.loc[stands, "piston_position"] = data.loc[~stands, "piston_position"].iloc[-1]
     data.loc[stands, "valve_current"] = 0.0
+    rest = BENCH.spring_stiffness * (data["piston_position"].iloc[-1] - BENCH.spring_rest_position)
+    noise = np.random.default_rng(7).normal(0.0, 0.6, stands.sum())
+    data.loc[stands, "load_force"] = rest + noise
+    data.loc[stands, "piston_velocity"] = 0.0
     path = folder / f"tripped_{recording.stem}.csv"
     data.to_csv(path, index=False)
     return path
@@ -73,3 +77,17 @@ def test_bench_that_only_swings_from_stop_to_stop_is_refused_with_the_remedy(wor
     data.to_csv(path, index=False)
     with pytest.raises(InputError, match=r"end stop.*give the box"):
         taken([path], [], BENCH)
+
+
+def test_held_out_recording_that_is_fitted_too_is_refused(worn: list[Path]) -> None:
+    with pytest.raises(InputError, match="run0 was given twice: what is checked on must not be fitted"):
+        taken(worn[:2], [worn[0]], BENCH)
+
+
+def test_copies_under_another_name_or_in_another_format_are_refused(worn: list[Path], tmp_path: Path) -> None:
+    copy = tmp_path / "wednesday.parquet"
+    pd.read_csv(worn[1]).to_parquet(copy)
+    with pytest.raises(InputError, match="run1 and wednesday hold the same"):
+        taken(worn[:2], [copy], BENCH)
+    with pytest.raises(InputError, match="run1 and wednesday hold the same"):
+        taken([worn[1], copy], [], BENCH)

@@ -2,17 +2,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_bridge.signals import StateArray
+from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
+from hydro_diagnosis.corrected import corrected_bench
+from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.frozen import FROZEN, frozen_encoder, repeats
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.table import InputError, read_table
 from hydro_sim.bench import Bench
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant
 
 BENCH = Bench.nominal()
 Frame = Callable[[StateArray], pd.DataFrame]
@@ -92,3 +98,52 @@ def test_saturation_throughout_is_refused(tmp_path: Path, nominal: StateArray, f
 def test_too_short_recording_is_refused(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
     with pytest.raises(InputError, match="too short"):
         read(frame(nominal).iloc[:900], tmp_path)
+
+
+def frozen(data: pd.DataFrame, begin: int, end: int) -> pd.DataFrame:
+    data = data.copy()
+    data.loc[begin:end, "piston_position"] = data.loc[begin, "piston_position"]
+    return data
+
+
+@pytest.mark.parametrize("without", [[], ["load_force"], ["piston_velocity"], ["load_force", "piston_velocity"]])
+def test_frozen_encoder_is_cut_out_and_listed(
+    tmp_path: Path, nominal: StateArray, frame: Frame, without: list[str]
+) -> None:
+    """Whatever else tells it: the load's force, the velocity, or where the position comes back."""
+    recording = read(frozen(frame(nominal), 5000, 8000).drop(columns=without), tmp_path)
+    assert len(recording.segments) == 2
+    assert any("piston_position is frozen in 3001 samples" in note for note in recording.quality)
+
+
+def test_encoder_that_never_comes_back_is_cut_off(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
+    recording = read(frozen(frame(nominal), 9000, len(nominal)), tmp_path)
+    assert len(recording.segments) == 1
+    assert 8990 < len(recording.segments[0]) <= 9000
+
+
+def test_encoder_frozen_for_a_moment_is_cut_out(tmp_path: Path, nominal: StateArray, frame: Frame) -> None:
+    fast = int(np.argmax(np.abs(nominal["piston_velocity"][4000:8000]))) + 4000
+    assert len(read(frozen(frame(nominal), fast, fast + FROZEN), tmp_path).segments) == 2
+
+
+@pytest.mark.parametrize("quantum", [1e-6, 5e-6, 5e-5])
+@pytest.mark.parametrize(
+    "waveform, amplitude", [(Waveform.HOLD, 0.0), (Waveform.SINE, 30.0), (Waveform.SMOOTH_STEP, 250.0)]
+)
+def test_piston_that_stands_is_no_frozen_encoder(waveform: Waveform, amplitude: float, quantum: float) -> None:
+    """Dry friction holds it at every reversal; at rest a coarse encoder repeats itself for seconds."""
+    states = stuck(waveform, amplitude)
+    columns = {name: states[name].copy() for name in ("piston_position", "piston_velocity", "load_force")}
+    columns["piston_position"] = quantum * np.round(columns["piston_position"] / quantum)
+    if waveform != Waveform.SINE:
+        assert repeats(columns["piston_position"]).sum() > 500  # else this shows nothing
+    assert not frozen_encoder(columns, 1e-3, BENCH).any()
+
+
+@cache
+def stuck(waveform: Waveform, amplitude: float) -> StateArray:
+    dry = Claim(next(one for one in LIBRARY if one.label == "friction_coulomb"), {"force": 25.0})
+    reference = ReferenceSignal(waveform=waveform, amplitude=amplitude, offset=20.0, frequency=0.5)
+    schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=6.0)
+    return simulate(AnalyticPlant(corrected_bench(BENCH, [dry])), BENCH, schedule, seed=5)

@@ -15,6 +15,7 @@ import pytest
 import hydro_diagnosis
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
+from hydro_diagnosis.effects import LIBRARY
 from hydro_sim.bench import Bench
 
 SCHEMA = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
@@ -30,6 +31,7 @@ def valid() -> Callable[[Any], Any]:
 def test_explained(valid: Callable[[Any], Any], written: Path) -> None:
     report = json.loads((written / "report.json").read_text())
     valid(report)
+    assert report["checked"] == ["pressure_a", "pressure_b", "actuation", "motion", "load", "sensor"]
     assert report["effects"] and report["location"] and report["fit"]["holdout"] and report["steps"]
 
 
@@ -63,3 +65,7 @@ def test_a_missing_key_breaks_the_contract(valid: Callable[[Any], Any], written:
     del report[key]
     with pytest.raises(fastjsonschema.JsonSchemaValueException, match=key):
         valid(report)
+
+
+def test_ids_of_the_contract_are_those_of_the_library() -> None:
+    assert set(json.loads(SCHEMA.read_text())["definitions"]["cause"]["enum"]) == {effect.id for effect in LIBRARY}

@@ -6,11 +6,16 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.locate import mean_squares
-from hydro_diagnosis.outcome import Outcome
-from hydro_diagnosis.problem import Problem
+from hydro_bridge.signals import StateArray
+from hydro_diagnosis.corrected import corrected_bench
+from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.fit import fit
+from hydro_diagnosis.locate import mean_squares, noticeable
+from hydro_diagnosis.outcome import Outcome, SearchSettings, score
+from hydro_diagnosis.problem import CHANNELS, Problem
+from hydro_diagnosis.quality import checked
 from hydro_diagnosis.search import Search
+from hydro_diagnosis.table import RawTable
 from hydro_sim.bench import Bench
 
 NOMINAL = Bench.nominal()
@@ -60,3 +65,43 @@ def test_wrong_value_of_the_bench_is_named_and_sized(
     found = search(problem_of(**{key: getattr(NOMINAL, key) * factor}))
     assert [claim.effect.id for claim in found.fit.claims] == [effect]
     assert found.fit.claims[0].values[parameter] == pytest.approx(expected, rel=tolerance)
+
+
+DRY, DIRECTED = "friction_coulomb", "friction_coulomb:directional"
+
+
+def dry(label: str, *forces: float) -> Claim:
+    effect = next(one for one in LIBRARY if one.label == label)
+    return Claim(effect, {one.name: force for one, force in zip(effect.parameters, forces, strict=True)})
+
+
+def problem_with(record: Callable[..., StateArray], claim: Claim) -> Problem:
+    states = record(corrected_bench(NOMINAL, [claim]), 3, seconds=8.0)
+    table = RawTable("dry", states["time"].copy(), None, {name: states[name].copy() for name in SENSED})
+    return Problem(checked(table, NOMINAL).segments, NOMINAL)
+
+
+SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position", "valve_current")
+
+
+def test_richer_form_must_pay_for_its_parameter(record: Callable[..., StateArray]) -> None:
+    """15.0 and 15.1 N: the second number gains 14 of BIC, which errors of the residuals' own reach."""
+    problem = problem_with(record, dry(DIRECTED, 15.0, 15.1))
+    found = search(problem).fit
+    assert [claim.effect.label for claim in found.claims] == [DRY]
+    richer = score(problem, found) - score(problem, fit(problem, [dry(DIRECTED, 15.0, 15.0)]))
+    assert 2.0 < richer < SearchSettings().threshold  # else this shows nothing
+
+
+def test_richer_form_that_pays_is_named(record: Callable[..., StateArray]) -> None:
+    found = search(problem_with(record, dry(DIRECTED, 15.0, 15.3))).fit
+    assert [claim.effect.label for claim in found.claims] == [DIRECTED]
+    assert found.claims[0].values["force_negative"] == pytest.approx(15.3, abs=0.1)
+
+
+@pytest.mark.parametrize("square, remains", [(1.45, set(CHANNELS[:4])), (1.7, set(CHANNELS))])
+def test_what_remains_is_judged_by_how_many_residuals_tell(problem: Problem, square: float, remains: set[str]) -> None:
+    """12 s: 2300 residuals in most channels, but 117 means over 100 ms, whose mean square chance brings to 1.4."""
+    for index, name in enumerate(CHANNELS):
+        residual = np.where(problem.layout.channel == index, square**0.5, 1.0)
+        assert noticeable(problem, residual) == (name in remains), name

@@ -43,7 +43,7 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--cases", type=int, default=20, metavar="N", help="benches (default: 20; a proof: 224)")
     options.add_argument("--parts", nargs="+", metavar="KIND=N", help="so many of each kind, in place of --cases")
     options.add_argument("--seed", type=int, required=True, metavar="S", help="of everything that is drawn")
-    options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 14 MB a case")
+    options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 9 MB a case")
     options.add_argument("--graph", type=int, default=0, metavar="K",
                          help="record the first K in real time, by serial line and graph (2 minutes each)")  # fmt: skip
     options.add_argument("--workers", type=int, default=2, help="cases side by side (default: 2)")
