@@ -56,6 +56,12 @@ class Probe:
                 return
             self._executor.spin_once(timeout_sec=0.02)
 
+    def wait_for(self, topic: str, wanted: Callable[[Any], object], timeout: float = 30.0) -> Any:
+        """Let messages come in until one of a topic is `wanted`; returns the first that is."""
+        heard = self.heard[topic]
+        self.wait(lambda: any(wanted(message) for _, message in heard[-50:]), timeout)
+        return next(message for _, message in heard if wanted(message))
+
     def arm(self, arm: bool) -> None:
         """Ask the plant, and wait until it confirms."""
         self.wait(self.arming.service_is_ready)

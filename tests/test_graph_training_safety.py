@@ -115,7 +115,7 @@ def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_r
     words += ("--updates-per-step", "0", "--runs", str(tmp_path), "--name", "run")
     with trainer(*words, *SHORT, "-p", "monitor.rollbacks_max:=2") as process:
         probe.wait(lambda: "policy stopped in episode 1" in process.text, 150.0)
-        probe.wait(lambda: probe.told.get("trainer", ("", {}))[1].get("rollbacks") in ("1", "2"), 5.0)
+        probe.wait(lambda: int(probe.told.get("trainer", ("", {}))[1].get("rollbacks", 0)) >= 1, 5.0)
         assert probe.told["trainer"][1]["last stop"] != "none"
         assert process.process.wait(60.0) == 1
     assert "rolled back to the last good one" in process.text
