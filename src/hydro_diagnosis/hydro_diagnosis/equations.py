@@ -2,8 +2,8 @@
 """What a diagnosis is worth on held-out recordings: simulated forward, and equation by equation.
 
 `equation_errors` is what each equation leaves of the recordings, without simulating. For rigs whose recordings cannot
-be simulated (no pressures, no current) this is the proof; the number to compare with the relative errors that the
-literature on inverse models gives is `rmse_after` over `signal`; samples near velocity reversals hardly count in it.
+be simulated (no pressures, no current) this is the proof. The relative errors that the literature on inverse models
+gives compare with `rmse_after` over `signal`, in which samples near velocity reversals hardly count.
 """
 
 from __future__ import annotations
