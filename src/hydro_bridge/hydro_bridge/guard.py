@@ -3,49 +3,24 @@
 
 The guard believes nobody. A value that is not finite is dropped, one out of range is clamped, an old one is replaced
 by the safe one (base gains, no correction); each is counted, and each change is told once in a sentence
-(`take_events`). Source: failure table of docs/architecture.md.
+(`take_events`). If nobody chooses gains any more it gives the plant up: reference 0 N, disarmed. Source: failure table
+of docs/architecture.md.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from hydro_bridge.frames import BoxInfo
-from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, ReferenceSignal, Waveform
+from hydro_bridge.guard_limits import GuardSettings, narrowed, unfit, with_frequency
+from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, ReferenceSignal
+
+__all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
 
 DECIDED = frozenset(
     {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
 )
 """Statuses with which the filter did decide. NAN and STALE say that it could not, BYPASSED that it was told not to."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class GuardSettings:
-    """Limits and ages. Defaults: the paper's Table training_agent and the failure table of docs/architecture.md."""
-
-    delta_kp_min: float = 0.0
-    """1/s, smallest change of the proportional gain, [-200, 0]."""
-    delta_kp_max: float = 75.0
-    """1/s, largest change of the proportional gain, [0, 500]."""
-    delta_ki_min: float = 0.0
-    """1/s^2, smallest change of the integral gain, [-50, 0]."""
-    delta_ki_max: float = 10.0
-    """1/s^2, largest change of the integral gain, [0, 100]."""
-    delta_u_max: float = 0.1
-    """A, largest magnitude of the correction, [0, 0.2]; twice the valve's current gets from end to end."""
-    reference_force_max: float = 1000.0
-    """N, largest |offset| + amplitude of the reference, [0, 5000]."""
-    reference_frequency_max: float = 20.0
-    """Hz, largest frequency of the reference, [0.1, 100]."""
-    correction_age_max: float = 0.02
-    """s, an older correction is stale, and so is one of an older sample, [0.001, 0.2]."""
-    gains_age_max: float = 0.2
-    """s, older gains are stale, [0.01, 2]."""
-    relies_on: str = "nothing"
-    """The filter that gains of this range need to be safe; nothing: the bench bears them all. Told at the start."""
-    require_filter: bool = True
-    """Without a fresh correction: base gains. False lets gains pass unfiltered: logged, flagged and on /diagnostics."""
 
 
 @dataclass(kw_only=True)
@@ -64,6 +39,8 @@ class GuardCounts:
     """Commands for which the correction was stale."""
     stale_gains: int = 0
     """Commands for which the gains were stale."""
+    given_up: int = 0
+    """How often the plant was disarmed from here, see `CommandGuard.give_up`."""
 
 
 @dataclass(kw_only=True)
@@ -73,7 +50,7 @@ class CommandGuard:
     Times are seconds of any one monotonic clock. Nothing here is locked: use it from one thread or under one lock.
     """
 
-    settings: GuardSettings = GuardSettings()
+    settings: GuardSettings = field(default_factory=GuardSettings)
     counts: GuardCounts = field(default_factory=GuardCounts)
     _gains: tuple[float, float] = (0.0, 0.0)
     _gains_at: float = -inf
@@ -83,6 +60,9 @@ class CommandGuard:
     _newest: int | None = None
     _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
     _arm: bool = False
+    _gained: bool = False
+    """Whether gains came since the arming: from then on somebody is expected to be there."""
+    _given_up: str = ""
     _troubles: set[str] = field(default_factory=set)
     _events: list[str] = field(default_factory=list)
 
@@ -96,9 +76,23 @@ class CommandGuard:
         """The reference that goes down."""
         return self._reference
 
+    @property
+    def given_up(self) -> str:
+        """Why the plant was last disarmed from here; empty once it was armed anew."""
+        return self._given_up
+
     def set_arm(self, arm: bool) -> None:
         """Ask for arming or disarming; a lost connection calls this with False."""
+        if arm and not self._arm:
+            self._gained, self._given_up = False, ""
         self._arm = bool(arm)
+
+    def give_up(self, reason: str) -> None:
+        """Disarm, with base gains and a reference of 0 N, until somebody arms on purpose; `reason` is told."""
+        self._arm, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
+        self._given_up = f"{reason}; reference 0 N, disarmed until it is armed anew"
+        self.counts.given_up += 1
+        self._events.append(self._given_up)
 
     def set_gains(self, delta_kp: float, delta_ki: float, now: float) -> None:
         """Take new gain changes [1/s], [1/s^2]; not finite: dropped, and the last ones age on."""
@@ -112,7 +106,7 @@ class CommandGuard:
             self._clamp("delta_kp", delta_kp, limits.delta_kp_min, limits.delta_kp_max),
             self._clamp("delta_ki", delta_ki, limits.delta_ki_min, limits.delta_ki_max),
         )
-        self._gains_at = now
+        self._gains_at, self._gained = now, True
 
     def set_correction(self, delta_u: float, status: int, sequence: int, now: float) -> None:
         """Take the filter's correction [A] for sample `sequence`; without a decision in it, the last one ages on."""
@@ -138,12 +132,12 @@ class CommandGuard:
 
     def set_reference(self, signal: ReferenceSignal) -> bool:
         """Take a new reference; out of range or not finite: refused, the last one stays, and False comes back."""
-        reason = _unfit(signal, self.settings)
+        reason = unfit(signal, self.settings)
         if reason:
             self.counts.references_refused += 1
             self._events.append(f"reference refused, the last one stays: {reason}")
             return False
-        self._reference = signal
+        self._reference = with_frequency(signal)
         return True
 
     def correction_fresh(self, now: float) -> bool:
@@ -156,6 +150,8 @@ class CommandGuard:
 
     def command(self, now: float) -> Command:
         """What may go down at time `now`."""
+        if self._arm and self._gained and now - self._gains_at > self.settings.abandoned_after:
+            self.give_up(f"no gains for {self.settings.abandoned_after:g} s, whoever chose them is gone")
         filtered, gained = self.correction_fresh(now), self.gains_fresh(now)
         self.counts.commands += 1
         self.counts.stale_correction += not filtered
@@ -196,28 +192,3 @@ class CommandGuard:
         if present != (trouble in self._troubles):
             (self._troubles.add if present else self._troubles.discard)(trouble)
             self._events.append(began if present else ended)
-
-
-def _unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
-    """Why a reference may not go down; empty if it may."""
-    if signal.waveform not in tuple(Waveform):
-        return f"unknown waveform {signal.waveform}"
-    if not all(map(isfinite, (signal.amplitude, signal.offset, signal.frequency, signal.phase))):
-        return "a number in it is not finite"
-    if signal.amplitude < 0.0 or signal.amplitude + abs(signal.offset) > limits.reference_force_max:
-        return f"amplitude {signal.amplitude:g} N, offset {signal.offset:g} N; limit {limits.reference_force_max:g} N"
-    if not 0.0 < signal.frequency <= limits.reference_frequency_max and signal.waveform != Waveform.HOLD:
-        return f"frequency {signal.frequency:g} Hz is outside (0, {limits.reference_frequency_max:g}]"
-    return ""
-
-
-def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
-    """Limits that neither the settings nor the box exceed."""
-    return replace(
-        wanted,
-        delta_kp_min=max(wanted.delta_kp_min, box.delta_kp_min),
-        delta_kp_max=min(wanted.delta_kp_max, box.delta_kp_max),
-        delta_ki_min=max(wanted.delta_ki_min, box.delta_ki_min),
-        delta_ki_max=min(wanted.delta_ki_max, box.delta_ki_max),
-        delta_u_max=min(wanted.delta_u_max, box.delta_u_max),
-    )

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf, isfinite, nan
 
 import pytest
@@ -136,6 +137,50 @@ def test_a_correction_of_an_old_sample_is_no_fresh_one_however_lately_it_came():
     guard.note_sample(3)  # the count of samples wraps
     guard.set_correction(0.01, CorrectionStatus.PASS, 2**32 - 3, 1.0)
     assert guard.command(1.0).filter_fresh
+
+
+def test_gains_that_never_come_back_disarm_and_stop_the_reference_once_and_say_so():
+    guard = fresh()
+    sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0)
+    guard.set_arm(True)
+    guard.set_reference(sine)
+    assert guard.command(1000.0).arm, "none came since the arming: it is by hand"
+    guard.set_gains(30.0, 4.0, 1000.0)
+    assert (guard.command(1010.0).arm, guard.command(1010.0).reference) == (True, sine)
+    guard.take_events()
+    for now in (1010.1, 1010.2):
+        assert guard.command(now) == Command(corrects=77)
+    sentence = "no gains for 10 s, whoever chose them is gone; reference 0 N, disarmed until it is armed anew"
+    assert guard.take_events() == [sentence] and guard.given_up == sentence and guard.counts.given_up == 1
+    guard.set_gains(30.0, 4.0, 1010.3)
+    assert not guard.command(1010.3).arm, "gains alone arm nothing"
+    guard.set_arm(True)
+    assert guard.command(1100.0).arm and guard.given_up == "", "armed on purpose, and nobody has chosen gains since"
+
+
+def test_gains_that_come_back_in_time_disarm_nothing():
+    guard = CommandGuard(settings=GuardSettings(abandoned_after=2.0))
+    guard.set_arm(True)
+    for now in (0.0, 2.0, 4.0):
+        guard.set_gains(30.0, 4.0, now)
+        assert guard.command(now + 1.9).arm
+    guard.set_arm(False)
+    guard.command(100.0)
+    assert guard.given_up == "", "a plant that is disarmed has nothing to give up"
+
+
+@pytest.mark.parametrize("frequency", [0.0, -1.0, 1e6, 1e-60])
+def test_a_hold_is_let_through_whatever_its_frequency_and_goes_down_with_one_that_every_box_takes(frequency):
+    guard = CommandGuard()
+    assert guard.set_reference(ReferenceSignal(waveform=Waveform.HOLD, offset=100.0, frequency=frequency))
+    assert guard.command(0.0).reference == ReferenceSignal(offset=100.0)
+
+
+@pytest.mark.parametrize("change", [{"frequency": 1e-60}, {"phase": 1e60}, {"phase": -1e39}])
+def test_a_reference_that_is_unfit_as_float32_is_refused_as_the_box_would(change):
+    guard = CommandGuard()
+    assert not guard.set_reference(replace(ReferenceSignal(waveform=Waveform.SINE, amplitude=10.0), **change))
+    assert guard.counts.references_refused == 1
 
 
 def test_the_box_narrows_the_limits_and_never_widens_them():

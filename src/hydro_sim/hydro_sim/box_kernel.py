@@ -76,6 +76,8 @@ def receive(settings, states, commands, time):
     state.delta_u = _admitted(state, command.delta_u, -limits.delta_u_max, limits.delta_u_max)
     if _playable(command.reference, limits.high[limits.feedback_channel]):
         reference.copy_signal(command.reference, state.reference.wanted)
+        if command.reference.waveform == reference.HOLD:
+            state.reference.wanted.frequency = 1.0  # it has none, whatever was sent: none reaches the derivative
     else:
         state.refused += 1
 
@@ -91,9 +93,14 @@ def _admitted(state, value, low, high):
 
 @njit(cache=True)
 def _playable(signal, force_range):
-    """Whether the reference stays within what the load cell can show [N]; false of anything that is not finite."""
+    """Whether the reference stays within what the load cell can show [N]; false of anything that is not finite.
+
+    A HOLD has no frequency: its own may be any finite number.
+    """
     levels = signal.amplitude >= 0.0 and signal.amplitude + abs(signal.offset) <= force_range
     shape = 0 <= signal.waveform <= LAST_WAVEFORM and math.isfinite(signal.phase)
+    if signal.waveform == reference.HOLD:
+        return levels and shape and math.isfinite(signal.frequency)
     return levels and shape and 0.0 < signal.frequency < 1.0 / SAMPLE
 
 

@@ -11,6 +11,8 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from hydro_bridge.guard import CommandGuard, GuardSettings
+from hydro_bridge.protocol import CommandFrame, decode, encode_command
 from hydro_bridge.signals import Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_sim.bench import Bench
 from hydro_sim.box import Box, BoxConfig
@@ -18,6 +20,7 @@ from hydro_sim.plant import AnalyticPlant
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 RUN = Command(arm=True, delta_kp=75.0, delta_ki=10.0, delta_u=1e-4, reference=SINE, filter_fresh=True)
+BOX = Box(Bench.nominal())
 FAULTS = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT
 
 
@@ -214,6 +217,44 @@ def test_a_reference_that_cannot_be_played_is_refused(change: dict[str, float], 
     other = Rig(bench).armed().go(500, RUN)
     np.testing.assert_array_equal(run["reference_force"], other["reference_force"])
     assert rig.box.refused == 500
+
+
+SIZES = st.floats(0.0, 5500.0) | st.floats(allow_nan=True, allow_infinity=True)
+
+
+@settings(max_examples=300)
+@example(Waveform.HOLD, 0.0, 0.0, 0.0, 0.0)
+@example(Waveform.SINE, 1.0, 0.0, 1e-60, 0.0)
+@example(Waveform.SINE, 1.0, 0.0, 1.0, 1e60)
+@example(Waveform.SINE, 0.1, 4999.9, 1.0, 0.0)
+@given(st.sampled_from(Waveform), SIZES, SIZES | SIZES.map(lambda size: -size), SIZES, SIZES)
+def test_a_box_takes_every_reference_that_the_guard_lets_through(
+    waveform: Waveform, amplitude: float, offset: float, frequency: float, phase: float
+) -> None:
+    """By the sim node, as it is, and by the serial line, as float32."""
+    guard = CommandGuard(settings=GuardSettings(reference_force_max=5000.0, reference_frequency_max=100.0))
+    taken = guard.set_reference(
+        ReferenceSignal(waveform=waveform, amplitude=amplitude, offset=offset, frequency=frequency, phase=phase)
+    )
+    command = guard.command(0.0)
+    sent = decode(encode_command(1, 0, command)[1:-1])
+    assert isinstance(sent, CommandFrame)
+    for each in (command, sent.command):
+        BOX.reset()
+        BOX.receive(each, 0.0)
+        assert BOX.refused == 0
+        wanted = BOX.state["reference"]["wanted"][0]
+        assert (wanted["waveform"], wanted["offset"]) == (each.reference.waveform, each.reference.offset)
+    assert taken or command.reference == ReferenceSignal()
+
+
+@pytest.mark.parametrize("frequency", [0.0, -3.0, 1e6])
+def test_a_hold_has_no_frequency(frequency: float, bench: Bench) -> None:
+    """The natural word for a stop: a reference message with nothing filled in."""
+    rig = Rig(bench).armed()
+    run = rig.go(2000, replace(RUN, reference=ReferenceSignal(waveform=Waveform.HOLD, frequency=frequency)))
+    assert rig.box.refused == 0
+    assert run["reference_force"][-1] == 0.0 and abs(run["load_force"][-1]) < 20.0
 
 
 def test_current_saturates_at_the_valves_limit_and_says_so(bench: Bench) -> None:
