@@ -1,21 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box's clock mapped to ROS time.
+"""The box's clock mapped to ROS time, by way of the host's monotonic clock, which nobody sets.
 
-A sample taken at box time b arrives at host time a = b + offset + delay, and the delay is never negative. So the
+::
+
+    box time ──BoxClock: slewed──> monotonic time ──HostClock: stepped when the host's clock is set──> ROS time
+
+A sample taken at box time b arrives at monotonic time a = b + offset + delay, and the delay is never negative. So the
 smallest a - b within a window is the best estimate of the offset, the quickest delivery's delay included; the window
 forgets, for the two clocks drift. The estimate is slewed and never stepped: stamps are strictly monotone and a
-sample's spacing stays the box's.
+sample's spacing stays the box's, until somebody sets the host's clock: then they follow at once.
 """
 
 from __future__ import annotations
 
+import time
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 
 @dataclass(kw_only=True)
 class BoxClock:
-    """Maps box time to host time."""
+    """Maps box time to the host's monotonic time."""
 
     window: float = 2.0
     """s of samples in which the quickest delivery is looked for, [0.1, 60]; at 50 ppm of drift 2 s are worth 0.1 ms."""
@@ -26,29 +32,24 @@ class BoxClock:
     _offset: int = 0
     _last_us: int | None = None
 
-    @property
-    def offset_ns(self) -> int:
-        """Host time minus box time as used now, ns."""
-        return self._offset
-
     def reset(self) -> None:
         """Forget the mapping: a new connection or a restarted box."""
         self._quickest.clear()
         self._last_us = None
 
     def stamp(self, box_us: int, arrival_ns: int) -> int:
-        """Host time of a sample.
+        """Monotonic time of a sample.
 
         Parameters
         ----------
         box_us
             Box time of the sample, us, ascending.
         arrival_ns
-            Host time at which it arrived, ns.
+            Monotonic time at which it arrived, ns.
 
         Returns
         -------
-        Host time at which it was taken, as far as can be told, ns, ascending.
+        Monotonic time at which it was taken, as far as can be told, ns, ascending.
         """
         best = self._best(box_us, arrival_ns - 1000 * box_us)
         if self._last_us is None:
@@ -68,3 +69,52 @@ class BoxClock:
         while queue[0][0] < box_us - 1e6 * self.window:
             queue.popleft()
         return queue[0][1]
+
+
+class HostClock:
+    """Maps the host's monotonic time to ROS time, and notices when somebody sets the host's clock.
+
+    NTP slews both clocks alike, so that their difference is constant but for steps.
+
+    Parameters
+    ----------
+    wall, monotonic
+        The two clocks, ns.
+    """
+
+    STEP = 1_000_000
+    """ns by which the difference has to have changed: what reading two clocks one after the other leaves is less."""
+    _READING = 100_000  # ns that reading both may take; what takes longer was interrupted
+
+    def __init__(
+        self, wall: Callable[[], int] = time.time_ns, monotonic: Callable[[], int] = time.monotonic_ns
+    ) -> None:
+        self._wall, self._monotonic = wall, monotonic
+        offset = None
+        while offset is None:
+            offset = self._read()
+        self._offset = offset
+
+    def look(self) -> int:
+        """Look at both clocks, once a sample or so: by how much the host's clock was set since, ns; mostly 0."""
+        offset = self._read()
+        step = 0 if offset is None else offset - self._offset
+        if abs(step) < self.STEP:
+            return 0
+        self._offset += step
+        return step
+
+    def ros_time(self, monotonic_ns: int) -> int:
+        """ROS time [ns] of a moment of the monotonic clock [ns]."""
+        return monotonic_ns + self._offset
+
+    def _read(self) -> int | None:
+        """Wall time minus monotonic time, ns; None if this thread was interrupted between the two."""
+        before = self._monotonic()
+        wall = self._wall()
+        return wall - before if self._monotonic() - before <= self._READING else None
+
+
+def set_by(step_ns: int) -> str:
+    """Sentence for the log on a step that `HostClock.look` has found."""
+    return f"the host's clock was set by {1e-9 * step_ns:+.3f} s: the samples' stamps follow at once"

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
-from hydro_bridge.clock import BoxClock
+from hydro_bridge.clock import BoxClock, HostClock, set_by
 from hydro_bridge.guard import CommandGuard, narrowed
 from hydro_bridge.link_times import LinkTimes
 from hydro_bridge.port import Port, PortLostError
@@ -87,7 +87,7 @@ class Link:
         self._news = threading.Condition()
         self.counts = LinkCounts()
         self.report = LinkReport()
-        self.clock = BoxClock()
+        self.clock, self.host_clock = BoxClock(), HostClock()
         self.box: BoxInfo | None = None
         self.state = LinkState.CLOSED
         self.flags = Flag(0)
@@ -150,10 +150,13 @@ class Link:
                 return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
             self.guard.set_arm(arm)
         with self._news:
-            if self.state is LinkState.CLOSED or self._news.wait_for(
-                lambda: bool(self.flags & Flag.ARMED) == arm, timeout
-            ):
-                return ""
+            confirmed = self._news.wait_for(
+                lambda: self.state is not LinkState.CONNECTED or bool(self.flags & Flag.ARMED) == arm, timeout
+            )
+        if self.state is not LinkState.CONNECTED:
+            return "the box has gone while it was to be armed: it is not armed" if arm else ""
+        if confirmed:
+            return ""
         with self.lock:
             self.guard.set_arm(False)
         return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
@@ -195,10 +198,17 @@ class Link:
             self.guard.note_sample(frame.sequence)
         stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
         self._note_flags(Flag(frame.flags | stale))
-        self._on_state(frame, self.clock.stamp(frame.time_us, time.time_ns()), int(self.flags))
+        self._on_state(frame, self._stamp(frame), int(self.flags))
         if missed:  # no correction came for the sample before: the box hears from us all the same
             self.report.heartbeats += 1
             self.send()
+
+    def _stamp(self, frame: State) -> int:
+        """ROS time [ns] at which the sample was taken."""
+        step = self.host_clock.look()
+        if step:
+            self._warn(set_by(step))
+        return self.host_clock.ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
 
     def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
         try:
@@ -235,6 +245,8 @@ class Link:
             self.guard.set_arm(False)  # before anyone can see that the line is closed
             self.state = LinkState.CLOSED
             self.port.close()
+        with self._news:
+            self._news.notify_all()
         self._decoder.reset()
         self._disarm_and_forget()
 

@@ -2,10 +2,11 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.clock import BoxClock
+from hydro_bridge.clock import BoxClock, HostClock
 
 OFFSET = 1_700_000_000_000_000_000
 
@@ -46,3 +47,45 @@ def test_reset_takes_a_new_origin_at_once():
     run(clock, np.full(100, 300))
     clock.reset()
     assert clock.stamp(0, OFFSET + 10**12) == OFFSET + 10**12
+
+
+class Clocks:
+    """A host's two clocks; reading one takes `reading` ns."""
+
+    def __init__(self) -> None:
+        self.now, self.difference, self.reading = 5_000_000_000, OFFSET, 100
+
+    def wall(self) -> int:
+        self.now += self.reading
+        return self.now + self.difference
+
+    def monotonic(self) -> int:
+        self.now += self.reading
+        return self.now
+
+
+@pytest.mark.parametrize("step", [100_000_000, -100_000_000, 3_600_000_000_000, -20_000_000])
+def test_a_step_of_the_hosts_clock_is_seen_once_and_followed_at_once(step):
+    clocks = Clocks()
+    host = HostClock(clocks.wall, clocks.monotonic)
+    assert host.look() == 0 and abs(host.ros_time(7) - OFFSET - 7) < 1000
+    clocks.difference += step
+    assert abs(host.look() - step) < 1000
+    assert host.look() == 0 and abs(host.ros_time(7) - OFFSET - step - 7) < 1000
+
+
+def test_an_interruption_between_two_clocks_is_no_step():
+    clocks = Clocks()
+    host = HostClock(clocks.wall, clocks.monotonic)
+    before = host.ros_time(0)
+    clocks.reading = 50_000_000
+    assert host.look() == 0 and host.ros_time(0) == before
+
+
+def test_many_small_steps_are_followed_once_they_amount_to_a_millisecond():
+    clocks = Clocks()
+    host = HostClock(clocks.wall, clocks.monotonic)
+    for _ in range(50):
+        clocks.difference += 100_000
+        host.look()
+        assert abs(host.ros_time(0) - clocks.difference) <= HostClock.STEP

@@ -6,6 +6,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -115,6 +116,54 @@ def test_a_box_that_does_not_confirm_is_not_left_armed(bench):
     it = bench(obeys=False).connected()
     assert "did not confirm within 0.1 s" in it.link.arm(True, timeout=0.1)
     assert not it.link.guard.armed
+
+
+def test_a_box_that_goes_while_it_is_to_be_armed_is_not_said_to_be_armed(bench):
+    it, said = bench(obeys=False).connected(), []
+    arming = threading.Thread(target=lambda: said.append(it.link.arm(True, timeout=5.0)))
+    with it.link._news:  # held: the arming thread has asked, and waits to hear
+        arming.start()
+        wait_until(lambda: it.link.guard.armed)
+        it.cable.unplug()
+        wait_until(lambda: it.link.state is LinkState.CLOSED)
+    arming.join(2.0)
+    assert said == ["the box has gone while it was to be armed: it is not armed"]
+    assert it.link.arm(False) == ""
+
+
+def test_a_box_that_goes_while_it_is_waited_for_is_noticed_at_once(bench):
+    it, said = bench(obeys=False).connected(), []
+    arming = threading.Thread(target=lambda: said.append(it.link.arm(True, timeout=5.0)))
+    arming.start()
+    wait_until(lambda: it.link.guard.armed)
+    it.cable.unplug()
+    arming.join(2.0)
+    assert said == ["the box has gone while it was to be armed: it is not armed"]
+
+
+def test_an_abandoned_box_is_disarmed(bench):
+    it = bench().connected()
+    it.link.guard.settings = replace(it.link.guard.settings, abandoned_after=0.1)
+    assert it.link.arm(True) == ""
+    with it.link.lock:
+        it.link.guard.set_gains(30.0, 2.0, time.monotonic())
+    wait_until(lambda: not it.box.flags & Flag.ARMED and not it.link.flags & Flag.ARMED)
+    assert it.link.guard.given_up
+
+
+def test_stamps_follow_a_step_of_the_hosts_clock_at_once_and_it_is_said(bench):
+    it, shift = bench().connected(), [0]
+    it.link.host_clock._wall = lambda: time.time_ns() + shift[0]
+    for step in (100_000_000, -100_000_000):
+        told, (first, before, _) = len(it.log), it.states[-1]
+        shift[0] += step
+        wait_until(lambda told=told: len(it.log) > told)
+        count = len(it.states)
+        wait_until(lambda count=count: len(it.states) > count)
+        last, after, _ = it.states[-1]
+        passed = 1_000_000 * (last - first)
+        assert abs(after - before - passed - step) < 0.05 * passed + 2e6, "the box's time, slewed by at most 5 %"
+        assert f"was set by {1e-9 * step:+.3f} s" in it.log[-1]
 
 
 def test_a_tripped_box_is_not_armed_before_it_was_disarmed(bench):

@@ -7,6 +7,7 @@ import contextlib
 import ctypes
 import time
 
+from hydro_bridge.clock import HostClock
 from hydro_bridge.latency import Latency
 
 _PR_SET_TIMERSLACK = 29
@@ -30,24 +31,21 @@ class Pacer:
         """Periods that began more than a period late."""
         self.skipped = 0.0
         """s left out."""
+        self.host_clock = HostClock()
         self.restart()
 
     def restart(self) -> None:
         """Let the first deadline be now."""
         self._deadline = time.monotonic_ns()
-        self.start_ns = time.time_ns()
-        """Host time of deadline 0, ns since the epoch."""
-        self._passed = 0
 
     @property
     def scheduled_ns(self) -> int:
-        """Host time [ns] for which the present period was meant: jitter of waking up is not in it."""
-        return self.start_ns + self._passed * self.period_ns
+        """ROS time [ns] for which the present period was meant: jitter of waking up is not in it."""
+        return self.host_clock.ros_time(self._deadline)
 
     def wait(self) -> None:
         """Sleep until the next deadline."""
         self._deadline += self.period_ns
-        self._passed += 1
         left = self._deadline - time.monotonic_ns()
         if left > 0:
             time.sleep(1e-9 * left)
@@ -57,7 +55,6 @@ class Pacer:
         if -left > self._give_up_ns:
             self.skipped -= 1e-9 * left
             self._deadline -= left
-            self.start_ns -= left
 
 
 def exact_timers() -> None:

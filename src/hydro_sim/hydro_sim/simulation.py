@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+from hydro_bridge.clock import set_by
 from hydro_bridge.guard import CommandGuard
 from hydro_bridge.settings import check
 from hydro_bridge.signals import Command, Flag, FloatArray
@@ -100,6 +101,11 @@ class Simulation:
         """Whether stamps are ROS time and commands age by the host's clock."""
         return self.settings.speed == 1.0
 
+    @property
+    def refused(self) -> int:
+        """Values in commands that the box did not take as they were."""
+        return self._box.refused
+
     def clock(self) -> float:
         """The guard's clock [s]."""
         return time.monotonic() if self.real_time else self.samples * SAMPLE
@@ -122,7 +128,7 @@ class Simulation:
             sample = self._box.tick(measurement, now)
             if getattr(self._plant, "extrapolating", False):  # a learned plant outside of what it was trained on
                 sample["flags"] |= Flag.EXTRAPOLATING
-            stamp = self.pacer.scheduled_ns if self.real_time else self.samples * round(1e9 * SAMPLE)
+            stamp = self._stamp()
             fields: tuple[Any, ...] = sample.item()  # type: ignore[assignment]
             self._on_state(stamp, fields)
             measurement = self._plant.step(fields[10])
@@ -170,6 +176,15 @@ class Simulation:
         if taken > 1.0:
             self._log(f"compiled in {taken:.1f} s; the next start takes it from numba's cache")
         return self._plant.reset(self.settings.seed)
+
+    def _stamp(self) -> int:
+        """Of the present sample, ns: ROS time at speed 1, else the simulation's own."""
+        if not self.real_time:
+            return self.samples * round(1e9 * SAMPLE)
+        step = self.pacer.host_clock.look()
+        if step:
+            self._log(set_by(step))
+        return self.pacer.scheduled_ns
 
     def _wait(self, sequence: int, resend: Callable[[], None]) -> None:
         if self.settings.speed > 0.0 or not self.steps.engaged:
