@@ -25,6 +25,9 @@ from rclpy.publisher import Publisher  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 
+from hydro_bridge.nodes.arm import parser as arm_parser  # noqa: E402
+from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
+from hydro_bridge.port import PortSettings  # noqa: E402
 from hydro_bridge.recording import STATE_TOPIC, BagWriter, continuity, read_bag  # noqa: E402
 from hydro_bridge.ros import (  # noqa: E402
     ARM_SERVICE,
@@ -208,21 +211,21 @@ def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_s
 def test_a_second_node_whose_gains_come_in_disarms_the_plant_and_is_named(steered, probe):
     rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
     probe.wait(lambda: steered.told and "2 nodes publish /hydro/gains" in steered.told[-1].message)
-    steered.gain(3.5, probe.senders[GAINS])
+    steered.gain(2.5, probe.senders[GAINS])
     assert steered.armed(), "it is there, but it waits until it is alone"
     steered.gain(0.2, rival)
-    steered.gain(3.5, probe.senders[GAINS])
+    steered.gain(2.5, probe.senders[GAINS])
     assert not steered.armed(), "the second took the gains, and the first took them back"
     assert "2 nodes publish /hydro/gains (probe, probe): end all but one; reference 0 N" in steered.output.getvalue()
     assert not probe.arm(True).success
 
 
 def test_a_handover_of_the_gains_disarms_nothing(steered, probe):
-    steered.gain(1.0, probe.senders[GAINS])
+    steered.gain(0.2, probe.senders[GAINS])
     heir = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
     probe.wait(lambda: probe.node.count_publishers(GAINS) == 2)
-    steered.gain(2.5, probe.senders[GAINS])
-    steered.gain(2.5, heir)
+    steered.gain(2.0, probe.senders[GAINS])
+    steered.gain(2.0, heir)
     assert steered.armed() and "2 nodes" not in steered.output.getvalue()
 
 
@@ -234,14 +237,25 @@ def test_a_second_plant_disarms_the_first(steered, probe):
     probe.node.destroy_publisher(other)
 
 
-def test_a_parameter_that_is_not_there_is_refused_before_the_box_is_greeted(cable, start):
-    refused = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.gaga:=1")
-    heard = b""
-    while refused.process.poll() is None:
-        with suppress(BlockingIOError, OSError):
-            heard += os.read(cable.box, 4096)
-        time.sleep(0.005)
-    assert refused.process.returncode == 2 and heard == b""
+def test_the_box_is_not_greeted_before_all_settings_are_known_to_be_right(cable):
+    """A greeting disarms a box that is in use."""
+    rclpy.init()
+    node = BridgeNode(PortSettings(path=str(cable.path)), realtime=False)
+    try:
+        time.sleep(0.3)
+        with pytest.raises(OSError):  # nobody has opened the other end, or nothing came
+            os.read(cable.box, 4096)
+        node.begin()
+        end = time.monotonic() + 5.0
+        heard = b""
+        while not heard and time.monotonic() < end:
+            with suppress(OSError):
+                heard = os.read(cable.box, 4096)
+        assert heard
+    finally:
+        node.close()
+        node.destroy_node()
+        rclpy.shutdown()
 
 
 def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, start):
@@ -260,6 +274,15 @@ def test_arm_arms_and_says_what_the_plant_answered(cable, small_box, probe, star
     probe.wait(lambda: not probe.arm(True).success)  # once the bridge has noticed
     refused = start("arm")
     assert refused.process.wait(20.0) == 2 and "the plant refuses: " in refused.last_words
+
+
+@pytest.mark.parametrize("timeout", ["-1", "0", "nan", "inf", "soon"])
+def test_arm_refuses_a_time_that_is_none(timeout, capsys):
+    with pytest.raises(SystemExit) as ended:
+        arm_parser().parse_args([f"--timeout={timeout}"])
+    assert ended.value.code == 2
+    said = f"arm: error: argument --timeout: {timeout}: a number of seconds above 0 is meant"
+    assert capsys.readouterr().err.splitlines()[-1] == said
 
 
 def test_bridge_says_once_that_the_box_tripped_and_why(cable, small_box, probe, start):

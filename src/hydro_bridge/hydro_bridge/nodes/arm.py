@@ -8,6 +8,8 @@ ros2 run hydro_bridge arm --off
 from __future__ import annotations
 
 import argparse
+from contextlib import suppress
+from math import inf
 
 import rclpy
 from rclpy.node import Node
@@ -21,8 +23,15 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = argparse.ArgumentParser(prog="arm", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     result.add_argument("--off", action="store_true", help="disarm: the valve closes")
-    result.add_argument("--timeout", type=float, default=10.0, metavar="S", help="for each step, default 10 s")
+    result.add_argument("--timeout", type=_seconds, default=10.0, metavar="S", help="for each step, default 10 s")
     return result
+
+
+def _seconds(text: str) -> float:
+    with suppress(ValueError):
+        if 0.0 < (seconds := float(text)) < inf:
+            return seconds
+    raise argparse.ArgumentTypeError(f"{text}: a number of seconds above 0 is meant")
 
 
 @command()

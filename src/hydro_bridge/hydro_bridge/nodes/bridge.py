@@ -75,12 +75,16 @@ class BridgeNode(PlantNode):
         self.connect(self.link)
         self.get_logger().info(be_prompt(realtime=realtime))
         self._thread = threading.Thread(target=self.link.run, name="serial", daemon=True)
+
+    def begin(self) -> None:
+        """Open the port and greet the box, which disarms one that is in use: not before all settings are right."""
         self._thread.start()
 
     def close(self) -> None:
         """Disarm and close the port."""
         self.link.stop()
-        self._thread.join(2.0)
+        if self._thread.is_alive():
+            self._thread.join(2.0)
 
     def _publish(self, sample: State, stamp_ns: int, flags: int) -> None:
         self.publish_state(stamp_ns, sample.sequence, sample.values, flags)

@@ -7,7 +7,8 @@
     /hydro/arm ───────────────────────────────────────> arm      ├─ PlantSide (a serial line, a simulation)
     /hydro/state <────────────────────────────────── publish_state ┘
 
-Gains from two nodes would alternate, and so would states of two plants: neither is armed, and both are an ERROR.
+Gains from two nodes would alternate, and so would states of two plants: neither is armed, both are an ERROR, and what
+was armed already is disarmed.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
+from dataclasses import replace
 from typing import Any, Protocol
 
 from rclpy.clock import Clock, ClockType
@@ -33,6 +35,8 @@ from hydro_bridge.ros import (
     STATE,
     STATE_QOS,
     DiagnosticsPublisher,
+    Level,
+    RivalWatch,
     StateMessage,
     Status,
     reference_from_message,
@@ -86,8 +90,16 @@ class PlantNode(Node):
         self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
         self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)
         self.create_service(SetBool, ARM_SERVICE, self._on_arm)
-        self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.create_timer(0.1, self._tell_events, clock=steady)
+        self._rival_watch = RivalWatch(self)
+        self.create_timer(1.0, self._look_for_rivals, clock=steady)
         self.diagnostics = DiagnosticsPublisher(self, self._status)
+
+    def destroy_node(self) -> None:
+        """End the watch for rivals, too."""
+        self._rival_watch.close()
+        super().destroy_node()
 
     def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
         """Publish one sample; `values` in STATE_FIELDS order. Called from one thread only, the plant's."""
@@ -118,8 +130,20 @@ class PlantNode(Node):
         self.get_logger().info(response.message)
         return response
 
+    def _look_for_rivals(self) -> None:
+        trouble = self._rival_watch.look()
+        with self.side.lock:
+            if not trouble or not self.side.guard.armed:
+                return
+            self.side.guard.give_up(trouble)
+        self.side.send()
+
     def _status(self) -> Status:
-        return with_rivals(self.side.status(), rivals(self, GAINS, STATE))
+        status, given_up = self.side.status(), self.side.guard.given_up
+        if given_up:
+            message = f"{status.message}: {given_up}"
+            status = replace(status, level=max(status.level, Level.WARN), message=message)
+        return with_rivals(status, rivals(self, GAINS, STATE))
 
     def _tell_events(self) -> None:
         with self.side.lock:

@@ -42,12 +42,16 @@ class ReplayerNode(Node):
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         be_prompt(realtime=False)
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
+
+    def begin(self) -> None:
+        """Start replaying."""
         self._thread.start()
 
     def close(self) -> None:
         """Stop replaying."""
         self.replay.stop()
-        self._thread.join(2.0)
+        if self._thread.is_alive():
+            self._thread.join(2.0)
 
     def _run(self) -> None:
         try:

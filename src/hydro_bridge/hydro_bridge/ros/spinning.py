@@ -86,7 +86,8 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
     Parameters
     ----------
     make
-        Makes the node; if it has a method `close`, that is called while the context is still valid.
+        Makes the node. If it has a method `begin`, that is called once its parameters are known to be right: what
+        reaches a plant starts there. If it has a method `close`, that is called while the context is still valid.
     ros
         Arguments from `--ros-args` on.
     """
@@ -95,11 +96,14 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
     try:
         node = make()
         refuse_unknown_parameters(node)
+        getattr(node, "begin", _nothing)()
         spin(node)
     finally:
         if node is not None:
-            close = getattr(node, "close", None)
-            if close is not None:
-                close()
+            getattr(node, "close", _nothing)()
             node.destroy_node()
         rclpy.try_shutdown()
+
+
+def _nothing() -> None:
+    """For a node that has nothing to begin, or to close."""

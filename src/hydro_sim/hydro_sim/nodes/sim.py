@@ -52,6 +52,7 @@ class SimSide(Simulation):
             "lateness": self.pacer.lateness.sentence(),
             "left out [s]": self.pacer.skipped,
             "effects": self.effects or "none",
+            "refused by the box": self.refused,
             **{f"guard {name}": count for name, count in guard.items()},
         }
         return Status(level=self._level(), message=self._sentence(), values=values)
@@ -91,12 +92,16 @@ class SimNode(PlantNode):
         self.connect(self.simulation, self.simulation.clock)
         self.get_logger().info(be_prompt(realtime=realtime))
         self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
+
+    def begin(self) -> None:
+        """Start the plant's thread: not before all settings are right."""
         self._thread.start()
 
     def close(self) -> None:
         """End the plant's thread."""
         self.simulation.stop()
-        self._thread.join(2.0)
+        if self._thread.is_alive():
+            self._thread.join(2.0)
 
     def _publish(self, stamp_ns: int, fields: tuple[Any, ...]) -> None:
         if self._clock_publisher is not None:
