@@ -118,6 +118,13 @@ def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: st
     assert "\n" not in str(caught.value)
 
 
+def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+    file = tmp_path / "bin.yaml"
+    file.write_bytes(b"\xff\xfe\x00\x81")
+    with pytest.raises(ConfigError, match=f"^{file} cannot be read: it is no text in UTF-8$"):
+        load_truth(file)
+
+
 def test_unreadable_files_are_refused_in_one_sentence(tmp_path: Path) -> None:
     broken = tmp_path / "broken.yaml"
     broken.write_text("effects: {a: [")

@@ -182,4 +182,4 @@ def test_what_the_system_refuses_in_a_batch_is_one_sentence_without_a_number(
     (tmp_path / "jobs.yaml").write_text(yaml.safe_dump({"jobs": [job]}), encoding="utf-8")
     assert main(["--batch", str(tmp_path / "jobs.yaml")]) == 2
     error = capsys.readouterr().err
-    assert error.startswith("emulator: /dev/null") and "Errno" not in error and error.count("\n") == 1
+    assert error.startswith("error: /dev/null") and "Errno" not in error and error.count("\n") == 1

@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         else:
             _serve(options)
     except (ConfigError, RecordingError, ValueError, OSError) as error:
-        print(f"emulator: {explained(error)}", file=sys.stderr)
+        print(f"error: {explained(error)}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:  # before it runs: from then on Ctrl-C is asked for politely
         return 130
@@ -120,7 +120,8 @@ def _serve(options: argparse.Namespace) -> None:
         f"{timing.samples} samples, {timing.late} late by more than 1 ms (worst {1e3 * timing.worst:.2f} ms, "
         f"{timing.skipped:.1f} s skipped), {timing.cpu / max(timing.samples * 1e-3, 1e-3):.3f} s of CPU per second"
     )
-    print(link.summary(), flush=True)
+    refused = int(machine.box["refused"][0])
+    print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)
 
 
 def box_info(bench: Bench, box: BoxConfig) -> BoxInfo:

@@ -142,7 +142,7 @@ class RealTime:
             try:
                 obey(order, self.machine, self.link, now)
             except ConfigError as error:
-                print(f"emulator: {error}", file=sys.stderr)
+                print(f"error: {error}", file=sys.stderr)
 
     def _line(self) -> str:
         sample, timing = self.sample, self.timing
