@@ -147,7 +147,8 @@ def test_bridge_arms_disarms_and_is_disarmed_after_replugging(cable, small_box, 
 
 def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box, probe, start):
     small_box()
-    start("bridge", "--port", cable.path)
+    output = io.StringIO()
+    start("bridge", "--port", cable.path, output=output)
     told: list[DiagnosticStatus] = []
     listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
     probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
@@ -157,6 +158,9 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box
     assert told[-1].level == DiagnosticStatus.ERROR
     refused = probe.arm(True)
     assert not refused.success and "end all but one" in refused.message
+    assert [probe.arm(True).message for _ in range(5)] == [refused.message] * 5
+    probe.wait(lambda: refused.message in output.getvalue())
+    assert output.getvalue().count(refused.message) == 1, "told once, however often it is asked for"
     assert probe.arm(False).success
     probe.node.destroy_publisher(rival)
     told.clear()

@@ -76,7 +76,7 @@ class PlantNode(Node):
         super().__init__(name)
         self._publisher = self.create_publisher(BenchState, STATE, STATE_QOS)
         self._state = StateMessage()
-        self._flags, self._tripped = 0, False
+        self._flags, self._tripped, self._refusal = 0, False, ""
 
     def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
         """Take commands for `side`, and report on it; `clock` is the guard's [s]."""
@@ -127,7 +127,9 @@ class PlantNode(Node):
         trouble = rivals(self, GAINS, STATE) if request.data else ""
         trouble = trouble or self.side.arm(request.data)
         response.success, response.message = not trouble, trouble or ("armed" if request.data else "disarmed")
-        self.get_logger().info(response.message)
+        if not trouble or trouble != self._refusal:  # some ask again and again
+            self.get_logger().info(response.message)
+        self._refusal = trouble
         return response
 
     def _look_for_rivals(self) -> None:
