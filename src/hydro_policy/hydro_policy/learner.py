@@ -30,7 +30,7 @@ from hydro_policy.checkpoint import save_checkpoint
 from hydro_policy.policy import Policy
 from hydro_policy.replay import ReplayBuffer
 from hydro_policy.run import RunDirectory, TrainingSettings
-from hydro_policy.sac import Sac
+from hydro_policy.sac import Sac, SacSettings
 from hydro_policy.shared import SharedBlob
 from hydro_policy.snapshot import actor_parameters, dump, restore
 from hydro_policy.task import ACTIONS, OBSERVATIONS
@@ -180,6 +180,13 @@ def write_run(
     policy.save(run.policy, settings.task.gains, notes)
 
 
+def compile_updates(settings: SacSettings) -> None:
+    """One update of a throwaway learner. Where it is the first ever it compiles: no episode should pass unlearnt."""
+    replay = ReplayBuffer(OBSERVATIONS, ACTIONS, 2 * settings.batch_size + 128)
+    replay.extend(np.zeros((settings.batch_size, replay.rows.shape[1]), np.float32))
+    Sac(OBSERVATIONS, ACTIONS, settings).learn(replay, 1)
+
+
 def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection) -> None:
     """Body of the learning process; ends on None from the pipe, or when the acting process is gone."""
     signal.signal(
@@ -188,7 +195,8 @@ def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Con
     os.nice(10)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
-    learner = Learner(memory, settings)
+    compile_updates(settings.sac)
+    learner = Learner(memory, settings)  # from here on it is ready
     last: SaveRequest | None = None
     while True:
         worked = learner.work()

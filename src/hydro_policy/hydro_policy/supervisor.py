@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import multiprocessing
 import signal
 import time
@@ -31,6 +32,8 @@ from hydro_policy.learner import (
 from hydro_policy.run import RunDirectory, TrainingSettings
 
 RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds, and it is not bad luck
+HINT_AFTER = 8.0  # s
+AWAITING_LEARNER = "waiting for the learner: where it starts for the first time it compiles, up to a minute"
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
@@ -77,6 +80,7 @@ class LearnerSupervisor:
         if start is not None:
             self._snapshot.publish(start)
         self._deaths: deque[float] = deque()
+        self._hint_at = math.inf
         self.restarts = 0
         self._start()
 
@@ -129,7 +133,7 @@ class LearnerSupervisor:
             It keeps dying.
         """
         if self.alive:
-            return None
+            return self._hint()
         now, code = time.monotonic(), self._process.exitcode
         self._deaths.append(now)
         while now - self._deaths[0] > RESTART_WINDOW:
@@ -187,8 +191,16 @@ class LearnerSupervisor:
             if snapshot is not None:
                 write_run(SaveRequest(self._run.path, trainer, False), snapshot, None, self.replay, self._settings)
 
+    def _hint(self) -> str | None:
+        """Why nothing begins yet; once."""
+        if self.ready or time.monotonic() < self._hint_at:
+            return None
+        self._hint_at = math.inf
+        return AWAITING_LEARNER
+
     def _start(self) -> None:
         self._status[READY] = 0.0
+        self._hint_at = time.monotonic() + HINT_AFTER
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
         arguments = (self._memory, self._settings, theirs)  # small: what does not fit the pipe would wait for the child

@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hydro_policy import sac_kernel
 from hydro_policy.checkpoint import load_checkpoint
+from hydro_policy.learner import Learner, LearnerMemory, compile_updates
 from hydro_policy.policy import load_policy
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import Sac, SacSettings
@@ -30,7 +32,8 @@ def transitions(count: int) -> np.ndarray:
     return rows
 
 
-def wait(condition: Callable[[], bool], seconds: float = 30.0) -> None:
+def wait(condition: Callable[[], bool], seconds: float = 120.0) -> None:
+    """On a fresh machine the learner compiles first."""
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, "waited in vain"
@@ -97,6 +100,17 @@ def test_ctrl_c_while_it_starts_does_not_reach_the_learner(tmp_path: Path) -> No
         assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ()), "ours still comes"
     finally:
         learner.stop({})
+
+
+def test_what_learning_compiles_is_compiled_before_it_is_ready() -> None:
+    signatures = len(sac_kernel.learn.signatures)
+    compile_updates(SETTINGS.sac)
+    compiled = len(sac_kernel.learn.signatures)
+    learner = Learner(LearnerMemory(SETTINGS), SETTINGS)
+    learner.replay.extend(transitions(200))
+    learner.work()
+    assert learner.sac.updates > 0
+    assert signatures <= compiled == len(sac_kernel.learn.signatures), "the first real update found it compiled"
 
 
 def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ pytest.importorskip("rclpy")
 
 import rclpy
 
+from hydro_bridge.console import UserError
 from hydro_bridge.recording import read_bag
 from hydro_bridge.ros import GAINS, GAINS_QOS, STATE, STATE_QOS, executable_path
 from hydro_bridge.signals import Flag
@@ -24,7 +25,10 @@ from hydro_msgs.msg import BenchState, Gains
 from hydro_policy.checkpoint import load_checkpoint
 from hydro_policy.nodes.companions import PlantOptions, commands
 from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.nodes.guarding import uncovered
+from hydro_policy.nodes.options import plant_options
 from hydro_policy.nodes.trainer import DEMO, asked
+from hydro_policy.nodes.trainer import parser as trainer_parser
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
 from hydro_policy.task import GainRange
@@ -196,4 +200,30 @@ def test_companions_of_each_plant() -> None:
     named = PlantOptions(plant="sim", filter=("--contraction-rate", "2"))
     started = commands(named, GainRange(delta_kp_max=285.0), Path("run"))
     assert started[0][2][-2:] == ["--contraction-rate", "2"]
-    assert started[-1][2][-1] == "guard.relies_on:=--contraction-rate 2"
+    assert started[-1][2][-1] == "guard.relies_on:=--metric learned --contraction-rate 2"
+
+
+def test_a_range_that_the_filter_does_not_cover_is_told() -> None:
+    wide = GainRange(delta_kp_max=285.0)
+    assert uncovered(wide, ()) == "" and uncovered(GainRange(), ("--metric", "constant")) == ""
+    assert "constant metric does not protect from high gains" in uncovered(wide, ("--metric=constant",))
+    assert "bypassed" in uncovered(wide, ("--bypass",))
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--plant", "sim", "--truth", "t.yaml"), "--truth is of no use with --plant sim; it goes with emulator"),
+        (("--plant", "external", "--filter=--bypass"), "--filter is of no use with --plant external"),
+        (("--plant", "sim", "--port", "/dev/ttyUSB0"), "--port is of no use with --plant sim"),
+    ],
+)
+def test_words_that_a_plant_has_no_use_for_are_refused(words: tuple[str, ...], said: str) -> None:
+    with pytest.raises(UserError, match=said):
+        plant_options(trainer_parser().parse_args(words))
+
+
+def test_a_run_that_is_refused_leaves_no_folder(tmp_path: Path) -> None:
+    done = run("trainer", "--runs", str(tmp_path), "--plant", "sim", "--truth", "t.yaml")
+    assert done.returncode == 2 and "of no use" in done.stderr
+    assert list(tmp_path.iterdir()) == []

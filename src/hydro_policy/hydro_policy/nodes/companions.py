@@ -14,16 +14,15 @@ import re
 import sys
 import time
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
 from tqdm import tqdm
 
-from hydro_bridge.guard import GuardSettings
 from hydro_bridge.ros import Companion
-from hydro_filter.choice import DEFAULT
 from hydro_policy.nodes import provenance
+from hydro_policy.nodes.guarding import asked_filter, guard_parameters, relied_on
 from hydro_policy.task import GainRange
 
 PLANTS = ("sim", "emulator", "bench", "external")
@@ -138,7 +137,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     if options.plant == "external":
         return []
     bench = ["--bench", str(options.bench)] if options.bench else []
-    guard = guard_parameters(gains, " ".join(options.filter) or f"--metric {DEFAULT}")
+    guard = guard_parameters(gains, relied_on(options.filter))
     started: list[tuple[str, str, list[str]]] = []
     if options.recording is not None:
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
@@ -160,28 +159,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     digests = provenance.weights(options.plant, options.bench, options.policies)
+    digests += provenance.of_filter(asked_filter(options.filter)[0])
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [provenance.bench_file(options.bench), *options.attachments]
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]
-
-
-def guard_range(gains: GainRange) -> GainRange:
-    """What the plant's guard lets through: its defaults, opened as wide as the policy's gains where they are wider."""
-    default = GuardSettings()
-    return GainRange(
-        delta_kp_min=min(gains.delta_kp_min, default.delta_kp_min),
-        delta_kp_max=max(gains.delta_kp_max, default.delta_kp_max),
-        delta_ki_min=min(gains.delta_ki_min, default.delta_ki_min),
-        delta_ki_max=max(gains.delta_ki_max, default.delta_ki_max),
-    )
-
-
-def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
-    """ROS parameters that open the plant's guard as wide as the policy's gains, where its defaults are narrower.
-
-    The guard is told which filter the wider range relies on, and tells it: nothing opens it in silence.
-    """
-    default, wanted = GuardSettings(), asdict(guard_range(gains))
-    changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
-    words = [word for name, value in changed.items() for word in ("-p", f"guard.{name}:={float(value)}")]
-    return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []

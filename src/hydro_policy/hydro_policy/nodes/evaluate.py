@@ -24,8 +24,9 @@ from hydro_policy import report
 from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
 from hydro_policy.grid import GridSession, GridSettings
-from hydro_policy.nodes.companions import CompanionWatch, guard_range, start_companions
+from hydro_policy.nodes.companions import CompanionWatch, start_companions
 from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.nodes.guarding import guard_range, uncovered
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.progress import EvaluationProgress
 from hydro_policy.task import GainRange
@@ -102,6 +103,8 @@ def evaluate(options: argparse.Namespace) -> int:
         policies = tuple(map(policy_file, options.policy))
         plant = plant_options(options, recording=options.record, seed=options.seed, policies=policies)
         node.override.reach = guard_range(reach(controllers, grid if options.grid else None))
+        if options.plant != "external" and (sentence := uncovered(node.override.reach, plant.filter)):
+            node.say(sentence, warning=True)
         node.companions = CompanionWatch(start_companions(stack, plant, node.override.reach, folder, None))
         if not rearms(options):
             node.listen_for_enter()

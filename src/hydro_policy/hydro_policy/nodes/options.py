@@ -11,9 +11,18 @@ from typing import Any
 
 from rclpy.node import Node
 
+from hydro_bridge.console import UserError
 from hydro_bridge.ros import declare_parameters
 from hydro_policy.nodes.companions import PLANTS, PlantOptions
 from hydro_policy.run import TrainingSettings
+
+_NEEDS = {
+    "truth": ("emulator",),
+    "faults": ("emulator",),
+    "port": ("bench", "emulator"),
+    "bench": ("sim", "emulator", "bench"),
+    "filter": ("sim", "emulator", "bench"),
+}
 
 
 def add_plant_options(parser: argparse.ArgumentParser) -> None:
@@ -49,7 +58,16 @@ def rearms(options: argparse.Namespace) -> bool:
 
 
 def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
-    """From the command line; `more` are fields that it does not give."""
+    """From the command line; `more` are fields that it does not give.
+
+    Raises
+    ------
+    UserError
+        A word that this plant has no use for: better refused than ignored.
+    """
+    for name, plants in _NEEDS.items():
+        if getattr(options, name) and options.plant not in plants:
+            raise UserError(f"--{name} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
     names = ("plant", "port", "truth", "faults", "bench")
     words = tuple(shlex.split(options.filter))
     return PlantOptions(**{name: getattr(options, name) for name in names}, filter=words, **more)

@@ -8,6 +8,7 @@ from hashlib import sha256
 from importlib import resources
 from pathlib import Path
 
+from hydro_filter.choice import Choice
 from hydro_sim.learned.weights import shipped
 
 
@@ -25,6 +26,13 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path]) -> list[st
     if plant == "sim":
         words.append(f"model_sha256={_digest(shipped())}" if bench is None else "model=analytic")
     return words
+
+
+def of_filter(choice: Choice) -> list[str]:
+    """key=value words: SHA-256 of the filter's metric and of the model it predicts with, or that it has none."""
+    return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()] or [
+        f"filter_metric={choice.metric}"
+    ]
 
 
 def _digest(path: Path) -> str:

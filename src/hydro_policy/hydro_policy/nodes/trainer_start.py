@@ -16,8 +16,9 @@ from hydro_bridge.console import writable_folder
 from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.configurations import configuration
-from hydro_policy.nodes.companions import guard_range, start_companions
+from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.nodes.guarding import asked_filter, guard_range, uncovered
 from hydro_policy.nodes.options import declare_settings, plant_options
 from hydro_policy.override import GainOverride
 from hydro_policy.record import RunRecord
@@ -67,7 +68,7 @@ def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     """A new run with its folder, or one to continue; nothing is made where something cannot be used."""
     start = None
-    shlex.split(options.filter)
+    asked_filter(plant_options(options).filter)
     if options.bench is not None:
         Bench.load(options.bench)
     if options.resume is not None:
@@ -113,6 +114,10 @@ def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespac
     node.override = GainOverride(guard_range(prepared.settings.task.gains), tell)
     source = str(prepared.start.source) if prepared.start else None
     record.add("start", plant=options.plant, start=source, resumed=prepared.checkpoint is not None)
+    words = shlex.split(options.filter)
+    if options.plant != "external" and (sentence := uncovered(prepared.settings.task.gains, words)):
+        node.say(sentence, warning=True)
+        record.add("uncovered", sentence)
     return record
 
 
