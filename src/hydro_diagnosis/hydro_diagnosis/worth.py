@@ -7,6 +7,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Parameter
 from hydro_diagnosis.fit import Fit
+from hydro_diagnosis.locate import noticeable
 from hydro_diagnosis.problem import Problem
 
 ATTENUATIONS = 2.0
@@ -40,8 +41,12 @@ def _at_its_end(parameter: Parameter, value: float) -> bool:
 def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
     """Whether the newest claim explains no more than an error in the form of its kin would.
 
+    Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
+
     `share`: of a claim's signature that its form may be off by.
     """
+    if noticeable(problem, base.residual) and not noticeable(problem, found.residual):
+        return False
     newest = found.claims[-1].effect
     kin = [claim for claim in base.claims if newest.family and claim.effect.family == newest.family]
     for claim in kin:

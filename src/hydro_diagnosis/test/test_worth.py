@@ -1,11 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+
 import pytest
 
+from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import Parameter
-from hydro_diagnosis.worth import worth_claiming
+from hydro_diagnosis.fit import fit
+from hydro_diagnosis.locate import noticeable
+from hydro_diagnosis.outcome import SearchSettings
+from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.quality import checked
+from hydro_diagnosis.table import RawTable
+from hydro_diagnosis.worth import form_error, worth_claiming
 from hydro_sim.bench import Bench
 
 BENCH = Bench.nominal()
@@ -47,3 +57,25 @@ def test_no_mass_and_no_friction_below_nothing_is_claimed(label: str, name: str,
     assert -present <= parameter.low < 0.0
     assert not worth_claiming(claim(library(label), **{name: parameter.low}))
     assert worth_claiming(claim(library(label), **{name: -0.5 * present}))
+
+
+COULOMB = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
+STRIBECK = {"id": "friction_stribeck", "parameters": {"breakaway_force": 6.0, "velocity": 0.012}}
+
+
+@pytest.mark.parametrize("truth, newest, mends", [
+    ((COULOMB, STRIBECK), "friction_stribeck", False),  # explains little of Coulomb's signature, but all that is left
+    ((COULOMB, STRIBECK), "force_offset", True),        # explains as little, and leaves the rest
+    ((COULOMB,), "friction_stribeck", True),            # nothing is left to explain
+])  # fmt: skip
+def test_newcomer_that_leaves_nothing_is_no_error_in_the_form_of_its_kin(
+    record: Callable[..., StateArray], truth: tuple[dict[str, object], ...], newest: str, mends: bool
+) -> None:
+    states = record(replace(BENCH, effects=truth), 5)
+    table = RawTable("run", states["time"].copy(), None, {name: states[name].copy() for name in states.dtype.names})
+    problem = Problem(checked(table, BENCH).segments, BENCH)
+    problem.set_doubt([claim(library("friction_coulomb"), force=8.0)])
+    base = fit(problem, [claim(library("friction_coulomb"), force=8.0)])
+    assert noticeable(problem, base.residual) == (STRIBECK in truth)
+    found = fit(problem, [*base.claims, claim(library(newest))])
+    assert form_error(problem, base, found, SearchSettings().form_error) == mends
