@@ -4,8 +4,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
+from scipy.ndimage import distance_transform_edt
+from scipy.special import ndtr
 
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
@@ -15,6 +19,8 @@ from hydro_sim.bench import Bench
 
 VELOCITY_DOUBT = 1e-3
 """m/s, to which the velocity's zero is known."""
+_FAST = 1.0
+"""m/s, beyond which friction is as it is while sliding."""
 _GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))
 
 
@@ -60,11 +66,56 @@ class ForceBalance(SegmentRecord):
         inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
         return finish(inertia + force + self.spring_force(bench, claims, self.kinematics))
 
-    def friction_doubt(self, claims: Sequence[Claim]) -> FloatArray:
-        """Standard deviation [N] of the dry friction, because the velocity's zero is only known so well."""
-        doubt = VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.step
-        sides = []
-        for velocity in (self.v - doubt, self.v + doubt):
-            sides.append(self.dry_friction_level(claims, velocity) * np.tanh(velocity / VELOCITY_DOUBT))
+    def friction_doubt(self, claims: Sequence[Claim], reversals: int = 1) -> FloatArray:
+        """Standard deviation [N] of the dry friction, because the velocity near standstill is only known so well.
+
+        `reversals`: of all recordings; the same kernel misplaces the velocity alike at each of them, which does not
+        average out: its doubt is that of their mean, not of one.
+        """
+        level = self.dry_friction_level(claims)
+        doubt = self._swing(claims, VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.step, np.zeros_like(level))
+        beyond = self.dry_friction_level(claims, np.full_like(self.v, _FAST))
+        if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
+            doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self.velocity_kink(claims), beyond))
         late = [claim for claim in claims if claim.effect.rounds == "hydraulic_force"]
-        return smooth(np.abs(self.reading("hydraulic_force", np.abs(sides[1] - sides[0]) / 2.0, late)))
+        return smooth(np.abs(self.reading("hydraulic_force", doubt, late)))
+
+    def velocity_kink(self, claims: Sequence[Claim]) -> FloatArray:
+        """By how much [m/s] the first Gaussian misplaces a velocity whose slope jumps where the piston reverses.
+
+        Dry friction F turns round there, so x_p'' jumps by 2 F / m. A kink of slope J seen through a Gaussian of width
+        s is off by J s (phi(u) - |u| Phi(-|u|)), at |u| widths from it.
+        """
+        at_rest = self.dry_friction_level(claims, np.zeros_like(self.v))
+        width = KINEMATIC_WIDTH * self.step
+        jump = 2.0 * at_rest / self.bench(claims).moving_mass
+        u = self._since_rest / KINEMATIC_WIDTH
+        return jump * width * (np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi) - u * ndtr(-u))
+
+    @cached_property
+    def reversals(self) -> int:
+        """How often the piston stands or turns round."""
+        return int(np.count_nonzero(np.diff(self._resting.astype(np.int8), prepend=0) == 1))
+
+    @cached_property
+    def _resting(self) -> npt.NDArray[np.bool_]:
+        resting = np.abs(self.v) < VELOCITY_DOUBT
+        turns = self.v[:-1] * self.v[1:] <= 0.0
+        resting[:-1] |= turns
+        resting[1:] |= turns
+        return resting
+
+    @cached_property
+    def _since_rest(self) -> FloatArray:
+        """Samples to the nearest one at which the piston stands or turns round."""
+        if not self._resting.any():
+            return np.full_like(self.v, np.inf)
+        return np.asarray(distance_transform_edt(~self._resting))
+
+    def _swing(self, claims: Sequence[Claim], velocity: FloatArray, but: FloatArray) -> FloatArray:
+        """Half of how far dry friction beyond a level `but` [N] changes between -/+ `velocity` around the recorded."""
+        low, high = (
+            (self.dry_friction_level(claims, one) - but) * np.tanh(one / VELOCITY_DOUBT)
+            for one in (self.v - velocity, self.v + velocity)
+        )
+        return np.asarray(np.abs(high - low) / 2.0)

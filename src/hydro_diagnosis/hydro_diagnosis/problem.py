@@ -81,7 +81,8 @@ class Problem:
         """Weigh the motion residual down where these claims leave the sign of dry friction in doubt."""
         if MOTION not in self.blocks:
             return
-        self._doubt = [model.kept(model.friction_doubt((*self.baseline, *claims))) for model in self.models]
+        everything, reversals = (*self.baseline, *claims), sum(model.reversals for model in self.models)
+        self._doubt = [model.kept(model.friction_doubt(everything, reversals)) for model in self.models]
         self.doubted = tuple(float(np.sum(doubt)) for doubt in self._doubt)
 
     def _mass_attenuation(self) -> float:
