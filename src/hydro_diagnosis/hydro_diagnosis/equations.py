@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FloatArray
-from hydro_diagnosis.heldout import FREE_RUN, HORIZON, WINDOWS, compare
+from hydro_diagnosis.heldout import FREE_RUN, HORIZON, WINDOWS, Comparison, compare
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.problem import CHANNELS, Problem
 from hydro_diagnosis.report import channel_errors
@@ -54,11 +54,23 @@ def held_out(
     horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True)
     free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False)
     return {
-        "holdout": channel_errors(horizon),
+        "holdout": channel_errors(horizon.channels),
         "horizon_s": HORIZON,
-        "free_run": {"seconds": FREE_RUN, **channel_errors(free)},
+        "unpredictable": _unpredictable(horizon),
+        "free_run": {"seconds": FREE_RUN, **channel_errors(free.channels)},
         "equations": equations,
     }
+
+
+def _unpredictable(horizon: Comparison) -> dict[str, Any]:
+    """Windows that the corrected model itself cannot predict, and why in a sentence."""
+    left_out = [{"recording": window.recording, "start": window.start} for window in horizon.left_out]
+    why = (
+        f"{len(left_out)} of {horizon.windows} held-out windows cannot be predicted: from starts that the sensors "
+        "cannot tell apart the model comes to outcomes as far from one another as from the recording (the piston sticks or "
+        "breaks loose). They are left out of the errors over 70 ms."
+    )
+    return {"windows": horizon.windows, "count": len(left_out), "left_out": left_out, "why": why if left_out else ""}
 
 
 def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, EquationError]:

@@ -3,18 +3,21 @@
 
 Windows of 70 ms are simulated from the recorded valve current. Their four initial states are estimated from the
 window itself (multiple shooting): an encoder's step is finer than any estimate of the state before it could be. The
-free run, half a second, starts from the recording's smoothed state and is not touched again.
+free run, half a second, starts from the recording's smoothed state and is not touched again. Windows that the model
+itself cannot predict (`predictable`) are listed and left out of the error that counts.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.predictable import MOST, Window, unpredictable
 from hydro_diagnosis.simulate import Indices, Plant
 
 HORIZON = 0.07
@@ -41,18 +44,37 @@ class ChannelError:
 
     unit: str
     rmse_before: float
+    """Over the windows that can be predicted."""
     rmse_after: float
+    """Likewise, over the same windows."""
     noise_floor: float
+    rmse_before_all: float
+    """Over all windows."""
+    rmse_after_all: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Errors of two claim sets over the same windows."""
+
+    channels: dict[str, ChannelError]
+    windows: int
+    left_out: tuple[Window, ...]
+    """Windows that the second claim set cannot predict itself: not in `rmse_before` and `rmse_after`."""
 
 
 def errors(
     plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
 ) -> dict[str, FloatArray]:
     """Reading minus recording, by channel, shape (length, windows)."""
-    state = plant.start(begins)
-    if shooting:
-        state = _shoot(plant, state, begins, length, noise)
+    state = begun(plant, begins, length, noise, shooting=shooting)
     return _apart(plant, plant.run(state, begins, length), begins)
+
+
+def begun(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> FloatArray:
+    """Initial states of windows, shape (4, windows)."""
+    state = plant.start(begins)
+    return _shoot(plant, state, begins, length, noise) if shooting else state
 
 
 def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
@@ -114,31 +136,62 @@ class _Aim:
 def compare(
     models: Sequence[SegmentModel], before: Sequence[Claim], after: Sequence[Claim], noise: dict[str, float], *,
     seconds: float, windows: int, shooting: bool,
-) -> dict[str, ChannelError]:  # fmt: skip
+) -> Comparison:  # fmt: skip
     """Errors of both claim sets over the same windows of held-out recordings."""
-    squares: dict[str, list[list[FloatArray]]] = {}
+    seen: list[_Seen] = []
     each = max(windows // len(models), 1)
     for model in models:
         length = round(seconds / model.step)
         if len(model.segment) < model.settle + length + 50:
             continue
         begins = np.unique(np.linspace(model.settle, len(model.segment) - length - 20, each).astype(np.int64))
-        for which, claims in enumerate((before, after)):
-            plant = Plant.of(model, claims)
-            with np.errstate(all="ignore"):
-                found = errors(plant, begins, length, noise, shooting=shooting)
-            for name, apart in found.items():
-                squares.setdefault(name, [[], []])[which].append(np.square(apart))
-    return {name: _channel(name, parts, noise.get(name, 0.0)) for name, parts in squares.items()}
+        with np.errstate(all="ignore"):
+            old = errors(Plant.of(model, before), begins, length, noise, shooting=shooting)
+            plant = Plant.of(model, after)
+            state = begun(plant, begins, length, noise, shooting=shooting)
+            new = _apart(plant, plant.run(state, begins, length), begins)
+            none = np.zeros(len(begins), dtype=bool)
+            left_out = unpredictable(plant, state, begins, length, noise, new) if shooting else none
+        seen.append(_Seen(model, begins, old, new, left_out))
+    count, out = sum(len(one.begins) for one in seen), sum(int(np.sum(one.left_out)) for one in seen)
+    if out > MOST * count:
+        seen = [replace(one, left_out=np.zeros_like(one.left_out)) for one in seen]
+    names = dict.fromkeys(name for one in seen for name in one.before)
+    channels = {name: _channel(name, [one for one in seen if name in one.before], noise) for name in names}
+    return Comparison(channels, count, tuple(window for one in seen for window in one.windows()))
 
 
-def _channel(name: str, parts: list[list[FloatArray]], floor: float) -> ChannelError:
-    before, after = (_rms(part) for part in parts)
-    return ChannelError(_UNITS[name], before, after, floor)
+@dataclass(frozen=True)
+class _Seen:
+    """A recording's windows, and reading minus recording in them, by channel, shape (length, windows)."""
+
+    model: SegmentModel
+    begins: Indices
+    before: dict[str, FloatArray]
+    after: dict[str, FloatArray]
+    left_out: npt.NDArray[np.bool_]
+
+    def windows(self) -> list[Window]:
+        """Those that are left out."""
+        segment = self.model.segment
+        return [Window(segment.recording, segment.start + segment.step * int(at)) for at in self.begins[self.left_out]]
+
+
+def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> ChannelError:
+    before, after = [one.before[name] for one in seen], [one.after[name] for one in seen]
+    kept = [~one.left_out for one in seen]
+    return ChannelError(
+        unit=_UNITS[name],
+        rmse_before=_rms([part[:, keep] for part, keep in zip(before, kept, strict=True)]),
+        rmse_after=_rms([part[:, keep] for part, keep in zip(after, kept, strict=True)]),
+        noise_floor=noise.get(name, 0.0),
+        rmse_before_all=_rms(before),
+        rmse_after_all=_rms(after),
+    )
 
 
 def _rms(parts: list[FloatArray]) -> float:
-    mean = float(np.mean(np.concatenate([part.ravel() for part in parts])))
+    mean = float(np.mean(np.square(np.concatenate([part.ravel() for part in parts]))))
     return float(np.sqrt(mean)) if np.isfinite(mean) else float("inf")
 
 

@@ -167,11 +167,11 @@ def _held_out(report: Report) -> str:
         return f"<section><h2>Held-out error</h2><p>Not simulated: {why}.</p>{_equations(report)}</section>"
     columns = ("70 ms, before", "70 ms, after", "free run, before", "free run, after", "noise floor")
     head = "".join(f"<th class='n'>{title}</th>" for title in columns)
-    seconds = report.fit["free_run"].get("seconds", 0.0)
+    seconds, unpredictable = report.fit["free_run"].get("seconds", 0.0), report.fit["unpredictable"]["why"]
     return (
         f"<section><h2>Held-out error</h2><table><tr><th>channel</th><th>unit</th>{head}</tr>{rows}</table>"
         "<p class='quiet'>Root mean square error of simulations from the recorded valve current, on recordings that "
-        f"nothing was fitted to: 70 ms, and free runs of {seconds:g} s.</p></section>"
+        f"nothing was fitted to: 70 ms, and free runs of {seconds:g} s. {escape(unpredictable)}</p></section>"
     )
 
 

@@ -40,6 +40,8 @@ _TOTAL = _taps(TOTAL_WIDTH, 0)
 
 TOTAL_NOISE_GAIN = float(np.sqrt(np.sum(_TOTAL**2)))
 """Standard deviation of smoothed white noise over that of the noise."""
+POSITION_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[0] ** 2)))
+"""Standard deviation of the position over that of the encoder."""
 VELOCITY_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[1] ** 2)))
 """Standard deviation of the velocity times the sampling time, over that of the position."""
 ACCELERATION_NOISE_GAIN = float(np.sqrt(np.sum(np.convolve(_KINEMATIC[2], _REST) ** 2)))

@@ -66,7 +66,7 @@ def ruling(case: Case, recordings: Path) -> dict[str, Any]:
     claims = true_fit(problem, case.effects, bench).claims
     models = [SegmentModel(segment, bench) for segment in held]
     errors = compare(models, (), claims, problem.sensor_noise, seconds=HORIZON, windows=WINDOWS, shooting=True)
-    return {name: asdict(error) for name, error in errors.items()}
+    return {name: asdict(error) for name, error in errors.channels.items()}
 
 
 def true_fit(problem: Problem, effects: Mapping[str, Mapping[str, Any]], bench: Bench) -> Fit:
