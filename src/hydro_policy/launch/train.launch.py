@@ -15,7 +15,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-EMULATED_PORT = "/tmp/hydro-bench"
+from hydro_sim.emulator.terminal import default_link
 
 
 def include(package: str, name: str, **arguments: str) -> IncludeLaunchDescription:
@@ -28,7 +28,7 @@ def plant(kind: str, port: str) -> list[LaunchDescriptionEntity]:
     if kind == "sim":
         return [include("hydro_sim", "sim")]
     if kind == "emulator":
-        port = port or EMULATED_PORT
+        port = port or str(default_link())
         return [include("hydro_sim", "emulator", port=port), include("hydro_bridge", "bridge", port=port)]
     if not port:
         raise RuntimeError("plant:=bench needs port:=, the serial device of the box")

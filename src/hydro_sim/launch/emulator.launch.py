@@ -6,6 +6,8 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.substitutions import ExecutableInPackage
 
+from hydro_sim.emulator.terminal import default_link
+
 
 def generate_launch_description() -> LaunchDescription:
     # A process and not a Node: like the box itself, the emulator knows no ROS.
@@ -13,7 +15,7 @@ def generate_launch_description() -> LaunchDescription:
     port, faults = LaunchConfiguration("port"), LaunchConfiguration("faults")
     return LaunchDescription(
         [
-            DeclareLaunchArgument("port", default_value="/tmp/hydro-bench", description="where its port appears"),
+            DeclareLaunchArgument("port", default_value=str(default_link()), description="where its port appears"),
             DeclareLaunchArgument("faults", default_value="clean", description="what goes wrong on the line"),
             ExecuteProcess(cmd=[emulator, "--link", port, "--faults", faults], output="screen"),
         ]
