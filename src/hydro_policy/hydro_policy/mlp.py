@@ -89,11 +89,6 @@ class StackedMlp:
         before = torch.bmm(output_gradient, self.weights[layer].transpose(1, 2))
         return torch.ops.aten.threshold_backward(before, self._activations[layer], 0)
 
-    def named_tensors(self) -> dict[str, Tensor]:
-        """Copies of the weights by name, for files."""
-        pairs = {"weight": self.weights, "bias": self.biases}
-        return {f"{name}_{k}": t.clone() for name, tensors in pairs.items() for k, t in enumerate(tensors)}
-
 
 class FlatAdam:
     """Adam on one flat vector: the update of torch.optim.Adam in five operations for a whole network."""
