@@ -17,7 +17,7 @@ from hydro_diagnosis.fit import Fit, fit, pack
 from hydro_diagnosis.locate import noticeable
 from hydro_diagnosis.outcome import Outcome, SearchSettings, Step, score
 from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.screen import cause, screen
+from hydro_diagnosis.screen import screen
 from hydro_diagnosis.worth import all_worth, form_error
 
 SKETCHED = 1.0
@@ -141,12 +141,11 @@ class Search:
     def _pays_in_place(self, other: Fit, effect: Effect, current: Fit) -> bool:
         """Whether the newest claim of `other` may take the place of `effect`.
 
-        What it has more of parameters must each be worth the threshold. A form of the same cause with fewer is taken
-        unless the richer one is worth it.
+        What it has more of parameters must each be worth the threshold.
         """
         newest = other.claims[-1].effect
         more = len(newest.parameters) - len(effect.parameters)
-        toll = self.settings.threshold * (more if cause(newest) == cause(effect) else max(more, 0))
+        toll = self.settings.threshold * max(more, 0)
         return score(self.problem, other) + toll < score(self.problem, current) - EXCHANGED
 
     def _backward(self, outcome: Outcome) -> bool:
