@@ -67,8 +67,8 @@ def _unpredictable(horizon: Comparison) -> dict[str, Any]:
     left_out = [{"recording": window.recording, "start": window.start} for window in horizon.left_out]
     why = (
         f"{len(left_out)} of {horizon.windows} held-out windows cannot be predicted: from starts that the sensors "
-        "cannot tell apart the model comes to outcomes as far from one another as from the recording (the piston sticks or "
-        "breaks loose). They are left out of the errors over 70 ms."
+        "cannot tell apart the model comes to outcomes as far from one another as from the recording (the piston "
+        "sticks or breaks loose). They are left out of the errors over 70 ms."
     )
     return {"windows": horizon.windows, "count": len(left_out), "left_out": left_out, "why": why if left_out else ""}
 

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from hydro_diagnosis.baseline import baseline
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
+from hydro_diagnosis.convention import current_is_late
 from hydro_diagnosis.corrected import claims_of
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
@@ -118,6 +119,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     outcome = search.run()
     progress("judging")
     assessment = assess(problem, outcome.fit, outcome.nothing)
+    late = current_is_late(problem, assessment)
     models = [SegmentModel(segment, believed) for segment in held]
     progress("checking on held-out recordings")
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
@@ -132,7 +134,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         next_recording=next_recording(problem, outcome, assessment),
         seconds=time.monotonic() - begun,
         steps=_steps(search),
-        **facts,
+        **{**facts, "data_quality": [*facts["data_quality"], *([late] if late else [])]},
     )
     return Diagnosis(report, believed, problem, assessment, outcome, models)
 
