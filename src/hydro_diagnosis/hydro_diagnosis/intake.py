@@ -48,7 +48,7 @@ def taken(
     to_check, more_notes = _read(holdout, bench, columns, spare=True)
     _refuse_twice([*to_fit, *to_check])
     fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
-    _refuse_too_little(fitted)
+    _refuse_too_little(fitted, bench, notes)
     fitted = _informative(fitted, "fitted", bench, quality)
     return fitted, _informative(held, "checked on", bench, quality), quality
 
@@ -75,8 +75,11 @@ def _contents(recording: Recording) -> set[str]:
     }
 
 
-def _refuse_too_little(segments: list[Segment]) -> None:
-    """A bench that trips at once and then stands shows half a second, in which everything explains everything."""
+def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) -> None:
+    """A bench that trips at once and then stands shows half a second, in which everything explains everything.
+
+    `notes`: on what was discarded.
+    """
     moving = 0.0
     for segment in segments:
         if "piston_position" not in segment.channels:
@@ -85,9 +88,21 @@ def _refuse_too_little(segments: list[Segment]) -> None:
         position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
         moving += STILL_FOR * float(np.count_nonzero(np.ptp(position, axis=1) > MOVING / 10.0))
     if moving < ENOUGH:
+        why = "; ".join([*notes, *_saturation(segments, bench)]).replace(f"; {REMEDY}", "")
         raise UnusableRecordingError(
-            f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed; {REMEDY}"
+            f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"
+            + (f" ({why})" if why else "")
+            + f"; {REMEDY}"
         )
+
+
+def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
+    """A note if the valve stands at its limit in more than 1 % of what is left."""
+    currents = [segment.channels["valve_current"] for segment in segments if "valve_current" in segment.channels]
+    if not currents:
+        return []
+    share = float(np.mean(np.abs(np.concatenate(currents)) >= 0.999 * bench.valve_current_max))
+    return [f"the valve current is saturated in {100.0 * share:.0f} % of what is left"] if share > 0.01 else []
 
 
 def _read(

@@ -55,6 +55,16 @@ def test_too_little_motion_is_refused_and_the_remedy_is_named(worn: list[Path], 
         taken(short, [worn[2]], BENCH)
 
 
+def test_refusal_for_too_little_motion_says_what_was_discarded(worn: list[Path], tmp_path: Path) -> None:
+    data = pd.read_csv(worn[0])
+    late = data["time"] > 1.65
+    data.loc[late, "pressure_b"] = np.random.default_rng(8).normal(0.0, 6e3, late.sum())
+    data.to_csv(tmp_path / "low.csv", index=False)
+    with pytest.raises(InputError, match=r"moves for 1\.5 s.*low\S*: \d{4} samples .* cavitate.*; record it") as error:
+        taken([tmp_path / "low.csv"], [worn[2]], BENCH)
+    assert str(error.value).count("lower gains") == 1
+
+
 def test_just_enough_motion_is_taken(worn: list[Path], tmp_path: Path) -> None:
     fitted, _, _ = taken([tripped(recording, tmp_path, ENOUGH) for recording in worn[:2]], [worn[2]], BENCH)
     assert len(fitted) == 2
