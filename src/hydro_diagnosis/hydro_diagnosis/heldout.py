@@ -174,7 +174,8 @@ class _Seen:
     def windows(self) -> list[Window]:
         """Those that are left out."""
         segment = self.model.segment
-        return [Window(segment.recording, segment.start + segment.step * int(at)) for at in self.begins[self.left_out]]
+        starts = segment.start + segment.step * self.begins[self.left_out]
+        return [Window(segment.recording, round(float(start), 6)) for start in starts]
 
 
 def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> ChannelError:
