@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import sys
 import time
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,7 @@ import numpy as np
 from hydro_bridge.signals import FloatArray, matrix
 from hydro_sim.bench import Bench
 from hydro_sim.emulator import jobs
-from hydro_sim.emulator.offline import Recording, Segment, record_offline
+from hydro_sim.emulator.offline import Recording, record_offline
 from hydro_sim.learned import adam, evaluation, identification, mlp, recordings, structured, training
 from hydro_sim.learned.evaluation import Predictor, Scored
 from hydro_sim.learned.model import Learned, Model
@@ -54,7 +54,7 @@ class Case:
 
     def record(self, seconds: float, seed: int) -> Recording:
         """A run of the emulator under the schedule of a seed."""
-        segments = [Segment(**asdict(stretch)) for stretch in draw(seconds, seed)]
+        segments = draw(seconds, seed)
         return record_offline(jobs.truth(self.truth), segments, seed=seed)
 
     @cache  # noqa: B019 (one case a process)

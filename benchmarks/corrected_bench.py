@@ -23,10 +23,10 @@ from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
 from hydro_sim.bench import Bench
 from hydro_sim.effects.catalogue import label
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.schedules import Segment
 from hydro_sim.emulator.truth_config import truth_from_mapping
 from hydro_sim.offline import Schedule, simulate
 from hydro_sim.plant import AnalyticPlant
+from hydro_sim.schedules import Segment
 
 TRUTHS: dict[str, dict[str, Any]] = {
     "worn valve": {

@@ -26,9 +26,9 @@ from hydro_sim.emulator.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.realtime import RealTime, raise_priority
-from hydro_sim.emulator.schedules import Segment
 from hydro_sim.emulator.terminal import Terminal
 from hydro_sim.emulator.truth_config import profile
+from hydro_sim.schedules import Segment
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 

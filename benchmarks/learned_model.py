@@ -14,7 +14,6 @@ import sys
 import time
 import timeit
 from collections.abc import Callable
-from dataclasses import asdict
 from typing import Any
 
 import numba
@@ -143,10 +142,7 @@ def closed_loop(learned: Learned) -> dict[str, Any]:
 def default_training() -> float:
     """Seconds of the default training on 10 minutes of the emulator's offline recordings."""
     states = {
-        str(seed): record_offline(
-            profile("default"), [Segment(**asdict(s)) for s in draw(150.0, seed)], seed=seed
-        ).states
-        for seed in (1, 2, 3, 4, 5)
+        str(seed): record_offline(profile("default"), draw(150.0, seed), seed=seed).states for seed in (1, 2, 3, 4, 5)
     }
     data, settings = recordings.split(states), training.Settings(adam=training.STRUCTURED_ADAM)
     began = time.monotonic()

@@ -34,6 +34,9 @@ RATE_RANGE = 1e8
 VELOCITY_RANGE = 10.0
 """m/s, magnitude that a differentiated position can have."""
 
+EMULATED_BOX = "hydro emulator"
+"""What the emulator's box calls itself on the line: no person stands beside that one."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class BoxConfig:

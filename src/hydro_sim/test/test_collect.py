@@ -1,16 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `collect` refuses before it moves anything."""
+"""What `collect` refuses before it moves anything; how it leaves the plant, whatever happens."""
 
 from __future__ import annotations
 
+import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import yaml
 
-pytest.importorskip("rclpy")
+rclpy = pytest.importorskip("rclpy")
 
-from hydro_sim.nodes.collect import main
+from hydro_bridge.recording import read_bag  # noqa: E402
+from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executable_path  # noqa: E402
+from hydro_bridge.signals import Flag  # noqa: E402
+from hydro_sim.bench import Bench  # noqa: E402
+from hydro_sim.learned.playback import Playback  # noqa: E402
+from hydro_sim.nodes.collect import main  # noqa: E402
+from hydro_sim.nodes.collecting import HOW_TO_ARM  # noqa: E402
+from hydro_sim.schedules import Segment  # noqa: E402
+
+SINE = "{seconds: 1.0, amplitude: 200}"
 
 
 @pytest.mark.parametrize(
@@ -21,14 +34,211 @@ from hydro_sim.nodes.collect import main
         (["--seed", "-1"], "--seed -1: 0 or more is meant"),
         (["--seconds", "5", "--write-schedule", "/dev/null/s.yaml"], "/dev/null/s.yaml cannot be written"),
         (["--seconds", "5", "--out", "/dev/null/bag"], "/dev/null/bag cannot be made"),
+        (["--bench", "nowhere.yaml"], "nowhere.yaml: No such file or directory"),
+        (["--rearm", "never"], "invalid choice: 'never'"),
     ],
 )
 def test_wrong_words_end_in_one_sentence_and_status_2(
     words: list[str], sentence: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(sys, "argv", ["collect", "--out", str(tmp_path / "bag"), *words])
+    assert _refused(words, monkeypatch, capfd, tmp_path)[-1].find(sentence) >= 0
+
+
+@pytest.mark.parametrize(
+    ("segments", "sentence"),
+    [
+        (f"[{SINE}, {{seconds: abc}}]", "segments[1].seconds must be a number in s, not 'abc'"),
+        (f"[{SINE}, {{seconds: -2}}]", "segments[1].seconds must be within [0.001, 36000] s, not -2"),
+        (f"[{SINE}, {{seconds: 1, waveform: foo}}]", "segments[1].waveform must be one of hold, sine, "),
+        (f"[{SINE}, {{seconds: 1, amplitude: .nan}}]", "segments[1].amplitude must be a number in N, not nan"),
+        (f"[{SINE}, {{seconds: 1, kp: x}}]", "segments[1].kp must be a number in 1/s, not 'x'"),
+        (f"[{SINE}, {{amplitude: 1}}]", "segments[1] lacks seconds [s]"),
+        (f"[{SINE}, {{seconds: 1, delta_u: 0.01}}]", "segments[1].delta_u is 0.01 A: only the emulator"),
+        ("[]", "must hold one list of segments under the key segments"),
+        ("3", "must hold one list of segments under the key segments"),
+    ],
+)
+def test_a_schedule_is_checked_whole_before_anything_moves(
+    segments: str, sentence: str, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "s.yaml").write_text(f"segments: {segments}\n")
+    said = _refused(["--schedule", str(tmp_path / "s.yaml")], monkeypatch, capfd, tmp_path)
+    assert len(said) == 1
+    assert sentence in said[0]
+
+
+def _refused(
+    words: list[str], monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str], folder: Path
+) -> list[str]:
+    monkeypatch.setattr(sys, "argv", ["collect", "--out", str(folder / "bag"), *words])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2
-    assert sentence in capfd.readouterr().err.splitlines()[-1]
+    assert not (folder / "bag").exists()
+    return capfd.readouterr().err.splitlines()
+
+
+def test_a_playback_stands_still_while_disarmed_and_counts_trips_in_a_row() -> None:
+    playback = Playback([Segment(seconds=0.002), Segment(seconds=0.002), Segment(seconds=0.001)])
+    for flags in (Flag.TRIPPED, Flag(0)):  # met like that: not our doing
+        playback.on_sample(flags)
+    assert playback.next() is not None and playback.next() is None
+    assert (playback.elapsed, playback.trips) == (0.0, 0)
+    for flags in (Flag.ARMED, Flag.TRIPPED, Flag.TRIPPED, Flag(0), Flag.ARMED):
+        playback.on_sample(flags)
+    assert playback.next() is not None
+    assert playback.trips_in_a_row == 1  # the first segment was not played without one
+    playback.on_sample(Flag.ARMED)
+    playback.on_sample(Flag.ARMED)
+    assert playback.next() is not None
+    assert (playback.trips, playback.trips_in_a_row) == (1, 0)
+    playback.on_sample(Flag.ARMED)
+    assert playback.next() is None
+    assert playback.finished
+
+
+@pytest.fixture
+def plant() -> Iterator[Callable[..., None]]:
+    """Starts a simulation; its guard does without a filter."""
+    started: list[Companion] = []
+
+    def start(*words: str) -> None:
+        free = ["--ros-args", "-p", "guard.require_filter:=false"]
+        started.append(Companion("hydro_sim", "sim", ["--model", "analytic", *free, *words]))
+
+    yield start
+    for companion in started:
+        companion.stop()
+
+
+class Listener:
+    """Hears states and references; publishes gains if asked to."""
+
+    def __init__(self) -> None:
+        self.context = rclpy.Context()
+        rclpy.init(context=self.context)
+        self.node = rclpy.create_node("listener", context=self.context)
+        self.flags: list[int] = []
+        self.references: list[float] = []
+        self.node.create_subscription(GRAPH[STATE][0], STATE, lambda m: self.flags.append(m.flags), GRAPH[STATE][1])
+        self.node.create_subscription(
+            GRAPH[REFERENCE][0], REFERENCE, lambda m: self.references.append(m.offset), GRAPH[REFERENCE][1]
+        )
+        self._executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self._executor.add_node(self.node)
+
+    def wait(self, condition: Callable[[], object], timeout: float = 30.0) -> None:
+        end = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < end, "waited in vain"
+            self._executor.spin_once(timeout_sec=0.02)
+
+    def fresh(self) -> int:
+        """Flags of a sample that is yet to come."""
+        self.flags.clear()
+        self.wait(lambda: len(self.flags) > 300)
+        return self.flags[-1]
+
+    def close(self) -> None:
+        self._executor.shutdown()
+        self.node.destroy_node()
+        rclpy.shutdown(context=self.context)
+
+
+@pytest.fixture
+def listener() -> Iterator[Listener]:
+    made = Listener()
+    yield made
+    made.close()
+
+
+def _collect(folder: Path, segments: list[dict[str, object]], *words: str) -> list[str]:
+    (folder / "s.yaml").write_text(yaml.safe_dump({"segments": segments}))
+    return ["--out", str(folder / "bag"), "--schedule", str(folder / "s.yaml"), *words]
+
+
+HOLD = {"seconds": 1.0, "waveform": "hold", "offset": 300.0, "kp": 60.0}
+
+
+@pytest.mark.graph
+def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_n(
+    plant: Callable[..., None], listener: Listener, tmp_path: Path
+) -> None:
+    plant()
+    words = _collect(tmp_path, [HOLD, HOLD])
+    ended = subprocess.run([str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False)
+    assert ended.returncode == 0
+    listener.wait(lambda: listener.flags)
+    assert not listener.fresh() & Flag.ARMED
+    bag = read_bag(tmp_path / "bag")
+    assert bag.metadata["hydro"]["plant"] == "sim"
+    assert [s["offset"] for s in yaml.safe_load(bag.attachments["schedule.yaml"])["segments"]] == [300.0, 300.0]
+    assert yaml.safe_load(bag.attachments["bench.yaml"]) == Bench.nominal().to_mapping()
+    assert bag.state["load_force"].max() > 250.0
+    assert bag.state["flags"][-1] & Flag.ARMED == 0
+    assert "/diagnostics" in bag.topics
+
+
+@pytest.mark.graph
+def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
+    plant()
+    crash = (
+        "import hydro_sim.nodes.collecting as node; from hydro_sim.nodes.collect import main\n"
+        "send, sent = node.reference_to_message, []\n"
+        "def second(signal):\n"
+        "    sent.append(signal)\n"
+        "    if len(sent) == 2: raise KeyError('FOO')\n"
+        "    return send(signal)\n"
+        "node.reference_to_message = second\n"
+        "main()\n"
+    )
+    words = _collect(tmp_path, [HOLD, HOLD])
+    process = subprocess.Popen([sys.executable, "-c", crash, *words], stderr=subprocess.PIPE, text=True)
+    listener.wait(lambda: listener.flags and listener.flags[-1] & Flag.ARMED)
+    assert "KeyError: 'FOO'" in process.communicate(timeout=60)[1]
+    assert process.returncode == 1
+    assert not listener.fresh() & Flag.ARMED  # at once, not when the guard gives it up after 10 s
+    assert listener.references[-1] == 0.0
+
+
+@pytest.mark.graph
+def test_a_bench_is_armed_by_a_person_only(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
+    """The simulation under another name: nothing in the graph says that it is one."""
+    plant("-r", "__node:=bench")
+    collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]))
+    listener.wait(lambda: HOW_TO_ARM[False] in collect.last_words)
+    assert not listener.fresh() & Flag.ARMED
+    subprocess.run([str(executable_path("hydro_bridge", "arm"))], timeout=30, check=True)
+    listener.wait(lambda: not collect.running)
+    assert collect.stop() == 0
+    assert (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED).sum() > 900
+
+
+@pytest.mark.graph
+def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
+    plant("-p", "box.load_force_limit:=100.0")
+    words = _collect(tmp_path, [{**HOLD, "seconds": 20.0}])
+    ended = subprocess.run(
+        [str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False, capture_output=True, text=True
+    )
+    assert ended.returncode == 3
+    assert "error: the plant tripped 3 times in a row: it is left disarmed" in ended.stderr.splitlines()[-1]
+    listener.wait(lambda: listener.flags)
+    assert not listener.fresh() & (Flag.ARMED | Flag.TRIPPED)
+
+
+@pytest.mark.graph
+def test_beside_another_source_of_gains_it_refuses_to_start(
+    plant: Callable[..., None], listener: Listener, tmp_path: Path
+) -> None:
+    plant()
+    listener.node.create_publisher(GRAPH[GAINS][0], GAINS, GRAPH[GAINS][1])
+    ended = subprocess.run(
+        [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])],
+        timeout=60, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert ended.returncode == 2
+    said = ended.stderr.splitlines()[-1]
+    assert said.startswith(f"error: 2 nodes publish {GAINS} (")
+    assert said.endswith("): end all but one")
     assert not (tmp_path / "bag").exists()

@@ -16,9 +16,10 @@ from hydro_sim.emulator.effects import Effects
 from hydro_sim.emulator.faults import PRESETS, load_faults
 from hydro_sim.emulator.outside import Outside
 from hydro_sim.emulator.parameters import compile_parameters
-from hydro_sim.emulator.schedules import Segment, fit_to, load_schedule
-from hydro_sim.emulator.settings import ConfigError
+from hydro_sim.emulator.schedules import fit_to
 from hydro_sim.emulator.truth_config import load_truth, profile, truth_from_mapping, truth_to_mapping
+from hydro_sim.schedules import Segment, load_schedule
+from hydro_sim.yaml_settings import ConfigError
 
 CONTRACT = set(
     """

@@ -27,9 +27,9 @@ from hydro_sim.emulator.control import ControlPipe, obey
 from hydro_sim.emulator.faults import FaultyLine, LinkFaults
 from hydro_sim.emulator.link import BoxLink
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.settings import ConfigError
 from hydro_sim.emulator.terminal import Terminal
 from hydro_sim.emulator.truth_config import profile
+from hydro_sim.yaml_settings import ConfigError
 
 FRAMES = [bytes([0, *([1 + k % 200] * 20), 0]) for k in range(2000)]
 

@@ -3,14 +3,14 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hydro_sim import hydraulics
 from hydro_sim.bench import Bench
-from hydro_sim.emulator.offline import Segment, record_offline
+from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth_config import profile
 from hydro_sim.learned import adam, deep, learn, mlp, network, normalized, recordings, training, weights
 from hydro_sim.learned.deep_model import DeepModel
@@ -28,7 +28,7 @@ HORIZON = 70
 
 @pytest.fixture(scope="module")
 def data():
-    recording = record_offline(profile("default"), [Segment(**asdict(s)) for s in draw(24.0, 5)], seed=5)
+    recording = record_offline(profile("default"), draw(24.0, 5), seed=5)
     return recordings.split({"one": recording.states})
 
 

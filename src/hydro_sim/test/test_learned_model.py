@@ -3,16 +3,17 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from hydro_bridge.recording import BagWriter
 from hydro_bridge.signals import Flag, ReferenceSignal, Waveform, matrix
 from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import evaluation, mlp, weights
+from hydro_sim.learned import evaluation, mlp, validate, weights
 from hydro_sim.learned.analytic import AnalyticModel
 from hydro_sim.learned.evaluation import Scales, Scored
 from hydro_sim.learned.model import Learned
@@ -36,7 +37,7 @@ def shipped():
 @pytest.fixture(scope="module")
 def held_out():
     """A recording that no training has seen, with its noise-free log."""
-    recording = record_offline(profile("default"), [Segment(**asdict(s)) for s in draw(12.0, 977)], seed=977)
+    recording = record_offline(profile("default"), draw(12.0, 977), seed=977)
     run = Run(name="held out", x=matrix(recording.states), u=recording.states["valve_current"].copy())
     return Scored(run=run, truth=matrix(recording.noise_free))
 
@@ -202,3 +203,31 @@ def test_layers_are_views_of_one_vector():
     assert flat[-8:].tolist() == [1.0] * 8
     with pytest.raises(ValueError, match="weights for a network"):
         mlp.layers(flat[1:], 9, (4, 3), 8)
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--horizon", "0"], "--horizon 0: 1 to 5000 samples are meant"),
+        (["--horizon", "5001"], "--horizon 5001: 1 to 5000 samples are meant"),
+        (["--stride", "-1"], "--stride -1: 1 sample or more is meant"),
+        (["--stride", "0"], "--stride 0: 1 sample or more is meant"),
+    ],
+)
+def test_validate_refuses_a_horizon_or_stride_that_judges_nothing(words, sentence, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", ["validate", "nowhere", *words])
+    with pytest.raises(SystemExit) as ended:
+        validate.main()
+    assert ended.value.code == 2
+    assert sentence in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_validate_refuses_a_horizon_that_no_stretch_has_room_for(tmp_path, monkeypatch, capsys):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_states(record_offline(profile("default"), draw(5.0, 4), seed=4).states)
+    monkeypatch.setattr("sys.argv", ["validate", str(tmp_path / "bag"), "--horizon", "4900"])
+    with pytest.raises(SystemExit) as ended:
+        validate.main()
+    assert ended.value.code == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert said.startswith("error: --horizon 4900: the shortest stretch without a gap has room for 43")

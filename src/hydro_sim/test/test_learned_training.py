@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,8 +12,7 @@ from safetensors.numpy import save_file
 from hydro_bridge.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, Flag, matrix
 from hydro_sim.bench import Bench
-from hydro_sim.emulator.offline import Segment, record_offline
-from hydro_sim.emulator.schedules import load_schedule
+from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth_config import profile
 from hydro_sim.learned import adam, constants, identification, learn, observer, recordings, schedule, training
 from hydro_sim.learned.checkpoint import Checkpoint
@@ -21,11 +20,12 @@ from hydro_sim.learned.coverage import coverage
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.objectives import StructuredObjective, Windows
 from hydro_sim.learned.recordings import DataError
+from hydro_sim.schedules import load_schedule, save_schedule
 
 
 @pytest.fixture(scope="module")
 def recording():
-    return record_offline(profile("default"), [Segment(**asdict(s)) for s in schedule.draw(24.0, 5)], seed=5)
+    return record_offline(profile("default"), schedule.draw(24.0, 5), seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -203,12 +203,8 @@ def test_schedule_keeps_within_its_limits():
 
 def test_schedule_file_is_the_emulators_too(tmp_path):
     drawn = schedule.draw(50.0, 2)
-    schedule.save(drawn, tmp_path / "s.yaml")
-    assert schedule.load(tmp_path / "s.yaml") == drawn
-    assert [segment.signal for segment in load_schedule(tmp_path / "s.yaml")] == [stretch.signal for stretch in drawn]
-    (tmp_path / "s.yaml").write_text("segments: 3")
-    with pytest.raises(ValueError, match="not a schedule"):
-        schedule.load(tmp_path / "s.yaml")
+    save_schedule(drawn, tmp_path / "s.yaml")
+    assert load_schedule(tmp_path / "s.yaml") == drawn
 
 
 def test_coverage_counts_what_was_visited(recording):

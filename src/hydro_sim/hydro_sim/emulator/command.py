@@ -17,16 +17,16 @@ from hydro_bridge.protocol import BoxInfo
 from hydro_bridge.recording import RecordingError
 from hydro_bridge.user_errors import explained
 from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
+from hydro_sim.box import EMULATED_BOX, BoxConfig
 from hydro_sim.emulator import jobs
 from hydro_sim.emulator.control import ControlPipe
 from hydro_sim.emulator.faults import PRESETS, load_faults
 from hydro_sim.emulator.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.realtime import Log, RealTime, raise_priority
-from hydro_sim.emulator.settings import ConfigError, from_mapping, read_yaml
 from hydro_sim.emulator.terminal import Terminal, default_link
 from hydro_sim.emulator.truth_config import truth_to_mapping
+from hydro_sim.yaml_settings import ConfigError, from_mapping, read_yaml
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -127,7 +127,7 @@ def _serve(options: argparse.Namespace) -> None:
 def box_info(bench: Bench, box: BoxConfig) -> BoxInfo:
     """What the emulated box says about itself."""
     return BoxInfo(
-        name="hydro emulator",
+        name=EMULATED_BOX,
         valve_current_max=bench.valve_current_max,
         base_kp=box.base_kp,
         base_ki=box.base_ki,

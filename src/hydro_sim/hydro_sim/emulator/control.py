@@ -13,7 +13,7 @@ from pathlib import Path
 from hydro_sim.emulator.faults import CHANCES, LinkFaults
 from hydro_sim.emulator.link import BoxLink
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.settings import ConfigError
+from hydro_sim.yaml_settings import ConfigError
 
 ORDERS = (*CHANCES, "stall", "unplug", "clear", "reboot")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hydro_sim.emulator.settings import choice, quantity
+from hydro_sim.yaml_settings import choice, quantity
 
 SENSORS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 

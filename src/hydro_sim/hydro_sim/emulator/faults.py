@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_sim.emulator.settings import ConfigError, from_mapping, quantity, read_yaml
+from hydro_sim.yaml_settings import ConfigError, from_mapping, quantity, read_yaml
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,9 +13,10 @@ import yaml
 from hydro_bridge.recording import BagWriter
 from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Recording, record_offline
-from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, Segment, fit_to, load_schedule
-from hydro_sim.emulator.settings import quantity
+from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, fit_to
 from hydro_sim.emulator.truth_config import TruthConfig, load_truth, profile
+from hydro_sim.schedules import Segment, load_schedule
+from hydro_sim.yaml_settings import quantity
 
 
 @dataclass(frozen=True, kw_only=True)

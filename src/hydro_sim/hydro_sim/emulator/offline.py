@@ -17,9 +17,9 @@ from hydro_sim.bench import Bench
 from hydro_sim.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.parameters import SAMPLE_TIME
-from hydro_sim.emulator.schedules import Segment
 from hydro_sim.emulator.truth import TRUTH_FIELDS
 from hydro_sim.emulator.truth_config import TruthConfig
+from hydro_sim.schedules import Segment
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hydro_sim.emulator.settings import choice, quantity
+from hydro_sim.yaml_settings import choice, quantity
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,8 +21,8 @@ from hydro_sim.emulator.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import Recording, noise_free_states
 from hydro_sim.emulator.parameters import SAMPLE_TIME
-from hydro_sim.emulator.settings import ConfigError
 from hydro_sim.emulator.truth import TRUTH_FIELDS
+from hydro_sim.yaml_settings import ConfigError
 
 _PERIOD_NS = round(SAMPLE_TIME * 1e9)
 _GIVE_UP_NS = 100 * _PERIOD_NS  # behind by more than this (the machine slept): do not catch up

@@ -11,7 +11,7 @@ import tempfile
 import tty
 from pathlib import Path
 
-from hydro_sim.emulator.settings import ConfigError
+from hydro_sim.yaml_settings import ConfigError
 
 _READ_SIZE = 65536
 

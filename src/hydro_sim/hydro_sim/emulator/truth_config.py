@@ -18,7 +18,7 @@ from hydro_sim.emulator.effects import (
     ValveLag,
 )
 from hydro_sim.emulator.outside import Outside
-from hydro_sim.emulator.settings import ConfigError, from_mapping, quantity, read_yaml, to_mapping, unknown_key
+from hydro_sim.yaml_settings import ConfigError, from_mapping, quantity, read_yaml, to_mapping, unknown_key
 
 T = TypeVar("T")
 

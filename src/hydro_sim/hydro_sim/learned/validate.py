@@ -45,6 +45,8 @@ def main() -> None:
     options = _arguments()
     learned = Learned.load(options.model)
     scored = _scored(options.bags, options.noise_free)
+    if options.horizon > (room := _longest(scored)):
+        raise UserError(f"--horizon {options.horizon}: the shortest stretch without a gap has room for {room} samples")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     if left_out(bench):
         print(left_out(bench), file=sys.stderr)
@@ -88,8 +90,7 @@ def _long(
     scored: list[Scored], plots: Path | None,
 ) -> None:  # fmt: skip
     """Horizon curves, errors by region, and a free run: said, and drawn into the folder if there is one."""
-    shortest = min(len(item.run) for item in scored)
-    longest = min(LONGEST, shortest - SETTLED - 2)
+    longest = min(LONGEST, _longest(scored))
     how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
     mine = evaluation.judge(learned.model, states, scored, **how)
     theirs = evaluation.judge(analytic, analytic_states, scored, **how)
@@ -114,6 +115,11 @@ def _long(
     curves.draw_free_run(SAMPLE * np.arange(len(free)), reference, free, other, plots / "free_run.png")
     short = evaluation.judge(learned.model, states, scored, recorded=False, horizon=70, stride=37)
     _regions(short, scored, plots / "regions.png")
+
+
+def _longest(scored: list[Scored]) -> int:
+    """Samples of the longest prediction that fits into every run."""
+    return min(len(item.run) for item in scored) - SETTLED - 2
 
 
 def _regions(short: Errors, scored: list[Scored], path: Path) -> None:
@@ -169,4 +175,9 @@ def _arguments() -> argparse.Namespace:
         "--plots", type=writable_folder, metavar="DIR", help="draw horizon curves, errors by region and a free run"
     )
     add_json_argument(parser)
-    return parser.parse_args()
+    options = parser.parse_args()
+    if not 1 <= options.horizon <= LONGEST:
+        parser.error(f"--horizon {options.horizon}: 1 to {LONGEST} samples are meant")
+    if options.stride < 1:
+        parser.error(f"--stride {options.stride}: 1 sample or more is meant")
+    return options
