@@ -19,8 +19,8 @@ from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executab
 from hydro_bridge.signals import Flag  # noqa: E402
 from hydro_sim.bench import Bench  # noqa: E402
 from hydro_sim.learned.playback import Playback  # noqa: E402
+from hydro_sim.nodes.arming import HOW_TO_ARM  # noqa: E402
 from hydro_sim.nodes.collect import main  # noqa: E402
-from hydro_sim.nodes.collecting import HOW_TO_ARM  # noqa: E402
 from hydro_sim.schedules import Segment  # noqa: E402
 
 SINE = "{seconds: 1.0, amplitude: 200}"
@@ -80,7 +80,7 @@ def _refused(
 
 def test_a_playback_stands_still_while_disarmed_and_counts_trips_in_a_row() -> None:
     playback = Playback([Segment(seconds=0.002), Segment(seconds=0.002), Segment(seconds=0.001)])
-    for flags in (Flag.TRIPPED, Flag(0)):  # met like that: not our doing
+    for flags in (Flag.ARMED, Flag.TRIPPED, Flag(0)):  # met like that: not our doing
         playback.on_sample(flags)
     assert playback.next() is not None and playback.next() is None
     assert (playback.elapsed, playback.trips) == (0.0, 0)

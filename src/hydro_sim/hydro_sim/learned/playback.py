@@ -18,8 +18,9 @@ class Playback:
         self._schedule = list(schedule)
         self._ends = list(accumulate(segment.seconds for segment in schedule))
         self._index, self._samples = -1, 0
-        self._flags: Flag | None = None
         self._clean = False
+        self.flags = Flag(0)
+        """Of the last sample."""
         self.trips = 0
         self.trips_in_a_row = 0
         """Since the last segment that was played from its beginning to its end without one."""
@@ -39,16 +40,13 @@ class Playback:
         """Whether the last segment has ended."""
         return self._index == len(self._schedule)
 
-    @property
-    def flags(self) -> Flag:
-        """Of the last sample."""
-        return self._flags or Flag(0)
-
     def on_sample(self, flags: int) -> None:
-        """Take a sample's flags. A plant that is met tripped has not tripped here."""
-        before, self._flags = self._flags, Flag(flags)
-        self._samples += bool(self._flags & Flag.ARMED)
-        if before is not None and self._flags & ~before & Flag.TRIPPED:
+        """Take a sample's flags. What a plant did before the first segment began is not counted."""
+        before, self.flags = self.flags, Flag(flags)
+        if self._index < 0:
+            return
+        self._samples += bool(self.flags & Flag.ARMED)
+        if self.flags & ~before & Flag.TRIPPED:
             self.trips, self.trips_in_a_row, self._clean = self.trips + 1, self.trips_in_a_row + 1, False
 
     def next(self) -> Segment | None:

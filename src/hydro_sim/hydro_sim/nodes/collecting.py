@@ -10,10 +10,7 @@
 
 from __future__ import annotations
 
-import queue
 import signal
-import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -23,15 +20,11 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future
-from std_srvs.srv import SetBool
-from tqdm import tqdm
 
 from hydro_bridge.console import UserError, progress
 from hydro_bridge.ros import (
-    ARM_SERVICE,
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
     GAINS,
@@ -50,21 +43,15 @@ from hydro_bridge.signals import ReferenceSignal as Signal
 from hydro_msgs.msg import BenchState, Gains, ReferenceSignal
 from hydro_sim.box import EMULATED_BOX, BoxConfig
 from hydro_sim.learned.playback import Playback
+from hydro_sim.nodes.arming import Arming, tell
 from hydro_sim.schedules import Segment
 
 TRIPS_IN_A_ROW = 3
-_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
-HOW_TO_ARM = {False: f"the plant is disarmed: {_ARM}", True: f"the plant has tripped: {_ARM} --off, and then without"}
-"""By whether it has tripped."""
 _PERIOD = 0.01  # s, of gains
 _REST = 1.0  # s recorded before arming: the still bench
 _LOOK = 1.0  # s from the first sample on, in which others who publish gains are found
 _NAMED_WITHIN = 3.0  # s from the first sample on; a bridge says once a second which box it has
 _PATIENCE = 8.0  # s without a sample: to say so
-_RETRY = 1.0  # s, after a refusal
-_SETTLE = 0.1  # s, between two requests
-_ANSWER_WITHIN = 3.0  # s; a plant that has gone does not answer any more
-_DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 
 
 class CollectNode(Node):
@@ -85,19 +72,17 @@ class CollectNode(Node):
         self.ended = ""
         """Why it ended before the schedule did, if it did by itself."""
         self.playback = Playback(schedule)
-        self._rearm, self._granted = rearm, False
+        self._rearm = rearm
         self._box, self._boxes = BoxConfig(), dict[str, str]()
         self._heard, self._started = inf, time.monotonic()
         self._met, self._finished, self._driving = Future(), Future(), False
-        self._answer: Future | None = None
-        self._ask_after, self._told, self._refusal = 0.0, "", ""
         self._recorder: Companion | None = None
         self._bag, self._recorded_since = Path(), inf
-        self._gains, self._keys = Gains(), queue.SimpleQueue[str]()
-        self._bar: tqdm[Any] | None = None
+        self._gains = Gains()
+        self._bar: Any = None
         self._gains_publisher = self.create_publisher(Gains, GAINS, GAINS_QOS)
         self._reference_publisher = self.create_publisher(ReferenceSignal, REFERENCE, REFERENCE_QOS)
-        self._client = self.create_client(SetBool, ARM_SERVICE)
+        self._arming = Arming(self)
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
         self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -119,26 +104,20 @@ class CollectNode(Node):
         """Play once the recorder has begun `bag`, and while it runs; whether a signal ended it."""
         self._recorder, self._bag, self._driving = recorder, bag, True
         self._bar = progress(total=round(self.playback.seconds), label="collecting", unit="s")
-        if sys.stdin is not None and sys.stdin.isatty():
-            threading.Thread(target=self._read_keys, daemon=True).start()
+        self._arming.begin(rearm=bool(self._rearm))
         return spin(self, self._finished)
 
     def leave(self) -> None:
         """Leave the plant disarmed, with a reference of 0 N for who arms it next; not one that was never driven."""
-        if self._bar is not None:
-            self._bar.close()
-        if not self._driving or not self._client.service_is_ready():
-            return
         with _undisturbed():
+            if self._bar is not None:
+                self._bar.close()
+            if not self._driving:
+                return
             self._driving = False
             self._reference_publisher.publish(reference_to_message(Signal()))
-            answer, executor = self._client.call_async(SetBool.Request(data=False)), EventsExecutor()
-            executor.add_node(self)
-            executor.spin_until_future_complete(answer, timeout_sec=_DISARM_TIMEOUT)
-            executor.remove_node(self)
-            executor.shutdown()
-        if not answer.done() or not answer.result().success:
-            _say("! the plant did not confirm that it is disarmed; its own watchdog remains")
+            if not self._arming.disarm():
+                tell("! the plant did not confirm that it is disarmed; its own watchdog remains")
 
     def _on_state(self, message: BenchState) -> None:
         self._heard = min(self._heard, time.monotonic())
@@ -159,7 +138,7 @@ class CollectNode(Node):
     def _look_around(self, now: float) -> None:
         if self._heard == inf and now - self._started > _PATIENCE:
             self._started = inf
-            _say(f"! no samples on {STATE} yet: start a bridge or a simulation")
+            tell(f"! no samples on {STATE} yet: start a bridge or a simulation")
         if now - self._heard < _LOOK:
             return
         self.ended = rivals(self, GAINS)
@@ -204,55 +183,17 @@ class CollectNode(Node):
             self._bar.update(int(playback.elapsed) - self._bar.n)
 
     def _follow_arming(self, now: float) -> None:
-        """Arm if that is allowed, a plant that has tripped after a disarm. One request at a time."""
-        flags = self.playback.flags
-        if flags & Flag.ARMED:
-            self._granted, self._told = False, ""
-            return
-        awaited = self._answer is not None and not self._answer.done() and now < self._ask_after + _ANSWER_WITHIN
-        if self._finished.done() or awaited:
-            return
-        if trouble := rivals(self, GAINS):
+        if self._finished.done() or self.playback.flags & Flag.ARMED:
+            self._arming.rest()
+        elif trouble := rivals(self, GAINS):
             self._end(f"{trouble}; the plant is left disarmed")
-            return
-        if not (self._rearm or self._may_arm(flags)) or now < self._ask_after:
-            return
-        self._ask_after = now + _SETTLE
-        if self._client.service_is_ready():
-            self._answer = self._client.call_async(SetBool.Request(data=not flags & Flag.TRIPPED))
-            self._answer.add_done_callback(self._on_answer)
-
-    def _may_arm(self, flags: Flag) -> bool:
-        """Whether a person has said so since the plant was armed last."""
-        while not self._keys.empty():
-            self._keys.get()
-            self._granted = True
-        told = HOW_TO_ARM[bool(flags & Flag.TRIPPED)]
-        if not self._granted and told != self._told:
-            self._told = told
-            _say(f"! {told}")
-        return self._granted
-
-    def _on_answer(self, answer: Future) -> None:
-        refusal = "" if answer.result() is None or answer.result().success else answer.result().message
-        if refusal:
-            self._ask_after = time.monotonic() + _RETRY
-            if refusal != self._refusal:
-                _say(f"! arming: {refusal}")
-        self._refusal = refusal
+        else:
+            self._arming.seek(tripped=bool(self.playback.flags & Flag.TRIPPED), now=now)
 
     def _end(self, why: str) -> None:
         if not self._finished.done():
             self.ended = why
             self._finished.set_result(None)
-
-    def _read_keys(self) -> None:
-        for line in sys.stdin:
-            self._keys.put(line)
-
-
-def _say(sentence: str) -> None:
-    tqdm.write(sentence, file=sys.stderr)
 
 
 @contextmanager

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Asking a plant to arm and to disarm: one request at a time, without a person only where that is allowed."""
+
+from __future__ import annotations
+
+import queue
+import sys
+import threading
+import time
+
+from rclpy.experimental import EventsExecutor
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import SetBool
+from tqdm import tqdm
+
+from hydro_bridge.ros import ARM_SERVICE
+
+_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
+HOW_TO_ARM = {False: f"the plant is disarmed: {_ARM}", True: f"the plant has tripped: {_ARM} --off, and then without"}
+"""By whether it has tripped."""
+_SETTLE = 0.1  # s, between two requests
+_RETRY = 1.0  # s, after a refusal
+_ANSWER_WITHIN = 3.0  # s; a plant that has gone does not answer any more
+_DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
+
+
+def tell(sentence: str) -> None:
+    """Say it on the terminal, above a progress bar."""
+    tqdm.write(sentence, file=sys.stderr)
+
+
+class Arming:
+    """Seeks an armed plant. A plant that has tripped is disarmed first."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._client = node.create_client(SetBool, ARM_SERVICE)
+        self._rearm, self._granted = False, False
+        self._answer: Future | None = None
+        self._ask_after, self._told, self._refusal = 0.0, "", ""
+        self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def begin(self, *, rearm: bool) -> None:
+        """From now on Enter on the terminal arms; with `rearm` nobody has to."""
+        self._rearm = rearm
+        if not rearm and sys.stdin is not None and sys.stdin.isatty():
+            threading.Thread(target=self._read_keys, daemon=True).start()
+
+    def rest(self) -> None:
+        """Nothing is sought: what a person has granted was for this once."""
+        self._granted, self._told = False, ""
+
+    def seek(self, *, tripped: bool, now: float) -> None:
+        """Call some times a second while the plant is not armed; `now` by the monotonic clock [s]."""
+        awaited = self._answer is not None and not self._answer.done() and now < self._ask_after + _ANSWER_WITHIN
+        if awaited or not (self._rearm or self._may_arm(tripped)) or now < self._ask_after:
+            return
+        self._ask_after = now + _SETTLE
+        if self._client.service_is_ready():
+            self._answer = self._client.call_async(SetBool.Request(data=not tripped))
+            self._answer.add_done_callback(self._on_answer)
+
+    def disarm(self) -> bool:
+        """Ask for it with nobody else spinning the node, and wait; whether the plant confirms."""
+        if not self._client.service_is_ready():
+            return False
+        answer, executor = self._client.call_async(SetBool.Request(data=False)), EventsExecutor()
+        executor.add_node(self._node)
+        executor.spin_until_future_complete(answer, timeout_sec=_DISARM_TIMEOUT)
+        executor.remove_node(self._node)
+        executor.shutdown()
+        return answer.done() and bool(answer.result().success)
+
+    def _may_arm(self, tripped: bool) -> bool:
+        """Whether a person has said so since the plant was armed last; says how."""
+        while not self._keys.empty():
+            self._keys.get()
+            self._granted = True
+        if not self._granted and HOW_TO_ARM[tripped] != self._told:
+            self._told = HOW_TO_ARM[tripped]
+            tell(f"! {self._told}")
+        return self._granted
+
+    def _on_answer(self, answer: Future) -> None:
+        refusal = "" if answer.result() is None or answer.result().success else answer.result().message
+        if refusal:
+            self._ask_after = time.monotonic() + _RETRY
+            if refusal != self._refusal:
+                tell(f"! arming: {refusal}")
+        self._refusal = refusal
+
+    def _read_keys(self) -> None:
+        for line in sys.stdin:
+            self._keys.put(line)
