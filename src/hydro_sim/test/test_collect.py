@@ -240,5 +240,5 @@ def test_beside_another_source_of_gains_it_refuses_to_start(
     assert ended.returncode == 2
     said = ended.stderr.splitlines()[-1]
     assert said.startswith(f"error: 2 nodes publish {GAINS} (")
-    assert said.endswith("): end all but one")
+    assert "): end all but one" in said
     assert not (tmp_path / "bag").exists()

@@ -11,6 +11,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from shutil import rmtree
 from tempfile import TemporaryDirectory
 
 import rclpy
@@ -55,6 +56,8 @@ def _play(schedule: Sequence[Segment], bench: Bench, options: argparse.Namespace
         raise UserError(f"broken off: {options.out} holds what was played so far")
     tripped_out = node.playback.trips_in_a_row >= TRIPS_IN_A_ROW
     if node.ended and not tripped_out:
+        if not node.playback.elapsed:  # what is refused leaves no folder
+            rmtree(options.out)
         raise UserError(node.ended)
     if node.playback.trips and not tripped_out:
         print(f"the plant tripped {node.playback.trips} times; the schedule went on after it was armed anew")

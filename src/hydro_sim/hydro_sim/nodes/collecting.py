@@ -77,7 +77,7 @@ class CollectNode(Node):
         self._heard, self._started = inf, time.monotonic()
         self._met, self._finished, self._driving = Future(), Future(), False
         self._recorder: Companion | None = None
-        self._bag, self._recorded_since = Path(), inf
+        self._bag, self._recorded_since = Path("nowhere"), inf
         self._gains = Gains()
         self._bar: Any = None
         self._gains_publisher = self.create_publisher(Gains, GAINS, GAINS_QOS)
@@ -101,7 +101,7 @@ class CollectNode(Node):
         return broken
 
     def drive(self, recorder: Companion, bag: Path) -> bool:
-        """Play once the recorder has begun `bag`, and while it runs; whether a signal ended it."""
+        """Play once the recorder says that it has samples in `bag`, while it runs; whether a signal ended it."""
         self._recorder, self._bag, self._driving = recorder, bag, True
         self._bar = progress(total=round(self.playback.seconds), label="collecting", unit="s")
         self._arming.begin(rearm=bool(self._rearm))
@@ -125,9 +125,11 @@ class CollectNode(Node):
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
-            for entry in status.values:
-                if entry.key == "box":
-                    self._boxes[status.name] = entry.value
+            values = {entry.key: entry.value for entry in status.values}
+            if "box" in values:
+                self._boxes[status.name] = values["box"]
+            if values.get("folder") == str(self._bag) and values.get(STATE, "0") != "0":
+                self._recorded_since = min(self._recorded_since, time.monotonic())
 
     def _on_timer(self) -> None:
         if self._driving:
@@ -160,8 +162,6 @@ class CollectNode(Node):
         if self._recorder is None or not self._recorder.running:  # nothing moves unrecorded
             self._end("")
             return
-        if self._bag.exists():
-            self._recorded_since = min(self._recorded_since, now)
         if now - self._recorded_since < _REST:
             return
         self._follow_schedule()
