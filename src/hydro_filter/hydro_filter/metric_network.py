@@ -158,11 +158,3 @@ def _square(factor, nudge, floor, matrix, rate):
             matrix[i, j] = matrix[j, i] = total
             rate[i, j] = rate[j, i] = turned
         matrix[i, i] += floor
-
-
-@njit(cache=True)
-def evaluate_many(parts, x, state_rates, gains, matrices, rates, value):
-    """`evaluate` of many samples, shapes (n, ...)."""
-    for k in range(len(x)):
-        evaluate(parts, x[k], state_rates[k], gains[k], value)
-        matrices[k], rates[k] = value.matrix, value.rate
