@@ -12,9 +12,18 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
-NAMES = sorted(path.stem for path in HERE.glob("[!_]*.py"))
+_PACKAGES = {path.parent.name for path in HERE.glob("[!_]*/__main__.py")}
+NAMES = sorted({path.stem for path in HERE.glob("[!_]*.py")} | _PACKAGES)
 STUDIES = frozenset(
-    {"adaptivity", "controllers", "diagnosis_peers", "learned_structures", "sac_peers", "training_seeds"}
+    {
+        "adaptivity",
+        "controllers",
+        "diagnosis_peers",
+        "foreign_truth",
+        "learned_structures",
+        "sac_peers",
+        "training_seeds",
+    }
 )
 """Run only if named: they take long, or need what another command makes first."""
 

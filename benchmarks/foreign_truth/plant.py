@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bench in closed loop: true states in steps of 5 us, the box and its sensors once a millisecond.
+
+A step is half a step of dry friction, a step of Runge-Kutta of fourth order for all the rest, half a step of friction
+(Strang): the set-valued force is never differentiated. A mass that is held creeps by half a step's push, um/s, so that
+with dry friction the error falls with the step, not with its square (docs/proof.md has figures).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from benchmarks.foreign_truth.bench import Numbers, numbers
+from benchmarks.foreign_truth.box import PERIOD, command, sense
+from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY, rates, rub
+
+FloatArray = npt.NDArray[np.float64]
+SUBSTEPS = 200
+LOGGED = 15
+"""Columns of a run: those of BenchState from hydraulic_force to integral_gain, then its flags."""
+
+
+@njit
+def advance(bench, time, current, state, step, work):
+    """One step of Strang's splitting; `work` has room for three sets of states."""
+    slope, between, total = work[0], work[1], work[2]
+    rub(bench, state, 0.5 * step)
+    rates(bench, time, current, state, total)
+    between[:] = total
+    for reach, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
+        for n in range(STATES):
+            between[n] = state[n] + reach * step * between[n]
+        rates(bench, time, current, between, slope)
+        for n in range(STATES):
+            between[n] = slope[n]
+            total[n] += weight * slope[n]
+    for n in range(STATES):
+        state[n] += step / 6.0 * total[n]
+    rub(bench, state, 0.5 * step)
+    state[PRESSURE_A], state[PRESSURE_B] = max(state[PRESSURE_A], -1e5), max(state[PRESSURE_B], -1e5)
+    if state[POSITION] < 0.0:
+        state[POSITION], state[VELOCITY] = 0.0, max(state[VELOCITY], 0.0)
+    if state[POSITION] > bench.stroke:
+        state[POSITION], state[VELOCITY] = bench.stroke, min(state[VELOCITY], 0.0)
+
+
+@njit
+def _run(bench, box, reference, gains, noise, quantum, start, substeps, out):
+    step, integral, played, turn = PERIOD / substeps, 0.0, 0.0, 0
+    late = np.zeros(max(math.floor(bench.valve_delay / step + 0.5), 1))
+    delayed = bench.valve_delay / step >= 0.5
+    state, work = np.zeros(STATES), np.zeros((3, STATES))
+    state[PRESSURE_A], state[PRESSURE_B] = start, start / bench.area_ratio
+    state[POSITION] = bench.spring_rest_position
+    for k in range(len(out)):
+        row, before = out[k], out[max(k - 1, 0)]
+        sense(bench, state, noise[k], quantum, row)
+        for force in (0, 2):
+            row[force + 1] = before[force + 1] + 0.2 * ((row[force] - before[force]) / PERIOD - before[force + 1])
+        row[7] = before[7] + 0.5 * ((row[6] - before[6]) / PERIOD - before[7])
+        row[10], row[11], row[12], row[13] = reference[k, 0], reference[k, 1], gains[0], gains[1]
+        integral = command(box, row, integral)
+        current = row[8]
+        if bench.valve_play > 0.0:
+            played = min(max(played, current - 0.5 * bench.valve_play), current + 0.5 * bench.valve_play)
+            current = played
+        for j in range(substeps):
+            acting = current
+            if delayed:
+                acting, late[turn] = late[turn], current
+                turn = (turn + 1) % len(late)
+            advance(bench, k * PERIOD + j * step, acting, state, step, work)
+        if not math.isfinite(state[PRESSURE_A]):
+            return k
+    return len(out)
+
+
+def run(bench: Numbers, reference: FloatArray, *, box: Numbers | None = None, gains: tuple[float, float] = (80.0, 15.0),
+        noise: FloatArray | None = None, quantum: float = 0.0, start: float = 6e6,
+        substeps: int = SUBSTEPS) -> FloatArray:  # fmt: skip
+    """What a box logs that tracks a reference on a bench.
+
+    Parameters
+    ----------
+    bench, box
+        The truth, and what the force law believes (default: bench.yaml).
+    reference
+        Force and its rate [N, N/s], shape (n, 2), one a millisecond.
+    gains
+        K_p [1/s] and K_i [1/s2].
+    noise
+        What the force cells and gauges add [N, N, Pa, Pa], shape (n, 4); default: nothing.
+    quantum
+        m, of the encoder.
+    start
+        Pa, of chamber A; B balances it, with the piston at the spring's rest.
+
+    Returns
+    -------
+    Shape (n, LOGGED).
+
+    Raises
+    ------
+    ArithmeticError
+        The states are no longer finite.
+    """
+    out = np.zeros((len(reference), LOGGED))
+    added = np.zeros((len(reference), 4)) if noise is None else noise
+    done = _run(bench, box or numbers(), reference, gains, added, quantum, start, substeps, out)
+    if done < len(out):
+        raise ArithmeticError(f"the foreign plant diverges after {done} ms")
+    return out
