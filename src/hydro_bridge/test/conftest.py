@@ -87,12 +87,20 @@ class SmallBox:
                 for frame in decoder.feed(self._read()):
                     self._take(frame)
                 last = self.commands[-1].sequence if self.commands else 0
-                os.write(
-                    self.cable.box, encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last)
-                )
+                self._write(encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last))
             self.sequence += 1
-            due += 1e-3
-            time.sleep(max(0.0, due - time.monotonic()))
+            now = time.monotonic()
+            due = max(due + 1e-3, now - 5e-3)  # after a hold-up no burst: the line holds some 25 samples
+            time.sleep(max(0.0, due - now))
+
+    def _write(self, frame: bytes) -> None:
+        """All of it; what nobody reads for 50 ms is dropped."""
+        end = time.monotonic() + 0.05
+        while frame and time.monotonic() < end:
+            try:
+                frame = frame[os.write(self.cable.box, frame) :]
+            except BlockingIOError:
+                time.sleep(1e-3)
 
     def _read(self) -> bytes:
         with suppress(BlockingIOError):

@@ -26,6 +26,12 @@ from hydro_policy.task import OBSERVATIONS
 SETTINGS = TrainingSettings(warmup_steps=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled() -> None:
+    """Here and not in the learner's process, which is nice to all others and would take minutes on a busy machine."""
+    compile_updates(SETTINGS.sac)
+
+
 def transitions(count: int) -> np.ndarray:
     rows = np.random.default_rng(count).normal(size=(count, 30)).astype(np.float32)
     rows[:, -1] = 0.0
