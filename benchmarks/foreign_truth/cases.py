@@ -18,6 +18,7 @@ KINDS = {
     "late": "the log holds each row's current a row late",
     "unusable": "the bench swings from stop to stop",
     "later": "one cause of the table, not in the first run",
+    "Stribeck later": "friction that rises at standstill, not in the first run",
 }
 
 
@@ -51,11 +52,13 @@ def _pair(name: str, truth: Truth, table: bool = False, **causes: Mapping[str, f
     return Case(name=name, kind="pair", truth=truth, causes=causes, table=table)
 
 
-def _stribeck(name: str, level: float, rise: float, velocity: float, table: bool = False) -> Case:
+def _stribeck(
+    name: str, level: float, rise: float, velocity: float, kind: str = "Stribeck", table: bool = False
+) -> Case:
     causes = {"friction_coulomb": {"force": level}} if level else {}
     causes["friction_stribeck"] = {"breakaway_force": rise, "velocity": velocity}
     truth = {"coulomb": level, "stribeck": rise, "stribeck_velocity": velocity}
-    return Case(name=name, kind="Stribeck", truth=truth, causes=causes, table=table)
+    return Case(name=name, kind=kind, truth=truth, causes=causes, table=table)
 
 
 def _outside(name: str, truth: Truth, equation: str) -> Case:
@@ -124,4 +127,7 @@ CASES: tuple[Case, ...] = (
     _one("valve_gain_drift", {"valve_gain_drift": -2e-3}, {"rate": -2e-3}, kind="later"),
     _one("load_cell_bias", {"load_cell_bias": 4.0}, {"force": 4.0}, "load_cell_bias load_force", "later", table=True),
     _one("pressure_bias_a", {"gauge_a_bias": -5e4}, {"pressure": -5e4}, "pressure_sensor_bias a", "later"),
+    *(_stribeck(f"stribeck_{level:g}_{rise:g}_{1e3 * velocity:g}", level, rise, velocity, "Stribeck later")
+      for level, rise, velocity in ((10.0, 5.0, 0.02), (5.0, 4.0, 0.03), (0.0, 6.0, 0.03), (12.0, 8.0, 0.015),
+                                    (6.0, 3.0, 0.05), (15.0, 10.0, 0.01))),
 )  # fmt: skip
