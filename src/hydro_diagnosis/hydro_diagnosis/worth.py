@@ -10,16 +10,25 @@ from hydro_diagnosis.fit import Fit
 from hydro_diagnosis.locate import noticeable
 from hydro_diagnosis.problem import Problem
 
+ABSENT = 0.05
+"""Of a shape's neutral value: so near to it an effect without amplitudes is not there."""
 ATTENUATIONS = 2.0
 """Times `Problem.attenuation` that a claim must be."""
 
 
 def worth_claiming(claim: Claim) -> bool:
-    """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends."""
+    """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
+
+    An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
+    """
     amplitudes = [one for one in claim.effect.parameters if one.smallest > 0.0]
     if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
         return False
-    return not amplitudes or any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
+    if not amplitudes:
+        return any(
+            abs(claim.values[one.name] - one.neutral) > ABSENT * abs(one.neutral) for one in claim.effect.parameters
+        )
+    return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
 
 
 def all_worth(problem: Problem, found: Fit) -> bool:

@@ -59,6 +59,16 @@ def test_no_mass_and_no_friction_below_nothing_is_claimed(label: str, name: str,
     assert worth_claiming(claim(library(label), **{name: -0.5 * present}))
 
 
+@pytest.mark.parametrize("effect", [e for e in ADAPTED if not amplitudes(e)], ids=lambda effect: effect.label)
+def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none(effect: Effect) -> None:
+    """Bristles as stiff as they get are dry friction, a lag as quick as it gets is none; seen claimed, with evidence."""
+    absent = {one.name: one.neutral for one in effect.parameters}
+    first = effect.parameters[0]
+    assert not worth_claiming(claim(effect, **absent))
+    assert not worth_claiming(claim(effect, **{**absent, first.name: 0.97 * first.neutral}))
+    assert worth_claiming(claim(effect, **{**absent, first.name: 0.5 * first.neutral}))
+
+
 COULOMB = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
 STRIBECK = {"id": "friction_stribeck", "parameters": {"breakaway_force": 6.0, "velocity": 0.012}}
 
