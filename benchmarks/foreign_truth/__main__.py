@@ -5,7 +5,7 @@ Each case conceals something in a plant that shares no code with the project, re
 held out), runs `diagnose` on them in a process of its own, and holds the report against the truth.
 
     python -m benchmarks.foreign_truth --list                    the cases, by name
-    python -m benchmarks.foreign_truth                           all of them: about a quarter of an hour on one core
+    python -m benchmarks.foreign_truth                           all of them: about ten minutes
     python -m benchmarks.foreign_truth stribeck clean_bag        two of them
     python -m benchmarks.foreign_truth --again                   diagnose the recordings that are there once more
 
@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.foreign_truth.cases import CASES, KINDS, Case
+from benchmarks.foreign_truth.plant import SUBSTEPS
 from benchmarks.foreign_truth.recordings import COLUMNS, SECONDS, recorded
 from benchmarks.foreign_truth.score import scored, table
 from hydro_bridge.console import Table, UserError, add_json_argument, command, progress, writable_folder
@@ -42,9 +43,13 @@ def main() -> None:
     options.add_argument("--out", type=writable_folder, default=Path("runs/foreign_truth"), metavar="DIR",
                          help="where recordings and reports go (default: runs/foreign_truth)")  # fmt: skip
     options.add_argument("--again", action="store_true", help="diagnose cases again that are done")
+    options.add_argument("--substeps", type=int, default=SUBSTEPS, metavar="N",
+                         help="plant steps a millisecond, for what is not recorded yet (default: 200)")  # fmt: skip
     options.add_argument("--list", action="store_true", help="list the cases and stop")
     add_json_argument(options)
     asked = options.parse_args()
+    if asked.substeps < 1:
+        raise UserError(f"--substeps {asked.substeps}: at least 1 is meant")
     cases = chosen(asked.names)
     if asked.list:
         listed(cases).show(asked.json)
@@ -52,7 +57,7 @@ def main() -> None:
     rows = []
     for case in (bar := progress(cases, label="foreign truth", unit="case")):
         bar.set_postfix_str(case.name)
-        rows.append(carried_out(case, asked.out / case.name, again=asked.again))
+        rows.append(carried_out(case, asked.out / case.name, substeps=asked.substeps, again=asked.again))
     table(rows).show(asked.json)
 
 
@@ -74,12 +79,14 @@ def listed(cases: list[Case]) -> Table:
     return shown
 
 
-def carried_out(case: Case, folder: Path, *, seconds: float = SECONDS, again: bool = False) -> dict[str, Any]:
+def carried_out(
+    case: Case, folder: Path, *, seconds: float = SECONDS, substeps: int = SUBSTEPS, again: bool = False
+) -> dict[str, Any]:
     """Record, diagnose and score a case, or take the result that is there."""
     kept = folder / RESULT
     if kept.exists() and not again:
         return dict(json.loads(kept.read_text(encoding="utf-8")))
-    fitted, held = recorded(case, folder, seconds)
+    fitted, held = recorded(case, folder, seconds, substeps)
     report = folder / "report"
     shutil.rmtree(report, ignore_errors=True)
     words = ["ros2", "run", "hydro_diagnosis", "diagnose", str(fitted), "--holdout", str(held), "--out", str(report)]

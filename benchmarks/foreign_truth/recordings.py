@@ -11,7 +11,7 @@ import numpy as np
 from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.box import PERIOD
 from benchmarks.foreign_truth.cases import Case
-from benchmarks.foreign_truth.plant import FloatArray, run
+from benchmarks.foreign_truth.plant import SUBSTEPS, FloatArray, run
 from hydro_bridge.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
 
@@ -51,7 +51,7 @@ def _lag(signal: FloatArray, bandwidth: float) -> FloatArray:
     return out
 
 
-def simulated(case: Case, number: int, seconds: float) -> FloatArray:
+def simulated(case: Case, number: int, seconds: float = SECONDS, substeps: int = SUBSTEPS) -> FloatArray:
     """Log of the case's run of this number, shape (n, LOGGED); its seeds follow from the case's name."""
     kind, gain = list(RUNS.items())[number]
     seed, count = 10 * sum(map(ord, case.name)) + number, round(seconds / PERIOD)
@@ -59,7 +59,7 @@ def simulated(case: Case, number: int, seconds: float) -> FloatArray:
     noise = case.noise * deviations * np.random.default_rng([seed, 1]).standard_normal((count, 4))
     out = run(
         numbers(**case.truth), reference(kind, count, seed), box=numbers(**case.box), gains=(gain, 15.0), noise=noise,
-        quantum=case.noise * QUANTUM, start=6e6 + 4e5 * number,
+        quantum=case.noise * QUANTUM, start=6e6 + 4e5 * number, substeps=substeps,
     )  # fmt: skip
     if case.rows_late:
         out[case.rows_late :, 8] = out[: -case.rows_late, 8].copy()
@@ -67,7 +67,7 @@ def simulated(case: Case, number: int, seconds: float) -> FloatArray:
     return out
 
 
-def recorded(case: Case, folder: Path, seconds: float = SECONDS) -> list[Path]:
+def recorded(case: Case, folder: Path, seconds: float = SECONDS, substeps: int = SUBSTEPS) -> list[Path]:
     """The case's two recordings in a folder; those that are there already stay."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
@@ -77,7 +77,7 @@ def recorded(case: Case, folder: Path, seconds: float = SECONDS) -> list[Path]:
             scratch = folder / "unfinished" / path.name
             shutil.rmtree(scratch.parent, ignore_errors=True)
             scratch.parent.mkdir()
-            log = simulated(case, number, seconds)
+            log = simulated(case, number, seconds, substeps)
             _write_table(scratch, log) if case.table else _write_bag(scratch, log)
             scratch.rename(path)
             scratch.parent.rmdir()
