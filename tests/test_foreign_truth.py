@@ -20,6 +20,7 @@ from benchmarks.foreign_truth.plant import FloatArray, advance, run
 from benchmarks.foreign_truth.recordings import recorded, reference
 from benchmarks.foreign_truth.score import scored
 
+ROOT = Path(__file__).resolve().parent.parent
 STEP = 5e-6
 
 
@@ -113,5 +114,5 @@ def test_recordings_that_are_there_stay_and_half_written_ones_do_not(tmp_path: P
 
 def test_unknown_case_is_one_sentence() -> None:
     words = [sys.executable, "-m", "benchmarks.foreign_truth", "no_such"]
-    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (2, "error: there is no case no_such; --list shows them\n")
