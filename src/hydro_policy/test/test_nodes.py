@@ -159,8 +159,8 @@ class Counted:
 
 def test_a_newcomer_waits_until_nobody_else_publishes_gains() -> None:
     rclpy.init()
+    other, node, session = rclpy.create_node("the_first"), GraphNode("newcomer", realtime=False), Counted()
     try:
-        other, node, session = rclpy.create_node("the_first"), GraphNode("newcomer", realtime=False), Counted()
         gains = other.create_publisher(Gains, GAINS, GAINS_QOS)
         state = other.create_publisher(BenchState, STATE, STATE_QOS)
         asked: list[bool] = []
@@ -180,6 +180,8 @@ def test_a_newcomer_waits_until_nobody_else_publishes_gains() -> None:
         assert seen == [0], "nothing reached the session while the first one was there"
         assert session.samples > 5 and asked == []
     finally:
+        for each in (node, other):  # or they go on publishing gains as far as the graph knows
+            each.destroy_node()
         rclpy.try_shutdown()
 
 

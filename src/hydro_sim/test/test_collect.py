@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -24,6 +25,13 @@ from hydro_sim.nodes.collect import main  # noqa: E402
 from hydro_sim.schedules import Segment  # noqa: E402
 
 SINE = "{seconds: 1.0, amplitude: 200}"
+
+
+@pytest.fixture(autouse=True)
+def domain(monkeypatch: pytest.MonkeyPatch) -> None:
+    """One of its own: collect refuses to begin beside whatever other tests may have left on theirs."""
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(1 + (os.getpid() + 50) % 100))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 
 
 @pytest.mark.parametrize(
