@@ -125,7 +125,7 @@ class LearnerSupervisor:
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
     def revive(self) -> str | None:
-        """If the learner died, start another from its last snapshot; returns what to tell the user, or None.
+        """If the learner died, start another from its last snapshot; what to tell the user of that or of a long start.
 
         Raises
         ------
