@@ -101,10 +101,12 @@ class FilterNode(Node):
         late.daemon = True
         late.start()
         before = signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
-        made = choice.make(self.settings)
-        warm_up(made, choice.bench)
-        signal.signal(signal.SIGINT, before)
-        late.cancel()
+        try:
+            made = choice.make(self.settings)
+            warm_up(made, choice.bench)
+        finally:
+            signal.signal(signal.SIGINT, before)
+            late.cancel()
         if (taken := time.monotonic() - begin) > PATIENCE:
             say(f"compiled in {taken:.0f} s")
         return made
@@ -178,11 +180,13 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--model", type=Path, metavar="FILE", help="the learned bench; default: the shipped one")
     for name in NUMBERS:
         docs = {
-            kind: describe(kind)[name].text for kind in (LoopFilterSettings, FilterSettings) if name in describe(kind)
+            kind: describe(kind)[name].text.rstrip(".")
+            for kind in (LoopFilterSettings, FilterSettings)
+            if name in describe(kind)
         }
         text = "; with the constant metric: ".join(dict.fromkeys(docs.values()))
         if list(docs) == [FilterSettings]:
-            text += " Of the constant metric."
+            text += "; of the constant metric"
         result.add_argument("--" + name.replace("_", "-"), type=float, metavar="NUMBER", help=text)
     result.add_argument(
         "--every",
