@@ -17,6 +17,7 @@ from pathlib import Path
 
 PACKAGED = (
     "hydro_msgs/msg/BenchState",
+    "hydro_msgs/msg/BoxInfo",
     "hydro_msgs/msg/Correction",
     "hydro_msgs/msg/Gains",
     "hydro_msgs/msg/ReferenceSignal",

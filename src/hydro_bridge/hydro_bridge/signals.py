@@ -93,6 +93,7 @@ class CorrectionStatus(IntEnum):
     NAN = 4
     STALE = 5
     BYPASSED = 6
+    MISMATCH = 7
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,8 @@ compiled code reads) is derived from them. Values: docs/physics.md, "The nominal
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from importlib import resources
@@ -140,6 +142,12 @@ class Bench:
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         values["effects"] = [dict(effect) for effect in self.effects]
         return {key: value for key, value in values.items() if value is not None and value != []}
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of keys and values, its first 12 digits: what models, metrics and policies are made for."""
+        written = json.dumps(self.to_mapping(), sort_keys=True)
+        return hashlib.sha256(written.encode()).hexdigest()[:12]
 
     def constants(self) -> npt.NDArray[np.void]:
         """What compiled code reads: one record of `BENCH_DTYPE`, shape (1,)."""

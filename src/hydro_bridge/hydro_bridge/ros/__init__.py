@@ -18,6 +18,8 @@ from hydro_bridge.ros.scheduling import be_ordinary, be_prompt
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
+    BOX,
+    BOX_QOS,
     CORRECTION,
     CORRECTION_QOS,
     DIAGNOSTICS,
@@ -36,6 +38,8 @@ from hydro_bridge.ros.topics import (
 
 __all__ = [
     "ARM_SERVICE",
+    "BOX",
+    "BOX_QOS",
     "CORRECTION",
     "CORRECTION_QOS",
     "DIAGNOSTICS",

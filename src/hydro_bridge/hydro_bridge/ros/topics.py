@@ -8,10 +8,11 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from hydro_msgs.msg import BenchState, Correction, Gains, ReferenceSignal, TrainingStatus
+from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, ReferenceSignal, TrainingStatus
 
 STATE = "/hydro/state"
 GAINS = "/hydro/gains"
+BOX = "/hydro/box"
 CORRECTION = "/hydro/correction"
 REFERENCE = "/hydro/reference"
 TRAINING = "/hydro/training"
@@ -33,12 +34,14 @@ STATE_QOS = _qos(200, reliable=False)
 """An old sample is worth nothing: never resent. 200 ms of samples wait for a reader that was held up."""
 CORRECTION_QOS = _qos(50, reliable=False)
 GAINS_QOS = _qos(10, reliable=True)
+BOX_QOS = _qos(1, reliable=True, latched=True)
 REFERENCE_QOS = _qos(1, reliable=True, latched=True)
 TRAINING_QOS = _qos(10, reliable=True)
 DIAGNOSTICS_QOS = _qos(10, reliable=True)
 
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     STATE: (BenchState, STATE_QOS),
+    BOX: (BoxInfo, BOX_QOS),
     CORRECTION: (Correction, CORRECTION_QOS),
     GAINS: (Gains, GAINS_QOS),
     REFERENCE: (ReferenceSignal, REFERENCE_QOS),
