@@ -154,6 +154,67 @@ def test_greeting_disarms_and_commands_are_taken_once_and_in_order(link: BoxLink
     port.close()
 
 
+def armed_command(sequence: int, delta_kp: float = 0.0) -> bytes:
+    return encode_command(sequence, 0, Command(arm=True, delta_kp=delta_kp))
+
+
+def test_commands_that_are_old_or_come_again_are_refused_though_they_are_whole(link: BoxLink) -> None:
+    port = opened(link)
+    port.write(encode_hello(0, 0))
+    link.poll(0.0)
+    before = b"".join(armed_command(sequence, 3.0) for sequence in range(1, 21))
+    port.write(before + armed_command(100_000, 4.0))
+    assert link.poll(0.0) == Command(arm=True, delta_kp=4.0)
+    for old in (before, armed_command(100_000, 5.0), armed_command(98_000), armed_command(100_000 + 2**31)):
+        port.write(old)
+        assert link.poll(0.0) is None
+    assert (link.report.commands, link.report.refused, link.last_command) == (21, 23, 100_000)
+    port.close()
+
+
+def test_the_count_of_commands_may_wrap_around(link: BoxLink) -> None:
+    port = opened(link)
+    for sequence in (2**32 - 1, 0, 1):
+        port.write(armed_command(sequence))
+        assert link.poll(0.0) == Command(arm=True)
+    port.write(armed_command(2**32 - 1))
+    assert link.poll(0.0) is None
+    port.close()
+
+
+@pytest.mark.parametrize("restart", ["host", "box"])
+def test_a_restart_begins_a_new_count(link: BoxLink, restart: str) -> None:
+    port = opened(link)
+    port.write(armed_command(500_000))
+    assert link.poll(0.0) is not None
+    if restart == "box":
+        link.reboot()
+    else:
+        port.write(encode_hello(0, 0) + armed_command(1, 2.0))
+        assert link.poll(0.0) == Command(), "a greeting disarms, whatever comes behind it in the same millisecond"
+    port.write(armed_command(2, 2.0))
+    assert link.poll(0.0) == Command(arm=True, delta_kp=2.0)
+    assert link.last_command == 2
+    port.close()
+
+
+def test_a_line_that_repeats_itself_trips_the_armed_box_like_a_silent_one(link: BoxLink) -> None:
+    port, machine = opened(link), Machine(profile("default"))
+    sent = [encode_command(sequence, 0, Command(arm=sequence > 5)) for sequence in range(1, 101)]
+    flags = []
+    for _ in range(5):  # the same hundred milliseconds again and again
+        for frame in sent:
+            port.write(frame)
+            command = link.poll(0.0)
+            if command is not None:
+                machine.receive(command)
+            flags.append(Flag(int(machine.tick()["flags"])))
+    assert flags[50] & Flag.ARMED and not flags[50] & Flag.TRIPPED
+    assert link.report.refused == 400
+    assert all(flag & Flag.TRIPPED and not flag & Flag.ARMED for flag in flags[310:])
+    port.close()
+
+
 def test_unplugging_hangs_up_and_replugging_comes_back_behind_the_same_name(link: BoxLink, machine: Machine) -> None:
     port = opened(link)
     link.unplug(2.0, now=10.0)

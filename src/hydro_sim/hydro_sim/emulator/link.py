@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.protocol import BoxInfo, CommandFrame, Hello, encode_hello, encode_state
+from hydro_bridge.protocol import BoxInfo, CommandFrame, Frame, Hello, encode_hello, encode_state
 from hydro_bridge.signals import Command
-from hydro_bridge.stream import Decoder, SequenceTracker
+from hydro_bridge.stream import Decoder
 from hydro_sim.emulator.faults import CHANCES, FaultyLine, LinkFaults
 from hydro_sim.emulator.terminal import Terminal
+
+_CIRCLE = 1 << 32  # sequence numbers
 
 
 @dataclass
@@ -22,7 +25,26 @@ class LinkReport:
     unheard: int = 0  # frames made while nobody had the port open
     blocked: int = 0  # frames dropped because the reader was too slow
     commands: int = 0  # commands taken
+    refused: int = 0  # commands whose sequence number is old or was there already
     hellos: int = 0  # connections opened by a host
+
+
+class CommandOrder:
+    """Takes the commands of one conversation each once and in order; docs/protocol.md, Order of commands."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+
+    def accept(self, sequence: int) -> bool:
+        """Whether this sequence number is newer than all before, by half of the circle of 2^32 (RFC 1982)."""
+        if self._newest is not None and not 0 < (sequence - self._newest) % _CIRCLE < _CIRCLE // 2:
+            return False
+        self._newest = sequence
+        return True
+
+    def reset(self) -> None:
+        """A new conversation: its first command may have any number."""
+        self._newest = None
 
 
 class BoxLink:
@@ -46,7 +68,8 @@ class BoxLink:
         up, down = np.random.default_rng(seed).spawn(2)
         self.up, self.down = FaultyLine(faults, up), FaultyLine(faults, down)
         self.last_command = 0
-        self._tracker = SequenceTracker(self.decoder.counts)
+        self._order = CommandOrder()
+        self._arrived: deque[Frame] = deque()
         self._hellos = 0
         self._unwritten = b""
         self._replug_at = 0.0
@@ -67,33 +90,41 @@ class BoxLink:
         self.up.clear()
         self.down.clear()
         self.decoder.reset()
+        self._arrived.clear()
         self._unwritten = b""
         self._replug_at = now + seconds
 
     def reboot(self) -> None:
         """The box was power-cycled: it greets anew and knows no command."""
         self.last_command = 0
-        self._tracker.reset()
+        self._order.reset()
         self._greeting = True
 
     def poll(self, now: float) -> Command | None:
-        """Newest command that has arrived by `now` [s], if any; answers greetings, which disarm."""
+        """Newest command that has arrived by `now` [s], if any; answers greetings, which disarm.
+
+        What comes behind a greeting in the same millisecond waits for the next: the disarm is not to be overtaken.
+        """
         if not self.terminal.plugged:
             if now < self._replug_at:
                 return None
             self.terminal.plug()
         data = self.down.carry(self.terminal.read(), now)
+        self._arrived.extend(self.decoder.feed(data) if data else ())
         newest = None
-        for frame in self.decoder.feed(data) if data else ():
+        while self._arrived:
+            frame = self._arrived.popleft()
             if isinstance(frame, Hello) and frame.info is None:
-                newest = Command()
-                self._tracker.reset()
+                self._order.reset()
                 self._greeting = True
                 self.report.hellos += 1
-            elif isinstance(frame, CommandFrame) and self._tracker.accept(frame.sequence):
-                newest = frame.command
-                self.last_command = frame.sequence
-                self.report.commands += 1
+                return Command()
+            if isinstance(frame, CommandFrame):
+                if self._order.accept(frame.sequence):
+                    newest, self.last_command = frame.command, frame.sequence
+                    self.report.commands += 1
+                else:
+                    self.report.refused += 1
         return newest
 
     def send(self, sample: np.void, now: float) -> None:
@@ -128,7 +159,8 @@ class BoxLink:
         made = {name: self.up.counts[name] + self.down.counts[name] for name in CHANCES}
         text = (
             f"{self.report.sent} frames sent, {self.report.unheard} unheard, {self.report.blocked} blocked, "
-            f"{self.report.commands} commands taken, {self.report.hellos} connections"
+            f"{self.report.commands} commands taken, {self.report.refused} refused as old or repeated, "
+            f"{self.report.hellos} connections"
         )
         faults = ", ".join(f"{name} {count}" for name, count in made.items() if count)
         return text + (f"; faults made: {faults}" if faults else "")
