@@ -24,10 +24,10 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "arm = hydro_bridge.nodes.arm:main",
-            "bridge = hydro_bridge.nodes.bridge:main",
-            "recorder = hydro_bridge.nodes.recorder:main",
-            "replayer = hydro_bridge.nodes.replayer:main",
+            "arm = hydro_bridge.start:main_of.hydro_bridge.nodes.arm",
+            "bridge = hydro_bridge.start:main_of.hydro_bridge.nodes.bridge",
+            "recorder = hydro_bridge.start:main_of.hydro_bridge.nodes.recorder",
+            "replayer = hydro_bridge.start:main_of.hydro_bridge.nodes.replayer",
         ],
     },
 )

@@ -20,10 +20,10 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "diagnose = hydro_diagnosis.cli:main",
-            "calibrate = hydro_diagnosis.calibrate:main",
-            "prove = hydro_diagnosis.proof.prove:main",
-            "inspect = hydro_diagnosis.listing:main",
+            "diagnose = hydro_bridge.start:main_of.hydro_diagnosis.cli",
+            "calibrate = hydro_bridge.start:main_of.hydro_diagnosis.calibrate",
+            "prove = hydro_bridge.start:main_of.hydro_diagnosis.proof.prove",
+            "inspect = hydro_bridge.start:main_of.hydro_diagnosis.listing",
         ],
     },
 )

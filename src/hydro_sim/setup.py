@@ -24,11 +24,11 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "sim = hydro_sim.nodes.sim:main",
-            "emulator = hydro_sim.emulator.command:main",
-            "collect = hydro_sim.nodes.collect:main",
-            "learn = hydro_sim.learned.learn:main",
-            "validate = hydro_sim.learned.validate:main",
+            "sim = hydro_bridge.start:main_of.hydro_sim.nodes.sim",
+            "emulator = hydro_bridge.start:main_of.hydro_sim.emulator.command",
+            "collect = hydro_bridge.start:main_of.hydro_sim.nodes.collect",
+            "learn = hydro_bridge.start:main_of.hydro_sim.learned.learn",
+            "validate = hydro_bridge.start:main_of.hydro_sim.learned.validate",
         ],
     },
 )

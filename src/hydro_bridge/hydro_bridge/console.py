@@ -18,6 +18,7 @@ from typing import Any, NoReturn, TypeVar
 
 from tqdm import tqdm
 
+from hydro_bridge import endings
 from hydro_bridge.bag_types import RecordingError
 from hydro_bridge.port import PortLostError
 from hydro_bridge.schema import UnknownTypeError
@@ -33,12 +34,14 @@ KNOWN_ERRORS: tuple[type[Exception], ...] = (RecordingError, PortLostError, Sett
 
 def fail(sentence: str) -> NoReturn:
     """End the command with a sentence on standard error and exit status 2."""
-    print(f"error: {sentence}", file=sys.stderr)
+    endings.complain(sentence)
     raise SystemExit(2)
 
 
 def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Callable[[], NoReturn]]:
-    """Decorate a `main`: known errors become one sentence, Ctrl-C status 130, its return value the exit status.
+    """Decorate a `main`: known errors become one sentence, its return value the exit status.
+
+    Ctrl-C, SIGTERM and SIGHUP raise `endings.Ended` in it: the status is 128 + the signal's number, 130 for Ctrl-C.
 
     Parameters
     ----------
@@ -52,10 +55,15 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
         @wraps(main)
         def wrapped() -> NoReturn:
             try:
-                status = main() or 0
+                with endings.raised():
+                    status = main() or 0
             except BrokenPipeError:  # `| head` has seen enough
                 sys.stderr.close()
                 status = 0
+            except endings.Ended as ended:
+                if ended.sentence:
+                    endings.complain(ended.sentence)
+                status = 128 + ended.number
             except KeyboardInterrupt:
                 status = 130
             except Exception as error:

@@ -10,7 +10,6 @@ ros2 run hydro_policy trainer --plant emulator --from runs/pretrained
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 import time
 from collections.abc import Sequence
@@ -21,6 +20,7 @@ from typing import Any
 import torch
 from tqdm import tqdm
 
+from hydro_bridge import endings
 from hydro_bridge.console import UserError, add_json_argument, command, progress, writable_folder
 from hydro_bridge.recording_run import code_version
 from hydro_bridge.resuming import NEW_ONLY, given, refuse_changes
@@ -184,19 +184,20 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
 
 
 class _StopRequest:
-    """Ctrl-C, looked at between steps: raised anywhere, Python drops it where it happens to be in a finalizer."""
+    """Ctrl-C and its like, looked at between steps: raised anywhere, Python may drop it in a finalizer."""
 
     def __init__(self) -> None:
-        self._asked = False
-        signal.signal(signal.SIGINT, self._ask)
+        self._asked = 0
+        endings.answer(self._ask)
 
     def _ask(self, number: int, frame: object) -> None:
-        self._asked = True
+        endings.let_go_of_terminal()
+        self._asked = number
 
     def check(self) -> None:
-        """Raise KeyboardInterrupt if it was asked for."""
+        """Raise `Ended` if it was asked for."""
         if self._asked:
-            raise KeyboardInterrupt
+            raise endings.Ended(self._asked)
 
 
 def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:

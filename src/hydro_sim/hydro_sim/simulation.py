@@ -117,7 +117,7 @@ class Simulation:
     def run(self) -> None:
         """Simulate until `stop`; the body of the plant's thread."""
         exact_timers()
-        measurement = self._warm_up()
+        measurement = self.warm_up()
         self._began = time.monotonic()
         self.pacer.restart()
         while not self._stopping.is_set():
@@ -165,8 +165,8 @@ class Simulation:
             self.guard.set_arm(False)
         return f"the box did not confirm within {timeout:g} s ({self.flags.name})"
 
-    def _warm_up(self) -> FloatArray:
-        """Let everything compile before there are deadlines; returns the first measurement."""
+    def warm_up(self) -> FloatArray:
+        """Let everything compile before there are deadlines; returns the first measurement. Again, it costs nothing."""
         begin = time.monotonic()
         self._box.receive(Command(), 0.0)
         self._box.tick(self._plant.reset(self.settings.seed), 0.0)

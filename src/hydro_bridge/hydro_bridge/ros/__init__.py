@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from hydro_bridge.realtime import be_ordinary
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.messages import (
@@ -14,7 +15,7 @@ from hydro_bridge.ros.messages import (
 )
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
 from hydro_bridge.ros.rivals import RivalWatch, rivals, with_rivals
-from hydro_bridge.ros.scheduling import be_ordinary, be_prompt
+from hydro_bridge.ros.scheduling import be_prompt
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,

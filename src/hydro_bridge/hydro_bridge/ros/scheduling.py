@@ -5,7 +5,8 @@ from __future__ import annotations
 
 import gc
 import os
-from contextlib import suppress
+
+from hydro_bridge.realtime import limit_run
 
 PRIORITY = 20
 """Of SCHED_FIFO, [1, 99]: above all ordinary processes, below the kernel's own threads."""
@@ -15,7 +16,8 @@ def be_prompt(*, realtime: bool, priority: int = PRIORITY, inherited: bool = Tru
     """Take the garbage collector out of the way and, if asked, run this process by SCHED_FIFO; says what came of it.
 
     Call it after everything long-lived is made: the collector no longer walks it. Without the right to SCHED_FIFO
-    (CAP_SYS_NICE, or rtprio in limits.conf) the process stays an ordinary one.
+    (CAP_SYS_NICE, or rtprio in limits.conf) the process stays an ordinary one. One that runs on end by SCHED_FIFO is ended
+    (`hydro_bridge.realtime`).
 
     Parameters
     ----------
@@ -30,6 +32,7 @@ def be_prompt(*, realtime: bool, priority: int = PRIORITY, inherited: bool = Tru
     gc.freeze()
     if not realtime:
         return "ordinary scheduling"
+    limit_run()
     policy = os.SCHED_FIFO if inherited else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
         for thread in os.listdir("/proc/self/task"):  # those of the middleware too
@@ -37,10 +40,3 @@ def be_prompt(*, realtime: bool, priority: int = PRIORITY, inherited: bool = Tru
     except OSError as error:
         return f"ordinary scheduling, SCHED_FIFO was refused: {error.strerror}"
     return f"SCHED_FIFO, priority {priority}"
-
-
-def be_ordinary() -> None:
-    """Leave SCHED_FIFO: what comes now (plots, files) shall hold up nobody."""
-    with suppress(OSError):
-        for thread in os.listdir("/proc/self/task"):
-            os.sched_setscheduler(int(thread), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))

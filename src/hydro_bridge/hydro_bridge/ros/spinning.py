@@ -3,11 +3,12 @@
 
 from __future__ import annotations
 
+import os
 import re
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from types import FrameType
 
 import rclpy
 from rclpy.executors import ExternalShutdownException
@@ -16,9 +17,12 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
+from hydro_bridge import endings
 from hydro_bridge.ros.parameters import refuse_unknown_parameters
 from hydro_bridge.settings import SettingsError
 
+NETWORK = "ROS_AUTOMATIC_DISCOVERY_RANGE"
+"""The environment variable that says how far nodes look for one another; ROS's own (docs/network.md)."""
 _SLICE = 0.2
 
 
@@ -33,13 +37,14 @@ def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], li
 
 
 def start_ros(ros: Sequence[str] = ()) -> None:
-    """Start ROS without its signal handlers: ours leave time to disarm.
+    """Start ROS without its signal handlers: ours leave time to disarm. On this machine only, unless `NETWORK` is set.
 
     Raises
     ------
     SettingsError
         The arguments, `--ros-args` and what follows, cannot be used.
     """
+    os.environ.setdefault(NETWORK, "LOCALHOST")
     try:
         rclpy.init(args=["hydro", *ros], signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # of which all of rclpy's are
@@ -48,9 +53,9 @@ def start_ros(ros: Sequence[str] = ()) -> None:
 
 
 def spin(node: Node, until: Future | None = None) -> bool:
-    """Carry the node's callbacks on an EventsExecutor until SIGINT, SIGTERM or shutdown; then return, to be cleaned up.
+    """Carry the node's callbacks on an EventsExecutor until a signal or shutdown ends it; then return, to be cleaned up.
 
-    The context stays valid, so the caller can still publish and disarm. Call it from the main thread.
+    Signals are SIGINT, SIGTERM and SIGHUP. The context stays valid, so the caller can still publish and disarm. Call it from the main thread.
 
     Parameters
     ----------
@@ -64,7 +69,12 @@ def spin(node: Node, until: Future | None = None) -> bool:
     executor = EventsExecutor()
     executor.add_node(node)
     ended: list[int] = []
-    before = {number: signal.signal(number, lambda n, _: ended.append(n)) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def hear(number: int, _: FrameType | None) -> None:
+        endings.let_go_of_terminal()
+        ended.append(number)
+
+    before = endings.answer(hear)
     done: Future = Future() if until is None else until
     try:
         with suppress(ExternalShutdownException):
@@ -73,8 +83,7 @@ def spin(node: Node, until: Future | None = None) -> bool:
                 # and gives Python no chance to take a signal.
                 executor.spin_until_future_complete(done, timeout_sec=_SLICE)
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        endings.restore(before)
         executor.remove_node(node)
         executor.shutdown()
     return bool(ended)
@@ -100,8 +109,9 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
         spin(node)
     finally:
         if node is not None:
-            getattr(node, "close", _nothing)()
-            node.destroy_node()
+            with endings.undisturbed():
+                getattr(node, "close", _nothing)()
+                node.destroy_node()
         rclpy.try_shutdown()
 
 

@@ -23,6 +23,7 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
+from hydro_bridge import endings
 from hydro_bridge.console import command
 from hydro_bridge.ros import (
     CORRECTION,
@@ -100,12 +101,12 @@ class FilterNode(Node):
         late = threading.Timer(PATIENCE, say, ["compiling the filter; this happens once and takes up to a minute"])
         late.daemon = True
         late.start()
-        before = signal.signal(signal.SIGINT, signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
+        before = endings.answer(signal.SIG_DFL)  # nothing runs yet, and the compiler ends untidily
         try:
             made = choice.make(self.settings)
             warm_up(made, choice.bench)
         finally:
-            signal.signal(signal.SIGINT, before)
+            endings.restore(before)
             late.cancel()
         if (taken := time.monotonic() - begin) > PATIENCE:
             say(f"compiled in {taken:.0f} s")

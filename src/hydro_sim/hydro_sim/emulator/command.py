@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import argparse
-import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,6 +11,7 @@ from types import FrameType
 
 import yaml
 
+from hydro_bridge import endings
 from hydro_bridge.console import writable, writable_folder
 from hydro_bridge.protocol import BoxInfo
 from hydro_bridge.recording import RecordingError
@@ -33,19 +33,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point; returns the exit status: 0, or 2 after one sentence on what cannot be used."""
     options = _parser().parse_args(arguments)
     try:
-        if options.print_truth:
-            print(yaml.safe_dump(truth_to_mapping(jobs.truth(options.truth)), sort_keys=False), end="")
-        elif options.offline or options.batch:
-            for job in _jobs(options):
-                jobs.run(job)
-        else:
-            _serve(options)
+        with endings.raised():
+            _run(options)
     except (ConfigError, RecordingError, ValueError, OSError) as error:
-        print(f"error: {explained(error)}", file=sys.stderr)
+        endings.complain(explained(error))
         return 2
-    except KeyboardInterrupt:  # before it runs: from then on Ctrl-C is asked for politely
-        return 130
+    except endings.Ended as ended:  # before it serves, or because it spins
+        if ended.sentence:
+            endings.complain(ended.sentence)
+        return 128 + ended.number
     return 0
+
+
+def _run(options: argparse.Namespace) -> None:
+    if options.print_truth:
+        print(yaml.safe_dump(truth_to_mapping(jobs.truth(options.truth)), sort_keys=False), end="")
+    elif options.offline or options.batch:
+        for job in _jobs(options):
+            jobs.run(job)
+    else:
+        _serve(options)
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -144,10 +151,10 @@ def _stopper() -> list[int]:
     asked: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:
+        endings.let_go_of_terminal()
         asked.append(number)
 
-    signal.signal(signal.SIGINT, ask)
-    signal.signal(signal.SIGTERM, ask)
+    endings.answer(ask)
     return asked
 
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydro_bridge.realtime import limit_run
 from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, FloatArray
 from hydro_sim.emulator.control import ControlPipe, obey
 from hydro_sim.emulator.faults import LinkFaults
@@ -161,6 +162,7 @@ def raise_priority() -> str:
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; 50 us by default
     try:
+        limit_run()
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(40))
         return "SCHED_FIFO 40"
     except (OSError, AttributeError):

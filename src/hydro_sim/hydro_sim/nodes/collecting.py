@@ -10,10 +10,8 @@
 
 from __future__ import annotations
 
-import signal
 import time
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -24,6 +22,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from hydro_bridge.console import UserError, progress
+from hydro_bridge.endings import undisturbed
 from hydro_bridge.ros import (
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
@@ -109,7 +108,7 @@ class CollectNode(Node):
 
     def leave(self) -> None:
         """Leave the plant disarmed, with a reference of 0 N for who arms it next; not one that was never driven."""
-        with _undisturbed():
+        with undisturbed():  # a second Ctrl-C waits
             if self._bar is not None:
                 self._bar.close()
             if not self._driving:
@@ -194,14 +193,3 @@ class CollectNode(Node):
         if not self._finished.done():
             self.ended = why
             self._finished.set_result(None)
-
-
-@contextmanager
-def _undisturbed() -> Iterator[None]:
-    """A second Ctrl-C waits until the plant is disarmed."""
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -90,7 +90,8 @@ class SimNode(PlantNode):
         self.simulation = SimSide(box, plant, guard, settings, self._publish, self.get_logger().info)
         self.simulation.effects = effects
         self.connect(self.simulation, self.simulation.clock)
-        self.get_logger().info(be_prompt(realtime=realtime))
+        self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
+        self.get_logger().info(be_prompt(realtime=realtime and self.simulation.real_time))
         self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
 
     def begin(self) -> None:

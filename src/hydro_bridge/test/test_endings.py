@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Signals become an orderly end: raised wherever they come, even where Python drops exceptions; never in cleaning up."""
+
+from __future__ import annotations
+
+import os
+import pty
+import signal
+import subprocess
+import sys
+
+import pytest
+
+BEGINNING = """
+import os, signal, sys, time
+from hydro_bridge import endings
+from hydro_bridge.console import command
+
+def me(number):
+    os.kill(os.getpid(), number)
+"""
+
+
+def run(program: str, **more: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(  # type: ignore[call-overload, no-any-return]
+        [sys.executable, "-c", BEGINNING + program], capture_output=True, text=True, timeout=20.0, check=False, **more
+    )
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_a_signal_unwinds_the_command_and_is_its_status(name: str) -> None:
+    ended = run(f"""
+@command()
+def main():
+    try:
+        me(signal.{name})
+        time.sleep(10)
+    finally:
+        print("put in order")
+main()
+""")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + getattr(signal, name), "put in order\n", "")
+
+
+def test_what_python_drops_in_a_finalizer_comes_again() -> None:
+    ended = run("""
+class Dropping:
+    def __del__(self):
+        me(signal.SIGTERM)
+        time.sleep(0.01)
+
+@command()
+def main():
+    Dropping()
+    time.sleep(10)
+main()
+""")
+    assert (ended.returncode, ended.stderr) == (128 + signal.SIGTERM, "")
+
+
+def test_putting_in_order_is_not_disturbed() -> None:
+    ended = run("""
+@command()
+def main():
+    try:
+        me(signal.SIGINT)
+    finally:
+        with endings.undisturbed():
+            for number in endings.SIGNALS:
+                me(number)
+            print("put in order")
+main()
+""")
+    assert (ended.returncode, ended.stdout) == (130, "put in order\n")
+
+
+def test_a_hangup_that_nohup_ignores_stays_ignored() -> None:
+    ended = run(
+        """
+@command()
+def main():
+    me(signal.SIGHUP)
+    print("goes on")
+main()
+""",
+        preexec_fn=lambda: signal.signal(signal.SIGHUP, signal.SIG_IGN),
+    )
+    assert (ended.returncode, ended.stdout) == (0, "goes on\n")
+
+
+def test_a_process_that_was_forked_off_dies_of_the_signal_as_by_default() -> None:
+    ended = run("""
+@command()
+def main():
+    child = os.fork()
+    if child == 0:
+        time.sleep(10)
+    os.kill(child, signal.SIGTERM)
+    print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+main()
+""")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "-15\n", "")
+
+
+def test_a_terminal_that_has_gone_is_no_error() -> None:
+    ours, theirs = pty.openpty()
+    script = (
+        BEGINNING
+        + """
+@command()
+def main():
+    try:
+        print("runs", flush=True)
+        time.sleep(20)
+    finally:
+        print("nobody reads this any more", flush=True)
+        print("nor this", file=sys.stderr, flush=True)
+        open(sys.argv[1], "w").write("put in order")
+main()
+"""
+    )
+    read, write = os.pipe()
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, f"/dev/fd/{write}"],
+        stdin=theirs, stdout=theirs, stderr=theirs, pass_fds=(write,), start_new_session=True,
+        preexec_fn=lambda: os.close(os.open(os.ttyname(theirs), os.O_RDWR)),  # its controlling terminal
+    )  # fmt: skip
+    os.close(theirs)
+    os.close(write)
+    assert os.read(ours, 100).startswith(b"runs")
+    os.close(ours)  # the ssh session closes: the kernel sends SIGHUP
+    assert process.wait(10.0) == 128 + signal.SIGHUP
+    assert os.read(read, 100) == b"put in order"
+    os.close(read)

@@ -1,0 +1,106 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A process of ours that spins by SCHED_FIFO ends by itself, in order if Python can still act, and else at once."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+from hydro_bridge.realtime import KILLED_AT, RUN_MAX
+
+pytest.importorskip("rclpy")
+
+NODE = """
+import time
+from rclpy.node import Node
+from hydro_bridge.console import command
+from hydro_bridge.ros import be_prompt, run_node
+
+class Spinning(Node):
+    def __init__(self):
+        super().__init__("spinning")
+        print(be_prompt(realtime=True), flush=True)
+        self.create_timer(0.01, self.spin)
+
+    def spin(self):
+        print("spins", flush=True)
+        while True:
+            pass
+
+    def close(self):
+        import os
+        print("closed by", os.sched_getscheduler(0) & ~os.SCHED_RESET_ON_FORK, flush=True)
+
+@command()
+def main():
+    run_node(Spinning)
+
+main()
+"""
+COMPILED = """
+import itertools, os
+from hydro_bridge.realtime import limit_run
+
+limit_run()
+os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+print("spins", flush=True)
+sum(itertools.repeat(0))  # never comes back to the interpreter
+"""
+
+
+def may_be_prompt() -> bool:
+    """Whether this user may run a process by SCHED_FIFO."""
+    return subprocess.run(["chrt", "-f", "1", "true"], check=False, capture_output=True).returncode == 0
+
+
+needs_fifo = pytest.mark.skipif(not may_be_prompt(), reason="no right to SCHED_FIFO")
+
+
+def run(program: str) -> tuple[int, str, str, float]:
+    """Exit status, standard output and error, and the seconds from the first 'spins' to the end."""
+    environment = os.environ | {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment
+    )
+    assert process.stdout is not None
+    said = ""
+    for line in process.stdout:
+        said += line
+        if line == "spins\n":
+            break
+    begin = time.monotonic()
+    out, err = process.communicate(timeout=30.0)
+    return process.returncode, said + out, err, time.monotonic() - begin
+
+
+@needs_fifo
+def test_a_node_whose_callback_spins_is_closed_and_ends_with_a_sentence() -> None:
+    status, out, err, seconds = run(NODE)
+    assert "SCHED_FIFO" in out
+    assert f"closed by {os.SCHED_OTHER}" in out, "what puts things in order holds up nobody"
+    assert err.splitlines()[-1].startswith("error: ran 1 s by SCHED_FIFO without a pause") and "Traceback" not in err
+    assert status == 128 + signal.SIGXCPU
+    assert RUN_MAX - 0.1 < seconds < 10 * RUN_MAX, "CPU time is what counts; the machine may be busy"
+
+
+@needs_fifo
+def test_a_compiled_loop_that_spins_is_killed() -> None:
+    status, out, _, seconds = run(COMPILED)
+    assert "spins" in out and status == -signal.SIGKILL
+    assert seconds < 10 * KILLED_AT
+
+
+@needs_fifo
+def test_a_process_that_pauses_may_run_by_sched_fifo_for_as_long_as_it_wants() -> None:
+    program = (
+        "import os, time; from hydro_bridge.realtime import limit_run; limit_run();"
+        "os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1)); end = time.process_time() + 1.5\n"
+        "while time.process_time() < end: sum(range(10000)); time.sleep(1e-4)\n"
+        "print('done')"
+    )
+    assert run(program)[:2] == (0, "done\n")

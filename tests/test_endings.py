@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How our executables end when somebody ends them early: no traceback, one status, at any instant."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.ros import executable_path
+
+SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+EXECUTABLES = {
+    ("hydro_bridge", "bridge"): ("--port", "/nowhere/port"),
+    ("hydro_bridge", "recorder"): ("--out", "bag"),
+    ("hydro_sim", "emulator"): ("--link", "port"),
+    ("hydro_sim", "learn"): ("bag", "--out", "weights.safetensors"),
+    ("hydro_filter", "filter"): (),
+    ("hydro_policy", "trainer"): ("--plant", "external"),
+    ("hydro_policy", "pretrain"): ("--out", "agent"),
+    ("hydro_diagnosis", "diagnose"): ("bag", "--out", "report"),
+}
+
+
+def started(package: str, executable: str, folder: Path, *words: str, **more: object) -> subprocess.Popen[str]:
+    environment = os.environ | {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100)}
+    return subprocess.Popen(
+        [str(executable_path(package, executable)), *words],
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        **more,  # type: ignore[call-overload]
+    )
+
+
+def answers(process: subprocess.Popen[str], number: int) -> bool:
+    """Whether the process has a handler for the signal."""
+    status = Path(f"/proc/{process.pid}/status").read_text()
+    caught = next(line for line in status.splitlines() if line.startswith("SigCgt"))
+    return bool(int(caught.split()[1], 16) >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize(("package", "executable"), EXECUTABLES, ids=[name for _, name in EXECUTABLES])
+def test_ended_while_it_imports_an_executable_says_so_in_a_sentence_and_leaves_nothing(
+    package: str, executable: str, tmp_path: Path
+) -> None:
+    for number in SIGNALS:
+        process = started(package, executable, tmp_path, *EXECUTABLES[package, executable])
+        while not answers(process, signal.SIGHUP):  # from then on it imports; before, it was Python that started
+            assert process.poll() is None
+            time.sleep(1e-3)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=10.0)
+        assert process.returncode == 128 + number
+        assert said == f"ended by {signal.Signals(number).name} while starting: nothing had begun\n"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("package", "executable"), EXECUTABLES, ids=[name for _, name in EXECUTABLES])
+def test_ended_at_any_instant_of_its_start_an_executable_leaves_no_traceback(
+    package: str, executable: str, tmp_path: Path
+) -> None:
+    for number, delay in zip(4 * SIGNALS, (0.1, 0.3, 0.6, 1.0, 1.5, 2.0, 3.0), strict=False):
+        folder = tmp_path / f"{delay}"
+        folder.mkdir()
+        process = started(package, executable, folder, *EXECUTABLES[package, executable])
+        while process.poll() is None and not answers(process, signal.SIGHUP):
+            time.sleep(1e-3)
+        time.sleep(delay)
+        process.send_signal(number)
+        _, said = process.communicate(timeout=30.0)
+        assert "Traceback" not in said, said
+        assert process.returncode in (0, 2, 128 + number, -number), said
