@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import sys
 from collections.abc import Callable, Sequence
@@ -18,11 +17,10 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from hydro_bridge import endings
+from hydro_bridge.ros.network import stay_on_this_machine
 from hydro_bridge.ros.parameters import refuse_unknown_parameters
 from hydro_bridge.settings import SettingsError
 
-NETWORK = "ROS_AUTOMATIC_DISCOVERY_RANGE"
-"""The environment variable that says how far nodes look for one another; ROS's own (docs/network.md)."""
 _SLICE = 0.2
 
 
@@ -37,14 +35,14 @@ def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], li
 
 
 def start_ros(ros: Sequence[str] = ()) -> None:
-    """Start ROS without its signal handlers: ours leave time to disarm. On this machine only, unless `NETWORK` is set.
+    """Start ROS without its signal handlers: ours leave time to disarm. See `network` for how far it reaches.
 
     Raises
     ------
     SettingsError
         The arguments, `--ros-args` and what follows, cannot be used.
     """
-    os.environ.setdefault(NETWORK, "LOCALHOST")
+    stay_on_this_machine()
     try:
         rclpy.init(args=["hydro", *ros], signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # of which all of rclpy's are

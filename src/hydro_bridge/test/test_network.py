@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A node of ours reaches no further than this machine unless the user says so, however it was started."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.ros import executable_path
+from hydro_bridge.ros.network import PROFILES, RANGE
+
+pytestmark = pytest.mark.graph
+
+LOOPBACK = "127.0.0.1"
+
+
+@contextmanager
+def bridge(**environment: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A bridge without a port, once it has sockets; of the network it knows only what `environment` says."""
+    inherited = {name: value for name, value in os.environ.items() if name not in (RANGE, PROFILES)}
+    own = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), **environment}
+    process = subprocess.Popen(
+        [str(executable_path("hydro_bridge", "bridge")), "--port", "/nowhere/port"],
+        env=inherited | own,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        end = time.monotonic() + 30.0
+        while len(sockets(process.pid)) < 4 and time.monotonic() < end:
+            time.sleep(0.1)
+        time.sleep(1.0)
+        yield process
+    finally:
+        process.terminate()
+        process.wait(10.0)
+
+
+def sockets(pid: int) -> dict[tuple[str, int], str]:
+    """(address, port) of each internet socket that the process has, and its inode."""
+    own = set()
+    for entry in Path(f"/proc/{pid}/fd").iterdir():
+        try:
+            own.add(os.readlink(entry))
+        except OSError:
+            continue
+    found = {}
+    for kind in ("udp", "tcp"):
+        for line in Path(f"/proc/{pid}/net/{kind}").read_text().splitlines()[1:]:
+            words = line.split()
+            if f"socket:[{words[9]}]" in own:
+                address, port = words[1].split(":")
+                found[socket.inet_ntoa(bytes.fromhex(address)[::-1]), int(port, 16)] = words[9]
+    for kind in ("udp6", "tcp6"):
+        table = Path(f"/proc/{pid}/net/{kind}")
+        lines = table.read_text().splitlines()[1:] if table.exists() else []
+        assert not [line for line in lines if f"socket:[{line.split()[9]}]" in own], "nothing of ours speaks IPv6"
+    return found
+
+
+def waiting(inode: str) -> int:
+    """Bytes that have come in on a socket and that nobody has read."""
+    lines = (line.split() for line in Path("/proc/net/udp").read_text().splitlines()[1:])
+    return next(int(words[4].split(":")[1], 16) for words in lines if words[9] == inode)
+
+
+def memberships() -> int:
+    """How often this machine has joined the multicast group of ROS's discovery, 239.255.0.1."""
+    return Path("/proc/net/igmp").read_text().count("0100FFEF")
+
+
+@pytest.mark.parametrize("environment", [{}, {RANGE: "LOCALHOST"}], ids=["unset", "localhost"])
+def test_a_node_listens_on_the_loopback_interface_only_and_joins_no_multicast(environment: dict[str, str]) -> None:
+    before = memberships()
+    with bridge(**environment) as node:
+        found = sockets(node.pid)
+        assert memberships() == before
+        listening = {port for address, port in found if address == LOOPBACK}
+        assert any(7400 <= port < 7400 + 250 * 102 for port in listening), "the ports of ROS's discovery"
+        for (address, port), inode in found.items():
+            if address != LOOPBACK:  # it only sends from there: what comes in, nobody reads
+                target = LOOPBACK if address == "0.0.0.0" else address
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+                    stranger.sendto(b"RTPS", (target, port))
+                time.sleep(0.2)
+                assert waiting(inode) > 0, f"{address}:{port} is read"
+
+
+def test_the_user_can_say_otherwise_in_one_place() -> None:
+    with bridge(**{RANGE: "SUBNET"}) as node:
+        assert any(address == "0.0.0.0" and 7400 <= port < 32768 for address, port in sockets(node.pid))
+        assert memberships() > 0
