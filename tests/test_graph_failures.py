@@ -119,7 +119,7 @@ def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_sta
         probe.spin(0.1)
         sequence = probe.last(STATE).sequence
         os.kill(recorder, signal.SIGKILL)
-        probe.wait(lambda: "recorder ended by itself (exit status -9)" in process.text, 5.0)
+        probe.wait(lambda: "recorder ended by itself (killed by SIGKILL)" in process.text, 5.0)
         for _ in range(5):  # anew where the machine stood still
             probe.forget()
             probe.spin(2.0)

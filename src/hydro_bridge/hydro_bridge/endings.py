@@ -70,7 +70,7 @@ def raised() -> Iterator[None]:
 
     Where Python cannot raise (finalizers, the compiler's callbacks into Python) it drops an exception: it comes again.
     """
-    global _program  # noqa: PLW0603 - a process has one
+    global _program
     _program = os.getpid()
     before, dropped = answer(end), sys.unraisablehook
 

@@ -24,7 +24,7 @@ KILLED_AT = 3.0
 """s."""
 
 
-class RanTooLong(Ended):  # noqa: N818 - a KeyboardInterrupt, as all that ends a program from outside
+class RanTooLong(Ended):
     """A real-time process did not pause: something in it spins."""
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals become an orderly end: raised wherever they come, even where Python drops exceptions; never in cleaning up."""
+"""Signals become an orderly end, wherever they come, even where Python drops exceptions; cleaning up is left alone."""
 
 from __future__ import annotations
 

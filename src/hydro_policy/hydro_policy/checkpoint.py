@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_bridge.whole_files import flush_folder, write_whole
 from hydro_policy.replay import ReplayBuffer
 
 
@@ -34,25 +35,32 @@ class Checkpoint:
 
 
 def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer: dict[str, Any]) -> None:
-    """Write a checkpoint to `folder`, replacing the one there only once it is complete on disk."""
+    """Write a checkpoint to `folder`, replacing the one there only once it is complete on disk.
+
+    Raises
+    ------
+    OSError
+        It cannot be written; the one that was there is as it was.
+    """
     partial, previous = folder.with_name(folder.name + ".partial"), folder.with_name(folder.name + ".previous")
     shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    rows, produced = replay.stored()
-    with (partial / "replay.npy").open("wb") as file:
-        np.save(file, rows)
-        _flush(file)
-    for name, content in (
-        ("learner.safetensors", learner),
-        ("trainer.json", json.dumps({"produced": produced, "trainer": trainer}, indent=1).encode()),
-    ):
-        with (partial / name).open("wb") as file:
-            file.write(content)
+    try:
+        partial.mkdir(parents=True)
+        rows, produced = replay.stored()
+        with (partial / "replay.npy").open("wb") as file:
+            np.save(file, rows)
             _flush(file)
+        write_whole(partial / "learner.safetensors", learner)
+        state = {"produced": produced, "trainer": trainer}
+        write_whole(partial / "trainer.json", json.dumps(state, indent=1).encode())
+    except OSError:  # a full disk: what was begun takes room that others need
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
     shutil.rmtree(previous, ignore_errors=True)
     if folder.exists():
         folder.rename(previous)
     partial.rename(folder)
+    flush_folder(folder.parent)
     shutil.rmtree(previous, ignore_errors=True)
 
 

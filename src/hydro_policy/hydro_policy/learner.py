@@ -17,6 +17,7 @@ import multiprocessing
 import os
 import signal
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -26,6 +27,8 @@ import numpy as np
 import torch
 
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.user_errors import explained
+from hydro_bridge.whole_files import write_whole
 from hydro_policy.checkpoint import save_checkpoint
 from hydro_policy.policy import Policy
 from hydro_policy.replay import ReplayBuffer
@@ -86,6 +89,14 @@ UPDATES, ENTROPY, CHECKPOINTS, READY, ROLLBACKS = range(5)  # places in status
 @dataclass(frozen=True)
 class RollBack:
     """Go back to the last good state."""
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """Sent back by the learner: why it ends, or why a checkpoint cannot be written."""
+
+    sentence: str
+    disk: bool = False
 
 
 @dataclass(frozen=True)
@@ -165,13 +176,23 @@ class Learner:
 def write_run(
     request: SaveRequest, learner: bytes, good: bytes | None, replay: ReplayBuffer, settings: TrainingSettings
 ) -> None:
-    """Checkpoint; policy.safetensors is the best policy so far, and before there is one, the latest."""
+    """Checkpoint; policy.safetensors is the best policy so far, and before there is one, the latest.
+
+    A run's folder that somebody took away is there again, whole.
+
+    Raises
+    ------
+    OSError
+        The disk refuses; the checkpoint before is as it was.
+    """
     run = RunDirectory(request.run)
     save_checkpoint(run.latest, learner, replay, request.trainer)
+    if request.trainer and not run.config.exists():
+        run.save_settings(settings)
     best = good if request.best else None
     if best is not None:
         run.best.mkdir(parents=True, exist_ok=True)
-        (run.best / "learner.safetensors").write_bytes(best)
+        write_whole(run.best / "learner.safetensors", best)
     if best is None and (run.best / "learner.safetensors").exists():
         return
     policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
@@ -189,14 +210,25 @@ def compile_updates(settings: SacSettings) -> None:
 
 def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection) -> None:
     """Body of the learning process; ends on None from the pipe, or when the acting process is gone."""
-    signal.signal(
-        signal.SIGINT, signal.SIG_IGN
-    )  # Ctrl-C reaches the whole terminal; the acting process ends us in order
+    for number in (signal.SIGINT, signal.SIGHUP):  # they reach the whole terminal; the acting process ends us in order
+        signal.signal(number, signal.SIG_IGN)
     os.nice(10)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
-    compile_updates(settings.sac)
-    learner = Learner(memory, settings)  # from here on it is ready
+    try:
+        compile_updates(settings.sac)
+        learner = Learner(memory, settings)  # from here on it is ready
+        _attend(learner, requests)
+    except Exception as error:
+        with suppress(OSError):
+            requests.send(Trouble(str(error) or type(error).__name__))
+        if isinstance(error, (FloatingPointError, ValueError)):  # the sentence says it all
+            raise SystemExit(1) from None
+        raise
+
+
+def _attend(learner: Learner, requests: Connection) -> None:
+    """Learn, and do what is asked for, until the end."""
     last: SaveRequest | None = None
     while True:
         worked = learner.work()
@@ -211,8 +243,16 @@ def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Con
                     learner.roll_back()
                 else:
                     last = request
-                    learner.save(request)
+                    _save(learner, request, requests)
         except EOFError:  # the acting process died without a word: keep what was learnt
             if last is not None:
-                learner.save(last)
+                _save(learner, last, requests)
             return
+
+
+def _save(learner: Learner, request: SaveRequest, requests: Connection) -> None:
+    try:
+        learner.save(request)
+    except OSError as error:
+        with suppress(OSError):
+            requests.send(Trouble(explained(error), disk=True))

@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
-from safetensors.numpy import save_file
+from safetensors.numpy import save
 
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.whole_files import write_whole
 from hydro_policy.task import ACTIONS, OBSERVATION_CENTER, OBSERVATION_NAMES, OBSERVATION_SCALE, OBSERVATIONS, GainRange
 
 FORMAT = 1
@@ -84,9 +85,7 @@ class Policy:
             f"weight_{k}": w.astype(np.float32) for k, w in enumerate(self.weights)
         }
         tensors |= {f"bias_{k}": b.astype(np.float32) for k, b in enumerate(self.biases)}
-        partial = path.with_name(path.name + ".partial")
-        save_file(tensors, partial, {"hydro": json.dumps(header)})
-        partial.replace(path)
+        write_whole(path, save(tensors, {"hydro": json.dumps(header)}))
 
 
 def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:

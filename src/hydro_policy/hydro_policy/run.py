@@ -2,7 +2,7 @@
 """The files of one training run, and its settings as YAML.
 
 runs/NAME/
-    config.yaml            settings; `--resume` reads them back
+    config.yaml            settings, and which plant; `--resume` reads them back
     policy.safetensors     the best policy so far (`policy` module); before an examination: the latest
     checkpoints/latest/    learner.safetensors, replay.npy, trainer.json (`checkpoint` module)
     checkpoints/best/      learner.safetensors of the best policy so far: all of the agent, to start others from
@@ -13,6 +13,7 @@ runs/NAME/
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -21,6 +22,7 @@ from typing import Any
 import yaml
 
 from hydro_bridge.settings import check
+from hydro_bridge.whole_files import write_whole
 from hydro_policy.cases import ExamSettings
 from hydro_policy.monitor import MonitorSettings
 from hydro_policy.sac import SacSettings
@@ -83,9 +85,19 @@ class RunDirectory:
             folder.mkdir(parents=True, exist_ok=True)
         return self
 
-    def save_settings(self, settings: TrainingSettings) -> None:
-        """Write config.yaml."""
-        self.config.write_text(yaml.safe_dump(asdict(settings), sort_keys=False))
+    def save_settings(self, settings: TrainingSettings, plant: Mapping[str, Any] | None = None) -> None:
+        """Write config.yaml; `plant`: the words about the plant that the run was begun with, if they are known."""
+        values = asdict(settings) | ({"plant": dict(plant)} if plant else {})
+        write_whole(self.config, yaml.safe_dump(values, sort_keys=False).encode())
+
+    def load_plant(self) -> dict[str, Any]:
+        """The words about the plant that the run was begun with; none where nobody has written them down."""
+        try:
+            values = yaml.safe_load(self.config.read_text())
+        except (OSError, yaml.YAMLError):
+            return {}
+        plant = values.get("plant") if isinstance(values, dict) else None
+        return plant if isinstance(plant, dict) else {}
 
     def load_settings(self) -> TrainingSettings:
         """Read config.yaml back.
@@ -97,6 +109,7 @@ class RunDirectory:
         """
         try:
             values: dict[str, Any] = yaml.safe_load(self.config.read_text())
+            values.pop("plant", None)
             task, sac = values.pop("task"), values.pop("sac")
             gains = GainRange(**_numbers(task.pop("gains")))
             parts: dict[str, Any] = {

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.user_errors import explained
 from hydro_policy.checkpoint import Checkpoint
 from hydro_policy.learner import (
     CHECKPOINTS,
@@ -26,6 +27,7 @@ from hydro_policy.learner import (
     LearnerMemory,
     RollBack,
     SaveRequest,
+    Trouble,
     run_learner,
     write_run,
 )
@@ -38,7 +40,7 @@ STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
 class LearnerError(Exception):
-    """The learner keeps dying."""
+    """The learner keeps dying, or cannot write its checkpoint."""
 
 
 class LearnerSupervisor:
@@ -130,8 +132,9 @@ class LearnerSupervisor:
         Raises
         ------
         LearnerError
-            It keeps dying.
+            It keeps dying, or cannot write a checkpoint.
         """
+        self._hear()
         if self.alive:
             return self._hint()
         now, code = time.monotonic(), self._process.exitcode
@@ -140,14 +143,14 @@ class LearnerSupervisor:
             self._deaths.popleft()
         if len(self._deaths) > RESTARTS:
             raise LearnerError(
-                f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s (exit code {code})"
+                f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s ({self._how_it_ended(code)})"
             )
+        how = self._how_it_ended(code)
         self.restarts += 1
         self._requests.close()
         self._start()
         if self._status[ROLLBACKS] < self._rollbacks:  # it died before it had gone back
             self._ask_to_roll_back()
-        how = f"killed by signal {-code}" if code is not None and code < 0 else f"exit code {code}"
         return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
 
     def snapshot(self) -> bytes | None:
@@ -176,7 +179,13 @@ class LearnerSupervisor:
             return False
 
     def stop(self, trainer: dict[str, Any]) -> None:
-        """Write the last checkpoint and end the process; if it is dead or hangs, write the checkpoint from here."""
+        """Write the last checkpoint and end the process; if it is dead or hangs, write the checkpoint from here.
+
+        Raises
+        ------
+        LearnerError
+            The checkpoint cannot be written.
+        """
         before, asked = self.checkpoints, self.save(trainer)
         try:
             self._requests.send(None)
@@ -189,7 +198,30 @@ class LearnerSupervisor:
         if self.checkpoints == before:
             snapshot = self._snapshot.latest()
             if snapshot is not None:
-                write_run(SaveRequest(self._run.path, trainer, False), snapshot, None, self.replay, self._settings)
+                try:
+                    write_run(SaveRequest(self._run.path, trainer, False), snapshot, None, self.replay, self._settings)
+                except OSError as error:
+                    raise LearnerError(self._unwritten(explained(error))) from None
+
+    def _hear(self) -> None:
+        """Take what the learner sent back."""
+        with suppress(OSError, EOFError):
+            while self._requests.poll():
+                trouble: Trouble = self._requests.recv()
+                if trouble.disk:
+                    raise LearnerError(self._unwritten(trouble.sentence))
+                self._said = trouble.sentence
+
+    def _unwritten(self, why: str) -> str:
+        return (
+            f"no checkpoint can be written ({why}): the training ends here; make room, and go on from the one before "
+            f"with --resume {self._run.path}"
+        )
+
+    def _how_it_ended(self, code: int | None) -> str:
+        if code is not None and code < 0:
+            return f"killed by signal {-code}"
+        return self._said or f"exit code {code}"
 
     def _hint(self) -> str | None:
         """Why nothing begins yet; once."""
@@ -200,6 +232,7 @@ class LearnerSupervisor:
 
     def _start(self) -> None:
         self._status[READY] = 0.0
+        self._said = ""  # by a learner that ends
         self._hint_at = time.monotonic() + HINT_AFTER
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
@@ -207,9 +240,9 @@ class LearnerSupervisor:
         self._process: BaseProcess = self._context.Process(
             target=run_learner, args=arguments, name="learner", daemon=True
         )
-        # Ctrl-C goes to the whole terminal, and would meet the child importing, long before it can say that it ignores
-        # it. A blocked signal is inherited; ours, if one comes now, waits.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        # Ctrl-C and a hangup go to the whole terminal, and would meet the child importing, long before it can say that
+        # it ignores them. A blocked signal is inherited; ours, if one comes now, waits.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:
             self._process.start()
         finally:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far nodes look for one another: on this machine only, unless the user says otherwise in one place (docs/network.md).
+"""How far nodes look for one another: on this machine only, unless the user says otherwise (docs/network.md).
 
-That place is ROS's own variable, `RANGE`. Left alone or LOCALHOST, it stops Fast DDS from multicasting, but not from
-listening on all addresses: `PROFILES` does.
+The one place for it is ROS's own variable, `RANGE`. LOCALHOST stops Fast DDS from multicasting, but not from listening
+on all addresses: `PROFILES` does.
 """
 
 from __future__ import annotations

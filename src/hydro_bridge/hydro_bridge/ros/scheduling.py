@@ -16,7 +16,7 @@ def be_prompt(*, realtime: bool, priority: int = PRIORITY, inherited: bool = Tru
     """Take the garbage collector out of the way and, if asked, run this process by SCHED_FIFO; says what came of it.
 
     Call it after everything long-lived is made: the collector no longer walks it. Without the right to SCHED_FIFO
-    (CAP_SYS_NICE, or rtprio in limits.conf) the process stays an ordinary one. One that runs on end by SCHED_FIFO is ended
+    (CAP_SYS_NICE, or rtprio in limits.conf) the process stays an ordinary one. One that runs on end by it is ended
     (`hydro_bridge.realtime`).
 
     Parameters

@@ -51,9 +51,10 @@ def start_ros(ros: Sequence[str] = ()) -> None:
 
 
 def spin(node: Node, until: Future | None = None) -> bool:
-    """Carry the node's callbacks on an EventsExecutor until a signal or shutdown ends it; then return, to be cleaned up.
+    """Carry the node's callbacks on an EventsExecutor until a signal or shutdown; then return, to be cleaned up.
 
-    Signals are SIGINT, SIGTERM and SIGHUP. The context stays valid, so the caller can still publish and disarm. Call it from the main thread.
+    Signals are SIGINT, SIGTERM and SIGHUP. The context stays valid, so the caller can still publish and disarm. Call it
+    from the main thread.
 
     Parameters
     ----------

@@ -9,26 +9,20 @@
 
 from __future__ import annotations
 
-import math
-import re
-import sys
-import time
+import signal
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO
-
-from tqdm import tqdm
 
 from hydro_bridge.ros import Companion
 from hydro_policy.nodes import provenance
 from hydro_policy.nodes.guarding import asked_filter, guard_parameters, relied_on
+from hydro_policy.nodes.sayings import CompanionOutput
 from hydro_policy.task import GainRange
 
 PLANTS = ("sim", "emulator", "bench", "external")
 _REFUSED = 2  # the exit status of all our commands for what they cannot use
-_REPEAT = 10.0  # s, before the same sentence is shown again
-_LOUD = ("warn", "error", "fatal", "traceback", "bypass")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,46 +53,19 @@ class PlantOptions:
     """Of the noise of simulation or emulator."""
 
 
-class CompanionOutput:
-    """Takes a companion's lines: all into the log, those that matter to the terminal, too."""
-
-    def __init__(self, log: IO[str] | None) -> None:
-        self._log = log
-        self._shown: dict[str, float] = {}
-
-    def write(self, text: str) -> int:
-        """Take a line."""
-        if self._log is not None:
-            self._log.write(text)
-        if any(word in text.lower() for word in _LOUD) and self._is_news(text):
-            tqdm.write(text.rstrip("\n"), file=sys.stderr)
-        return len(text)
-
-    def _is_news(self, text: str) -> bool:
-        """Whether the same sentence, numbers aside, was not shown lately: the log has them all."""
-        sentence, now = re.sub(r"[\d.]+", "", text), time.monotonic()
-        news = now - self._shown.get(sentence, -math.inf) > _REPEAT
-        if news:
-            self._shown[sentence] = now
-        return news
-
-    def flush(self) -> None:
-        """Write out the log."""
-        if self._log is not None and not self._log.closed:
-            self._log.flush()
-
-
 def start_companions(
-    stack: ExitStack, options: PlantOptions, gains: GainRange, folder: Path, log: IO[str] | None
+    stack: ExitStack, options: PlantOptions, gains: GainRange, folder: Path, keep: Callable[[str], None]
 ) -> list[Companion]:
     """Start them in order; `stack` ends them, the last first, so that the recorder sees everything.
+
+    `keep` takes each line that they say.
 
     Raises
     ------
     CompanionError
         One cannot be started: the packages are not built or sourced.
     """
-    output = CompanionOutput(log)
+    output = CompanionOutput(keep)
     return [
         stack.enter_context(Companion(package, executable, arguments, output=output))  # type: ignore[arg-type]
         for package, executable, arguments in commands(options, gains, folder)
@@ -112,6 +79,8 @@ class CompanionWatch:
         self._running = list(companions)
         self.refused = ""
         """What a companion said that cannot use its input: it will not come back, and there is nothing to wait for."""
+        self.lost = ""
+        """Which companion ended that nothing can go on without, and what that means."""
 
     def ended(self) -> list[str]:
         """Sentences about those that ended since the last call."""
@@ -121,15 +90,25 @@ class CompanionWatch:
             if companion.process.returncode == _REFUSED:
                 said = companion.last_words.removeprefix("error: ").removeprefix(f"{companion.name}: ")
                 self.refused = self.refused or f"{companion.name}: {said}"
-        return [f"{c.name} ended by itself (exit status {c.process.returncode}){_outcome(c.name)}" for c in gone]
+            elif companion.name != "recorder":
+                self.lost = self.lost or _sentence(companion)
+        return [_sentence(companion) for companion in gone]
+
+
+def _sentence(gone: Companion) -> str:
+    return f"{gone.name} ended by itself ({_status(gone.process.returncode)}){_outcome(gone.name)}"
+
+
+def _status(code: int) -> str:
+    return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
 
 
 def _outcome(name: str) -> str:
     if name == "recorder":
         return ": what it had written stays readable, acting goes on unrecorded"
     if name == "filter":
-        return ": the plant holds base gains from now on"
-    return ": no samples come from now on"
+        return ": the plant holds base gains from then on"
+    return ": no samples come from then on, and the box disarms itself"
 
 
 def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tuple[str, str, list[str]]]:

@@ -18,6 +18,7 @@ from tempfile import TemporaryDirectory
 import rclpy
 
 from hydro_bridge.console import command, writable, writable_folder
+from hydro_bridge.endings import undisturbed
 from hydro_bridge.recording_run import code_version
 from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_policy import report
@@ -94,7 +95,7 @@ def evaluate(options: argparse.Namespace) -> int:
     controllers += [FixedGains(kp, ki) for kp, ki in options.fixed or [(90.0, 15.0), (15.0, 5.0)]]
     settings = evaluation_settings(options)
     grid = GridSettings(kp_max=options.kp_max)
-    with ExitStack() as stack:
+    with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("evaluate")
         stack.callback(node.destroy_node)
         settings = declare_parameters(node, settings)
@@ -105,10 +106,11 @@ def evaluate(options: argparse.Namespace) -> int:
         node.override.reach = guard_range(reach(controllers, grid if options.grid else None))
         if options.plant != "external" and (sentence := uncovered(node.override.reach, plant.filter)):
             node.say(sentence, warning=True)
-        node.companions = CompanionWatch(start_companions(stack, plant, node.override.reach, folder, None))
+        node.companions = CompanionWatch(start_companions(stack, plant, node.override.reach, folder, node.sayings.keep))
         if not rearms(options):
             node.listen_for_enter()
         stack.callback(node.disarm)
+        stack.callback(quiet.enter_context, undisturbed())
         before: GridSession | None = None
         if options.grid:
             before = search_on(node, grid, settings, rearm=rearms(options))

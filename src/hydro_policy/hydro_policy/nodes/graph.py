@@ -10,7 +10,6 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from typing import IO
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -18,7 +17,6 @@ from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
-from tqdm import tqdm
 
 from hydro_bridge.latency import Latency
 from hydro_bridge.ros import (
@@ -46,6 +44,7 @@ from hydro_msgs.msg import BenchState, Correction, Gains
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.nodes.companions import CompanionWatch
+from hydro_policy.nodes.sayings import Sayings
 from hydro_policy.override import GainOverride
 from hydro_policy.session import Session
 
@@ -66,15 +65,13 @@ class GraphNode(Node):
     ----------
     name
         Of the node.
-    log
-        Where sentences go besides the terminal, or None.
     realtime
         Ask for SCHED_FIFO while a session is driven; what it starts then (a learner anew) stays ordinary.
     """
 
-    def __init__(self, name: str, log: IO[str] | None = None, *, realtime: bool = True) -> None:
+    def __init__(self, name: str, *, realtime: bool = True) -> None:
         super().__init__(name)
-        self.log = log
+        self.sayings = Sayings()
         self._realtime = realtime
         self.companions = CompanionWatch([])
         self.response = Latency()  # state taken -> gains published, in this process
@@ -102,15 +99,15 @@ class GraphNode(Node):
         Raises
         ------
         CompanionError
-            A companion cannot use what it was given.
+            A companion cannot use what it was given, or has ended that nothing can go on without.
         """
         self._session, self._each_tick, self._done = session, each_tick, Future()
         scheduling = be_prompt(realtime=self._realtime, priority=PRIORITY, inherited=False)
         self.say(f"gains leave by {scheduling}")
         try:
             broken = spin(self, self._done)
-            if self.companions.refused:
-                raise CompanionError(self.companions.refused)
+            if self.companions.refused or self.companions.lost:
+                raise CompanionError(self.companions.refused or self.companions.lost)
             return not broken
         finally:
             self._session = None
@@ -158,9 +155,7 @@ class GraphNode(Node):
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """See `hydro_policy.outputs.Outputs`."""
-        tqdm.write(sentence if not warning else f"! {sentence}", file=sys.stderr)
-        if self.log is not None:
-            self.log.write(f"{time.strftime('%H:%M:%S')} {'! ' if warning else ''}{sentence}\n")
+        self.sayings.say(sentence, warning)
 
     def _on_state(self, message: BenchState) -> None:
         if self._session is None:
@@ -207,7 +202,7 @@ class GraphNode(Node):
         for sentence in self.companions.ended():
             self.say(sentence, warning=True)
         self._each_tick()
-        if self._session.finished or self.companions.refused:
+        if self._session.finished or self.companions.refused or self.companions.lost:
             self._finish()
 
     def _look_around(self, now: float) -> None:

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 import argparse
+import os
 import shlex
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,7 @@ from hydro_bridge.ros import declare_parameters
 from hydro_policy.nodes.companions import PLANTS, PlantOptions
 from hydro_policy.run import TrainingSettings
 
+_PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "filter", "rearm")
 _NEEDS = {
     "truth": ("emulator",),
     "faults": ("emulator",),
@@ -50,6 +53,24 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         choices=("auto", "ask"),
         help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or /hydro/arm",
     )
+
+
+def plant_words(options: argparse.Namespace) -> dict[str, Any]:
+    """The words about the plant, as YAML keeps them: files with their whole path."""
+    words = {name: getattr(options, name) for name in _PLANT_WORDS}
+    return {name: _absolute(value) for name, value in words.items() if value}
+
+
+def as_begun(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mapping[str, Any]) -> None:
+    """Let `plant`, words that a run was begun with, be the defaults; not where another plant is asked for."""
+    if said.get("plant", plant.get("plant")) != plant.get("plant"):
+        return
+    words = {name: value for name, value in plant.items() if name in _PLANT_WORDS}
+    result.set_defaults(**{n: Path(v) if n in ("truth", "bench") else v for n, v in words.items()})
+
+
+def _absolute(value: str | Path) -> str:
+    return str(Path(value).absolute()) if os.path.exists(value) else str(value)
 
 
 def rearms(options: argparse.Namespace) -> bool:

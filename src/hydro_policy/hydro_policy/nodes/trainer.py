@@ -14,10 +14,10 @@ import rclpy
 import torch
 
 from hydro_bridge.console import command
-from hydro_bridge.resuming import NEW_ONLY, refuse_changes
+from hydro_bridge.resuming import NEW_ONLY, given, refuse_changes
 from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
 from hydro_policy.configurations import CONFIGURATIONS, configuration_of
-from hydro_policy.nodes.options import add_plant_options
+from hydro_policy.nodes.options import add_plant_options, as_begun
 from hydro_policy.nodes.trainer_run import train
 from hydro_policy.nodes.trainer_start import SCRATCH
 from hydro_policy.run import RunDirectory
@@ -83,8 +83,8 @@ def parser() -> argparse.ArgumentParser:
         "--resume",
         type=Path,
         metavar="RUN",
-        help="continue the run in this folder as it was begun; --episodes, --updates-per-step, --exam-every and ROS "
-        "parameters may change, and hold from now on",
+        help="continue the run in this folder as it was begun, on the same plant unless you name one; --episodes, "
+        "--updates-per-step, --exam-every and ROS parameters may change, and hold from now on",
     )
     files.add_argument("--no-record", dest="record", action="store_false", help="make no recording")
     return result
@@ -108,6 +108,8 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
         begun = {"start": NEW_ONLY, "configuration": configuration_of(settings) or NEW_ONLY, "seed": settings.seed}
         place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
         refuse_changes(parser(), words, str(run.path), {**begun, **place})
+        as_begun(result, run.load_plant(), given(parser(), words))
+        options = result.parse_args(words)
     return options
 
 

@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import ExitStack
 
+from hydro_bridge.endings import undisturbed
 from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession
 from hydro_policy.nodes.companions import CompanionWatch
@@ -26,21 +27,22 @@ from hydro_policy.training import TrainingSession
 def train(options: argparse.Namespace) -> int:
     """Prepare, train, evaluate; whatever happens: disarm, checkpoint, end the companions, in this order."""
     began = time.monotonic()
-    with ExitStack() as stack:
+    with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("trainer")
         stack.callback(node.destroy_node)
         prepared = prepare(options, node)
         stack.enter_context(taken_back(prepared, node))
         run, settings = prepared.run, prepared.settings
-        node.log = log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
+        node.sayings.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
         record = begin_record(node, prepared, options)
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
-        recording, companions = start_plant(stack, options, prepared, log)
+        recording, companions = start_plant(stack, options, prepared, node.sayings.keep)
         node.companions = CompanionWatch(companions)
         session = begin_session(node, prepared, learner, record, rearm=rearms(options))
         stack.callback(lambda: learner.stop(session.state()))
         stack.callback(node.disarm)
+        stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits
         finished, results = drive(options, node, session, learner, prepared.start)
         record.add("end", session.gave_up, **timing(node, session), complete=finished)
         if results is not None:
@@ -62,7 +64,7 @@ def begin_session(
         learner,
         node,
         rearm=rearm,
-        state=prepared.checkpoint.trainer if prepared.checkpoint else None,
+        state=(prepared.checkpoint.trainer or None) if prepared.checkpoint else None,
         best=prepared.best,
         override=node.override,
         record=record,

@@ -6,24 +6,28 @@ from __future__ import annotations
 import argparse
 import shlex
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO
 
 from hydro_bridge.console import writable_folder
 from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.configurations import configuration
+from hydro_policy.learner import SaveRequest, write_run
 from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import asked_filter, guard_range, uncovered
-from hydro_policy.nodes.options import declare_settings, plant_options
+from hydro_policy.nodes.options import declare_settings, plant_options, plant_words
 from hydro_policy.override import GainOverride
 from hydro_policy.record import RunRecord
+from hydro_policy.replay import ReplayBuffer
 from hydro_policy.run import RunDirectory, TrainingSettings, new_run
+from hydro_policy.sac import Sac
+from hydro_policy.snapshot import dump
 from hydro_policy.start import AGENT, Start, load_start, shipped_start
+from hydro_policy.task import ACTIONS, OBSERVATIONS
 from hydro_sim.bench import Bench
 
 SCRATCH = "scratch"
@@ -60,13 +64,13 @@ def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
     try:
         yield
     except CompanionError:
-        if prepared.made and node.response.count == 0:  # no gains have ever gone out
+        if node.companions.refused and prepared.made and node.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(prepared.run.path)
         raise
 
 
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
-    """A new run with its folder, or one to continue; nothing is made where something cannot be used."""
+    """A new run with its folder and first checkpoint, or one to continue; none where something cannot be used."""
     start = None
     asked_filter(plant_options(options).filter)
     if options.bench is not None:
@@ -92,8 +96,16 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     made = not run.path.exists()
     if options.resume is None:
         run.create()
-    run.save_settings(settings)
+        begin_checkpoint(run, settings, start)
+    run.save_settings(settings, plant_words(options))  # last: a folder without it is no run, and its name is free
     return Prepared(run, settings, checkpoint, start, made)
+
+
+def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Start | None) -> None:
+    """The first checkpoint, of what the run starts from: whole before anything moves."""
+    agent = start.agent if start else dump(Sac(OBSERVATIONS, ACTIONS, settings.sac))
+    nothing = ReplayBuffer(OBSERVATIONS, ACTIONS, settings.sac.batch_size + 128)
+    write_run(SaveRequest(run.path, {}, best=False), agent, None, nothing, settings)
 
 
 def find_start(options: argparse.Namespace) -> Start | None:
@@ -122,15 +134,15 @@ def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespac
 
 
 def start_plant(
-    stack: ExitStack, options: argparse.Namespace, prepared: Prepared, log: IO[str]
+    stack: ExitStack, options: argparse.Namespace, prepared: Prepared, keep: Callable[[str], None]
 ) -> tuple[Path | None, list[Companion]]:
-    """Start the companions; returns where the recording goes, and them."""
+    """Start the companions, whose lines `keep` takes; returns where the recording goes, and them."""
     run = prepared.run
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
     kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}
     plant = plant_options(options, recording=recording, seed=prepared.settings.seed, **kept)
-    return recording, start_companions(stack, plant, prepared.settings.task.gains, run.path, log)
+    return recording, start_companions(stack, plant, prepared.settings.task.gains, run.path, keep)
 
 
 def _free(folder: Path) -> Path:

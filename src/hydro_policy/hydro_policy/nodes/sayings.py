@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a trainer says, and what its companions say: a flood of one sentence is told as one sentence."""
+
+from __future__ import annotations
+
+import math
+import re
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import IO
+
+from tqdm import tqdm
+
+
+class Flood:
+    """Lets the first few of a sentence through, numbers aside, and counts the rest.
+
+    Parameters
+    ----------
+    most
+        Of one sentence within `period`.
+    period
+        s.
+    """
+
+    def __init__(self, most: int, period: float = 10.0) -> None:
+        self._most, self._period = most, period
+        self._said: dict[str, tuple[float, int]] = {}  # since when, and how often
+
+    def passed(self, sentence: str, now: float | None = None) -> str:
+        """The sentence, with how many like it were left out before; empty if it is one too many."""
+        now, kind = time.monotonic() if now is None else now, re.sub(r"[\d.]+", "", sentence)
+        since, count = self._said.get(kind, (-math.inf, 0))
+        if now - since > self._period:
+            self._said[kind] = (now, 1)
+            left_out = count - self._most
+            return f"{sentence} (and {left_out} times before this)" if left_out > 0 else sentence
+        self._said[kind] = (since, count + 1)
+        return sentence if count < self._most else ""
+
+
+class Sayings:
+    """The one place where a trainer or an evaluation says something: terminal and log, neither of which may stop it."""
+
+    def __init__(self) -> None:
+        self.log: IO[str] | None = None
+        """Where sentences go besides the terminal."""
+        self._flood = Flood(8)
+
+    def say(self, sentence: str, warning: bool = False) -> None:
+        """Say it, with an exclamation mark if it is a warning."""
+        told = self._flood.passed(f"! {sentence}" if warning else sentence)
+        if not told:
+            return
+        on_terminal(told)
+        if self.log is not None:
+            self.keep(f"{time.strftime('%H:%M:%S')} {told}\n")
+
+    def keep(self, line: str) -> None:
+        """Write a line into the log; a disk that refuses ends the log, and nothing else."""
+        if self.log is None or self.log.closed:
+            return
+        try:
+            self.log.write(line)
+        except OSError as error:
+            self.log = None
+            on_terminal(f"! the log ends here: {error.strerror}")
+
+
+def on_terminal(line: str) -> None:
+    """Above the progress bar; where nobody reads that any more, nowhere."""
+    with suppress(OSError, ValueError):
+        tqdm.write(line, file=sys.stderr)
+
+
+class CompanionOutput:
+    """Takes a companion's lines: all into the log, those that matter to the terminal, too."""
+
+    LOUD = ("warn", "error", "fatal", "traceback", "bypass")
+
+    def __init__(self, keep: Callable[[str], None]) -> None:
+        self._keep, self._flood = keep, Flood(1)
+
+    def write(self, text: str) -> int:
+        """Take a line."""
+        self._keep(text)
+        if any(word in text.lower() for word in self.LOUD) and (line := self._flood.passed(text.rstrip("\n"))):
+            on_terminal(line)
+        return len(text)
+
+    def flush(self) -> None:
+        """The log is written line by line."""
