@@ -8,6 +8,7 @@ trained.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
@@ -15,7 +16,9 @@ from typing import Any
 
 import numpy as np
 
+from hydro_bridge.settings import check as check_settings
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.tensors import LARGEST, UnsoundError, check_shapes
 from hydro_filter import metric_network
 from hydro_filter.loop_model import LOOP_FIELDS, LoopModel
 from hydro_filter.metric_design import MetricDesign, design_table
@@ -127,12 +130,29 @@ class LearnedMetric:
             flat = np.concatenate([np.asarray(tensors[name], np.float64).ravel() for name in mlp.Layers._fields])
             mlp.layers(flat, INPUTS, hidden, ENTRIES)
             arrays = {name: np.asarray(tensors[name], np.float64) for name in ARRAYS}
+            _check(arrays, float(header["floor"]), Thresholds(**header["thresholds"]))
             return cls(
                 flat=flat, hidden=hidden, floor=float(header["floor"]), thresholds=Thresholds(**header["thresholds"]),
                 training=header.get("training", {}), **arrays,
             )  # fmt: skip
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
+
+
+def _check(arrays: Mapping[str, FloatArray], floor: float, thresholds: Thresholds) -> None:
+    """Raise ValueError if these cannot make a metric."""
+    gains = arrays["gains"]
+    state, table = (STATES,), (len(gains) + 1, ENTRIES)
+    check_shapes(arrays, {"center": state, "scale": state, "low": state, "high": state, "table": table})
+    check_settings(thresholds)
+    if not (arrays["scale"] > 0.0).all():
+        raise UnsoundError("scale holds a value that is not above 0")
+    if not (arrays["low"] <= arrays["high"]).all():
+        raise UnsoundError("a bound in low lies above the one in high")
+    if gains.ndim != 1 or not (np.diff(gains) > 0.0).all():
+        raise UnsoundError("gains do not rise")
+    if not 0.0 < floor < LARGEST:
+        raise UnsoundError(f"floor is {floor:g}: M is definite for a floor above 0 only")
 
 
 def shipped() -> Path:

@@ -17,6 +17,7 @@ import numpy as np
 import torch
 
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.tensors import check_numbers
 from hydro_filter import metric_loss
 from hydro_filter.learned_metric import LearnedMetric
 from hydro_filter.loop_model import LOOP, Q_SPOOL_RATE
@@ -205,6 +206,7 @@ def _save(
 
 def _load(path: Path, network: Network, optimizer: torch.optim.Optimizer) -> Progress:
     content = torch.load(path, weights_only=True)
+    check_numbers({"best": content["progress"]["best"], **content["network"]})
     network.load_state_dict(content["network"])
     optimizer.load_state_dict(content["optimizer"])
     progress = content["progress"]

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_bridge.tensors import UnsoundError, check_numbers
 from hydro_bridge.whole_files import flush_folder, write_whole
 from hydro_policy.replay import ReplayBuffer
 
@@ -77,8 +78,11 @@ def load_checkpoint(folder: Path) -> Checkpoint:
     try:
         state = json.loads((source / "trainer.json").read_text())
         rows = np.load(source / "replay.npy", allow_pickle=False)
+        if rows.ndim != 2 or not len(rows) <= int(state["produced"]) or not isinstance(state["trainer"], dict):
+            raise UnsoundError(f"{rows.shape} transitions of {state['produced']} and the state beside them do not fit")
+        check_numbers({"replay.npy": rows})
         return Checkpoint((source / "learner.safetensors").read_bytes(), rows, int(state["produced"]), state["trainer"])
-    except (OSError, ValueError, KeyError) as error:
+    except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
         raise ValueError(f"{folder} holds no readable checkpoint: {error}") from error
 
 

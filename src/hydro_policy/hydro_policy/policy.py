@@ -8,19 +8,24 @@ JSON with architecture, observation names, centers and scales, and the range of 
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save
 
+from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.tensors import check_numbers, check_shapes
 from hydro_bridge.whole_files import write_whole
 from hydro_policy.task import ACTIONS, OBSERVATION_CENTER, OBSERVATION_NAMES, OBSERVATION_SCALE, OBSERVATIONS, GainRange
 
 FORMAT = 1
+_WIDEST = 1024  # units, as in `SacSettings`
 
 
 class Policy:
@@ -94,7 +99,7 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
     Raises
     ------
     ValueError
-        The file is not a policy, or one for another observation.
+        The file is not a policy, or one for another observation, or holds something that is no usable number.
     """
     try:
         with safe_open(path, framework="numpy") as file:
@@ -102,16 +107,33 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, json.JSONDecodeError) as error:
         raise ValueError(f"{path} is not a policy: {error}") from error
-    if header.get("format") != FORMAT:
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
         raise ValueError(f"{path} is not a policy of format {FORMAT}")
+    try:
+        return _checked(header, tensors)
+    except (KeyError, IndexError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is damaged: its header lacks {error}") from error
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be used: {error}") from error
+
+
+def _checked(header: dict[str, Any], tensors: dict[str, Any]) -> tuple[Policy, GainRange, dict[str, object]]:
+    """The policy of a file's header and tensors; raises ValueError, KeyError or TypeError where it is none."""
     seen = header["observation"]
     if (
         tuple(seen["names"]) != OBSERVATION_NAMES
         or seen["center"] != OBSERVATION_CENTER.tolist()
         or seen["scale"] != OBSERVATION_SCALE.tolist()
     ):
-        raise ValueError(f"{path} was trained on another observation: {', '.join(seen['names'])}")
-    policy = Policy(int(header["architecture"]["sizes"][1]), tuple(header["log_std_bounds"]))
+        raise ValueError(f"it was trained on another observation: {', '.join(seen['names'])}")
+    hidden, (low, high), gains = int(header["architecture"]["sizes"][1]), header["log_std_bounds"], header["gains"]
+    if not (1 <= hidden <= _WIDEST and math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise ValueError(f"{hidden} units with log sigma in [{low}, {high}] are no policy of ours")
+    policy, reach = Policy(hidden, (low, high)), GainRange(**gains)
+    check(reach)
+    check_shapes(tensors, {f"weight_{k}": weight.shape for k, weight in enumerate(policy.weights)})
+    check_shapes(tensors, {f"bias_{k}": bias.shape for k, bias in enumerate(policy.biases)})
+    check_numbers(tensors)
     for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
         weight[:], bias[:] = tensors[f"weight_{k}"], tensors[f"bias_{k}"]
-    return policy, GainRange(**header["gains"]), header["notes"]
+    return policy, reach, header["notes"]

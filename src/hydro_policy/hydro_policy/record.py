@@ -33,7 +33,10 @@ class RunRecord:
         self._written.set_result(None)
         self.events: list[dict[str, Any]] = []
         if path is not None and path.exists():
-            self.events = json.loads(path.read_text(encoding="utf-8"))["events"]
+            try:
+                self.events = list(json.loads(path.read_text(encoding="utf-8"))["events"])
+            except (ValueError, KeyError, TypeError) as error:
+                raise ValueError(f"{path} is no record of a run ({error}): move it away to begin another") from error
 
     def add(self, kind: str, sentence: str = "", **numbers: Any) -> None:
         """Add an event, now; what is not finite becomes null."""

@@ -9,15 +9,21 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict
+from typing import Any
 
 import numpy as np
+from safetensors import SafetensorError
 from safetensors.torch import load, save
 from torch import Tensor
 
+from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.tensors import UnsoundError, check_numbers, check_shapes
 from hydro_policy.mlp import FlatAdam
 from hydro_policy.sac import Sac, SacSettings
 from hydro_policy.task import ACTIONS, OBSERVATIONS
+
+_NETWORKS = ("actor", "critics", "entropy")
 
 
 def dump(sac: Sac) -> bytes:
@@ -37,9 +43,10 @@ def restore(sac: Sac, blob: bytes) -> None:
     Raises
     ------
     ValueError
-        The bytes belong to networks of another shape.
+        The bytes are no dump, or one of networks of another shape, or hold numbers that are none.
     """
-    tensors, counters = load(blob), _header(blob)["counters"]
+    tensors, header = _opened(blob)
+    counters = header["counters"]
     _copy("target_critics", sac.target_critics.parameters, tensors)
     sac.generator.set_state(tensors["generator"])
     sac.updates = counters["updates"]
@@ -51,7 +58,7 @@ def restore(sac: Sac, blob: bytes) -> None:
 
 def actor_parameters(blob: bytes) -> FloatArray:
     """The actor's flat parameters in a dump, float64: what `Policy.load_flat` takes."""
-    return np.asarray(load(blob)["actor.parameters"].numpy(), np.float64)
+    return np.asarray(_opened(blob)[0]["actor.parameters"].numpy(), np.float64)
 
 
 def as_beginning(blob: bytes) -> bytes:
@@ -64,13 +71,31 @@ def as_beginning(blob: bytes) -> bytes:
 
 def settings_of(blob: bytes) -> SacSettings:
     """The settings that a dump was made with."""
-    return SacSettings(**_header(blob)["settings"])
+    settings = SacSettings(**_opened(blob)[1]["settings"])
+    check(settings)
+    return settings
 
 
-def _header(blob: bytes) -> dict[str, dict[str, int]]:
-    length = int.from_bytes(blob[:8], "little")
-    header: dict[str, dict[str, int]] = json.loads(json.loads(blob[8 : 8 + length])["__metadata__"]["hydro"])
-    return header
+def check_agent(blob: bytes, settings: SacSettings) -> None:
+    """Raise ValueError unless `restore` can go on from these bytes with networks of these settings."""
+    restore(Sac(OBSERVATIONS, ACTIONS, settings), blob)
+
+
+def _opened(blob: bytes) -> tuple[dict[str, Tensor], dict[str, Any]]:
+    """Tensors and header; raises ValueError where they are cut short or damaged."""
+    try:
+        tensors = load(blob)
+        length = int.from_bytes(blob[:8], "little")
+        header: dict[str, Any] = json.loads(json.loads(blob[8 : 8 + length])["__metadata__"]["hydro"])
+        if missing := {"generator", "actor.parameters"} - tensors.keys():
+            raise UnsoundError(f"{min(missing)} is missing")
+        counted = [header["counters"]["updates"], *(header["counters"][f"{name}.steps"] for name in _NETWORKS)]
+        if not all(isinstance(count, int) and count >= 0 for count in counted):
+            raise UnsoundError(f"its counters are {counted}")
+    except (SafetensorError, KeyError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"not a whole agent: {' '.join(str(error).split())}") from error
+    check_numbers(tensors)
+    return tensors, header
 
 
 def _optimizers(sac: Sac) -> dict[str, FlatAdam]:
@@ -86,6 +111,5 @@ def _tensors(optimizer: FlatAdam) -> dict[str, Tensor]:
 
 
 def _copy(name: str, target: Tensor, tensors: dict[str, Tensor]) -> None:
-    if tensors[name].shape != target.shape:
-        raise ValueError(f"{name} holds {tuple(tensors[name].shape)} numbers, this network {tuple(target.shape)}")
+    check_shapes(tensors, {name: tuple(target.shape)})
     target.copy_(tensors[name])

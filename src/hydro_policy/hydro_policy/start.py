@@ -75,11 +75,11 @@ def load_start(path: Path) -> Start:
     if found is None:
         raise ValueError(f"{path} holds no {AGENT}: an agent to start from is a run's folder, or one made by pretrain")
     try:
-        agent = found.read_bytes()
+        agent = as_beginning(found.read_bytes())
         sac = settings_of(agent)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{found} is not an agent: {error}") from error
     _, gains, notes = load_policy(run.policy)
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
-    return Start(as_beginning(agent), sac, gains, reward, path)
+    return Start(agent, sac, gains, reward, path)

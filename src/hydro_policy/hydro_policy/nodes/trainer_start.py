@@ -11,10 +11,13 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from hydro_bridge.console import writable_folder
 from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.configurations import configuration
+from hydro_policy.episode import Progress
 from hydro_policy.learner import SaveRequest, write_run
 from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
@@ -25,7 +28,7 @@ from hydro_policy.record import RunRecord
 from hydro_policy.replay import ReplayBuffer
 from hydro_policy.run import RunDirectory, TrainingSettings, new_run
 from hydro_policy.sac import Sac
-from hydro_policy.snapshot import dump
+from hydro_policy.snapshot import check_agent, dump
 from hydro_policy.start import AGENT, Start, load_start, shipped_start
 from hydro_policy.task import ACTIONS, OBSERVATIONS
 from hydro_sim.bench import Bench
@@ -78,6 +81,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     if options.resume is not None:
         run = RunDirectory(options.resume)
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
+        check_run(run, settings, checkpoint)
     else:
         run, checkpoint = new_run(options.runs, options.name), None
         writable_folder(run.path)
@@ -99,6 +103,26 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         begin_checkpoint(run, settings, start)
     run.save_settings(settings, plant_words(options))  # last: a folder without it is no run, and its name is free
     return Prepared(run, settings, checkpoint, start, made)
+
+
+def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpoint) -> None:
+    """Raise ValueError, one sentence with the file in it, unless the run can go on from what its folder holds."""
+    best = run.best / AGENT
+    agents = {run.latest / AGENT: checkpoint.learner} | ({best: best.read_bytes()} if best.is_file() else {})
+    for path, agent in agents.items():
+        try:
+            check_agent(agent, settings.sac)
+        except ValueError as error:
+            raise ValueError(f"{path} cannot be gone on from: {error}") from error
+    if checkpoint.replay.shape[1] != sum(ReplayBuffer(OBSERVATIONS, ACTIONS, 65).widths):
+        raise ValueError(f"{run.latest / 'replay.npy'} holds transitions of {checkpoint.replay.shape[1]} numbers")
+    if not checkpoint.trainer:  # nothing had happened yet
+        return
+    try:
+        Progress(**checkpoint.trainer["progress"])
+        np.random.default_rng(0).bit_generator.state = checkpoint.trainer["random_state"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{run.latest / 'trainer.json'} is damaged: {error}") from error
 
 
 def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Start | None) -> None:

@@ -13,6 +13,7 @@ import numpy as np
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
+from hydro_bridge.tensors import check_numbers
 from hydro_sim.learned import adam
 from hydro_sim.learned.model import STRUCTURES, Model
 from hydro_sim.learned.recordings import DataError
@@ -50,6 +51,8 @@ class Checkpoint:
             with safe_open(str(path), framework="np") as file:
                 about = json.loads(file.metadata()["hydro"])
                 arrays = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - it is no mapping
+            check_numbers(_part(arrays, _MODEL))
+            check_numbers({name: arrays[_PROGRESS + name] for name in ("parameters", "first_moment", "second_moment")})
             header = about["model"]
             return cls(
                 progress=adam.Progress.of(_part(arrays, _PROGRESS)),

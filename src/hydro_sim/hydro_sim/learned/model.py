@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hydro_bridge.tensors import check_shapes
 from hydro_sim.learned import weights
 from hydro_sim.learned.deep_model import DeepModel
 from hydro_sim.learned.network_model import NetworkModel
@@ -52,6 +53,7 @@ class Learned:
                 center=np.asarray(tensors["region_center"], np.float64),
                 whiten=np.asarray(tensors["region_whiten"], np.float64),
             )
+            check_shapes(tensors, {name: a.shape for name, a in model.tensors().items() if name in tensors})
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
         return cls(model=model, region=region, training=header.get("training", {}))

@@ -18,6 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
 from hydro_bridge.signals import FloatArray
+from hydro_bridge.tensors import UnsoundError, check_numbers
 
 FORMAT = 1
 Tensors = dict[str, FloatArray]
@@ -41,7 +42,7 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
     Raises
     ------
     WeightsError
-        If the file is missing, is no safetensors file, or is not of this format.
+        If the file is missing, is no safetensors file, is not of this format, or holds numbers that are none.
     """
     try:
         with safe_open(str(path), framework="numpy") as file:
@@ -59,6 +60,10 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
         ) from error
     if kind[0] != FORMAT:
         raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: train the model anew")
+    try:
+        check_numbers(tensors)
+    except UnsoundError as error:
+        raise WeightsError(f"{path} is damaged: {error}") from None
     return tensors, header
 
 

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers out of files that become a policy, a metric, a model or an agent: all there, of the right shape, finite.
+
+Whether files belong to one another is another question; this one is whether they are sound. Everything that is read as
+weights passes here before anything is done with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+LARGEST = 1e30
+"""No number of ours is larger, in SI units or normalized; a larger one is a damaged file, and its square no number."""
+BOUNDS = ("low", "high")
+"""Tensors of these names may be infinite: no bound."""
+
+
+class UnsoundError(ValueError):
+    """A file's numbers cannot be used; the message is one sentence about them, without the file's name."""
+
+
+def check_numbers(tensors: Mapping[str, Any]) -> None:
+    """Raise UnsoundError for the first tensor that holds NaN, infinity or an absurdly large number."""
+    for name, tensor in tensors.items():
+        array = np.asarray(tensor)
+        if array.dtype.kind != "f":
+            continue
+        wrong = np.isnan(array) if name in BOUNDS else ~(np.abs(array) <= LARGEST)
+        if wrong.any():
+            raise UnsoundError(f"{name} holds {int(wrong.sum())} of {array.size} values that are no usable numbers")
+
+
+def check_shapes(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Raise UnsoundError for the first tensor that is missing, or has another shape."""
+    for name, shape in shapes.items():
+        if name not in tensors:
+            raise UnsoundError(f"{name} is missing")
+        if tuple(tensors[name].shape) != shape:
+            raise UnsoundError(f"{name} has the shape {tuple(tensors[name].shape)}, {shape} is meant")
