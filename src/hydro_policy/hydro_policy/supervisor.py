@@ -40,7 +40,7 @@ STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
 class LearnerError(Exception):
-    """The learner keeps dying, or cannot write its checkpoint."""
+    """The learner keeps dying, cannot begin, or cannot write a checkpoint."""
 
 
 class LearnerSupervisor:
@@ -132,11 +132,13 @@ class LearnerSupervisor:
         Raises
         ------
         LearnerError
-            It keeps dying, or cannot write a checkpoint.
+            It keeps dying, cannot begin, or cannot write a checkpoint.
         """
         self._hear()
         if self.alive:
             return self._hint()
+        if self._said and not self.ready:
+            raise LearnerError(f"the learner cannot begin: {self._said}")
         now, code = time.monotonic(), self._process.exitcode
         self._deaths.append(now)
         while now - self._deaths[0] > RESTART_WINDOW:

@@ -19,9 +19,9 @@ from hydro_policy.policy import load_policy
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import Sac, SacSettings
 from hydro_policy.shared import SharedBlob
-from hydro_policy.snapshot import restore
+from hydro_policy.snapshot import dump, restore
 from hydro_policy.supervisor import LearnerError, LearnerSupervisor
-from hydro_policy.task import OBSERVATIONS
+from hydro_policy.task import ACTIONS, OBSERVATIONS
 
 SETTINGS = TrainingSettings(warmup_steps=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
 
@@ -106,6 +106,37 @@ def test_ctrl_c_while_it_starts_does_not_reach_the_learner(tmp_path: Path) -> No
         assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ()), "ours still comes"
     finally:
         learner.stop({})
+
+
+def test_a_learner_that_cannot_begin_says_why_at_once(tmp_path: Path) -> None:
+    cut_short = dump(Sac(OBSERVATIONS, ACTIONS, SETTINGS.sac))[:-100]
+    learner = LearnerSupervisor(SETTINGS, RunDirectory(tmp_path / "run").create(), start=cut_short)
+    try:
+        wait(lambda: not learner.alive)
+        with pytest.raises(LearnerError, match="the learner cannot begin: not a whole agent"):
+            learner.revive()
+    finally:
+        with pytest.raises(ValueError, match="not a whole agent"):  # there is nothing to write
+            learner.stop({})
+
+
+def test_a_checkpoint_that_cannot_be_written_is_told_and_the_one_before_stays(tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "run").create()
+    learner = LearnerSupervisor(SETTINGS, run)
+    wait(lambda: learner.ready)
+    learner.save({"episode": 1})
+    wait(lambda: learner.checkpoints == 1)
+    run.latest.with_name("latest.partial").touch()  # in the way, as little can be done about it as about a full disk
+    learner.save({"episode": 2})
+    end = time.monotonic() + 30.0
+    with pytest.raises(LearnerError, match="no checkpoint can be written"):
+        while time.monotonic() < end:
+            learner.revive()
+            time.sleep(0.01)
+    with pytest.raises(LearnerError, match=f"go on from the one before with --resume {run.path}"):
+        learner.stop({"episode": 3})
+    assert not learner.alive
+    assert load_checkpoint(run.latest).trainer == {"episode": 1}
 
 
 def test_what_learning_compiles_is_compiled_before_it_is_ready() -> None:

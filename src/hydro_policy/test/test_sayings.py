@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a trainer says: a sentence as often as it is news, a flood as one; a log that cannot be written ends nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hydro_policy.nodes.sayings import CompanionOutput, Flood, Sayings
+
+
+def test_a_flood_of_two_sentences_is_told_in_a_few_lines_and_then_counted() -> None:
+    flood = Flood(8)
+    told = []
+    for k in range(564):  # as many as a flood of false states once made in 2.5 s
+        sentence = f"paused at step {k}" if k % 2 else "plant: armed"
+        told.append(flood.passed(sentence, now=2.5 * k / 564))
+    assert sum(map(bool, told)) == 16
+    assert flood.passed("plant: armed", now=12.0) == "plant: armed (and 274 times before this)"
+    assert flood.passed("plant: armed", now=12.1) == "plant: armed"
+
+
+def test_sentences_that_come_at_their_own_pace_are_all_told() -> None:
+    flood = Flood(8)
+    assert all(flood.passed(f"episode {k}/160: RMSE {k} N", now=1.5 * k) for k in range(160))
+
+
+def test_a_log_that_takes_no_more_ends_and_is_told_of_once(capsys: pytest.CaptureFixture[str]) -> None:
+    sayings = Sayings()
+    with Path("/dev/full").open("w", buffering=1) as sayings.log:
+        sayings.say("one")
+        sayings.say("two", warning=True)
+        sayings.keep("a companion's line\n")
+    assert capsys.readouterr().err.splitlines() == ["one", "! the log ends here: No space left on device", "! two"]
+
+
+def test_of_companions_the_log_has_all_and_the_terminal_what_matters_once(capsys: pytest.CaptureFixture[str]) -> None:
+    kept: list[str] = []
+    output = CompanionOutput(kept.append)
+    for k in range(5):
+        output.write(f"[bridge] [WARN] late by {k} ms\n")
+        output.write("[bridge] all is well\n")
+    assert len(kept) == 10
+    assert capsys.readouterr().err == "[bridge] [WARN] late by 0 ms\n"
