@@ -13,6 +13,7 @@ import os
 import signal
 import sys
 import termios
+import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from types import FrameType
@@ -33,10 +34,12 @@ class Ended(KeyboardInterrupt):
 
 
 def answer(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Handlers:
-    """Let `handler` answer the three signals; what did so before, for `restore`. For the main thread.
+    """Let `handler` answer the three signals; what did so before, for `restore`. In other threads than main: nothing.
 
     A SIGHUP that is ignored stays so: whoever started us with nohup wants us to outlive the terminal.
     """
+    if threading.current_thread() is not threading.main_thread():
+        return {}
     wanted = [n for n in SIGNALS if n is not signal.SIGHUP or signal.getsignal(n) is not signal.SIG_IGN]
     return {number: signal.signal(number, handler) for number in wanted}
 

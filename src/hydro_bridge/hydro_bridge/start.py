@@ -6,6 +6,7 @@ In a package's setup.py:  "trainer = hydro_bridge.start:main_of.hydro_policy.nod
 
 from __future__ import annotations
 
+import signal
 from importlib import import_module
 
 from hydro_bridge import endings
@@ -18,14 +19,18 @@ class MainOf:
         self._module = module
 
     def __getattr__(self, name: str) -> MainOf:
+        if name.startswith("__"):  # Python itself asks for these
+            raise AttributeError(name)
         return MainOf(f"{self._module}.{name}".lstrip("."))
 
     def __call__(self) -> int | None:
-        """Answer Ctrl-C from now on, import the module, and run its `main`."""
-        before = endings.answer(endings.leave)  # importing takes seconds, and a traceback tells nobody anything
+        """Answer signals from now on, import the module, and run its `main`, which answers them in its own way."""
+        endings.answer(endings.leave)  # importing takes seconds, and a traceback tells nobody anything
         main = import_module(self._module).main
-        endings.restore(before)
-        status: int | None = main()
+        try:
+            status: int | None = main()
+        finally:
+            endings.answer(signal.SIG_DFL)  # all is in order, and Python taking itself down is not to be interrupted
         return status
 
 

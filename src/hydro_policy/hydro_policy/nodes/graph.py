@@ -231,5 +231,6 @@ class GraphNode(Node):
             self.say(f"arming: {response.message}", warning=True)
 
     def _read_keys(self) -> None:
-        for line in sys.stdin:
-            self._keys.put(line)
+        with suppress(OSError, ValueError):  # the terminal has gone
+            for line in sys.stdin:
+                self._keys.put(line)
