@@ -62,10 +62,13 @@ class Sayings:
         """Write a line into the log; a disk that refuses ends the log, and nothing else."""
         if self.log is None or self.log.closed:
             return
+        log = self.log
         try:
-            self.log.write(line)
+            log.write(line)
         except OSError as error:
             self.log = None
+            with suppress(OSError):  # it would try once more
+                log.close()
             on_terminal(f"! the log ends here: {error.strerror}")
 
 
