@@ -27,7 +27,6 @@ import numpy as np
 import torch
 
 from hydro_bridge.signals import FloatArray
-from hydro_bridge.user_errors import explained
 from hydro_bridge.whole_files import write_whole
 from hydro_policy.checkpoint import save_checkpoint
 from hydro_policy.policy import Policy
@@ -255,4 +254,4 @@ def _save(learner: Learner, request: SaveRequest, requests: Connection) -> None:
         learner.save(request)
     except OSError as error:
         with suppress(OSError):
-            requests.send(Trouble(explained(error), disk=True))
+            requests.send(Trouble(error.strerror or str(error), disk=True))

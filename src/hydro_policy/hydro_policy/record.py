@@ -16,6 +16,8 @@ from datetime import datetime
 from pathlib import Path
 from typing import Any
 
+from hydro_bridge.whole_files import write_whole
+
 
 class RunRecord:
     """Appends events; keeps them in `path` if there is one.
@@ -65,9 +67,8 @@ class RunRecord:
 
 
 def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(json.dumps({"events": events}, indent=1) + "\n", encoding="utf-8")
-    partial.replace(path)
+    path.parent.mkdir(parents=True, exist_ok=True)  # somebody may have taken the folder away
+    write_whole(path, (json.dumps({"events": events}, indent=1) + "\n").encode())
 
 
 def _plain(value: Any) -> Any:

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_bridge.user_errors import explained
 from hydro_policy.checkpoint import Checkpoint
 from hydro_policy.learner import (
     CHECKPOINTS,
@@ -203,7 +202,7 @@ class LearnerSupervisor:
                 try:
                     write_run(SaveRequest(self._run.path, trainer, False), snapshot, None, self.replay, self._settings)
                 except OSError as error:
-                    raise LearnerError(self._unwritten(explained(error))) from None
+                    raise LearnerError(self._unwritten(error.strerror or str(error))) from None
 
     def _hear(self) -> None:
         """Take what the learner sent back."""

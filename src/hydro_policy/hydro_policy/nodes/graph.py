@@ -79,6 +79,7 @@ class GraphNode(Node):
         self.jitter = Latency()  # |interval between gains - 10 ms|
         self.override = GainOverride(say=lambda sentence: self.say(sentence, warning=True))
         self._session: Session | None = None
+        self._failure: Exception | None = None  # of the session; raised in a callback rclpy would print it, too
         self._alone, self._heard = False, math.inf  # nobody else publishes gains; when the first sample came, s
         self._each_tick: Callable[[], None] = lambda: None
         self._crowded = False
@@ -101,11 +102,13 @@ class GraphNode(Node):
         CompanionError
             A companion cannot use what it was given, or has ended that nothing can go on without.
         """
-        self._session, self._each_tick, self._done = session, each_tick, Future()
+        self._session, self._each_tick, self._done, self._failure = session, each_tick, Future(), None
         scheduling = be_prompt(realtime=self._realtime, priority=PRIORITY, inherited=False)
         self.say(f"gains leave by {scheduling}")
         try:
             broken = spin(self, self._done)
+            if self._failure is not None:
+                raise self._failure
             if self.companions.refused or self.companions.lost:
                 raise CompanionError(self.companions.refused or self.companions.lost)
             return not broken
@@ -165,8 +168,11 @@ class GraphNode(Node):
             self._heard = min(self._heard, begin)
             return
         sample = np.array(state_from_message(message))
-        if self._session.on_sample(message.sequence, sample, message.flags, begin):
-            self._measure(begin, message)
+        try:
+            if self._session.on_sample(message.sequence, sample, message.flags, begin):
+                self._measure(begin, message)
+        except Exception as error:
+            self._fail(error)
         if self._session.finished:
             self._finish()
 
@@ -198,7 +204,10 @@ class GraphNode(Node):
                 self._keys.get_nowait()
                 self._session.watch.arm_now(now)
         if self._alone or self._heard == math.inf:
-            self._session.on_tick(now)
+            try:
+                self._session.on_tick(now)
+            except Exception as error:
+                self._fail(error)
         for sentence in self.companions.ended():
             self.say(sentence, warning=True)
         self._each_tick()
@@ -212,6 +221,10 @@ class GraphNode(Node):
             self.say(f"{trouble}; {self.get_name()} waits until it is alone", warning=True)
         self._crowded = bool(trouble) and looked
         self._alone = looked and not trouble
+
+    def _fail(self, error: Exception) -> None:
+        self._failure = self._failure or error
+        self._finish()
 
     def _finish(self) -> None:
         if not self._done.done():
