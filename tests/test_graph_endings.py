@@ -81,7 +81,7 @@ def test_a_closed_terminal_ends_a_training_as_ctrl_c_does(probe: Probe, tmp_path
         assert f"--resume {run.path}" in process.text and "Traceback" not in process.text
     print(f"SIGHUP: disarmed after {1e3 * disarmed_after(run, moment):.0f} ms")
     assert disarmed_after(run, moment) < 1.0
-    assert can_be_gone_on_with(run) > 300
+    assert can_be_gone_on_with(run) >= 300
 
 
 def test_a_run_that_is_killed_before_it_begins_keeps_its_name_and_can_be_gone_on_with(
@@ -115,7 +115,7 @@ def test_a_companion_that_is_killed_ends_the_training(probe: Probe, tmp_path: Pa
         os.kill(process.child(f"/{name} "), signal.SIGKILL)
         assert ended(process) == 2
         assert f"error: {name} ended by itself (killed by SIGKILL): {outcome}" in process.text
-    assert can_be_gone_on_with(run) > 300
+    assert can_be_gone_on_with(run) >= 300
     if name == "filter":  # without the others there is nobody left to say so: test_link, test_box
         print(f"filter killed: disarmed after {1e3 * disarmed_after(run, moment):.0f} ms")
         assert disarmed_after(run, moment) < 1.5
@@ -128,6 +128,7 @@ def test_a_disk_that_takes_no_checkpoint_ends_the_training_with_the_one_before(p
     run = RunDirectory(tmp_path / "run")
     with start(run) as process:
         probe.wait(lambda: is_training(probe) and probe.last(TRAINING).episode >= 2, 150.0)
+        probe.spin(1.0)  # the checkpoint of the first episode is written meanwhile
         before = can_be_gone_on_with(run)
         moment, obstacle = time.time(), run.latest.with_name("latest.partial")
         while not obstacle.is_file():  # in the way of the next one, once none is being written
@@ -150,5 +151,5 @@ def test_a_folder_that_vanishes_is_there_again_with_a_whole_checkpoint(probe: Pr
         assert "Traceback" not in process.text and 'File "' not in process.text
     checkpoint = load_checkpoint(run.latest)
     check_run(run, run.load_settings(), checkpoint)
-    assert checkpoint.produced > 300
+    assert checkpoint.produced >= 300
     assert not probe.heard[STATE] or not probe.flags() & Flag.ARMED
