@@ -137,10 +137,8 @@ def _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, fee
     """K, of the law with the reference's rate that makes it give the nominal current."""
     bench, probe = loop.bench[0], np.empty(STATES)
     side = np.copysign(nominal, hidden[0] + loop.model[0][OFFSET])
-    still = force_law.nominal_current(bench, x, 0.0, 0.0, 0.0, proportional_gain, 0.0, loop.gain_floor)
-    unit = force_law.nominal_current(
-        bench, x, 0.0, 0.0, np.copysign(1e7, side), proportional_gain, 0.0, loop.gain_floor
-    )
+    still = force_law.nominal_current(bench, x, 0.0, 0.0, 0.0, proportional_gain, loop.gain_floor)
+    unit = force_law.nominal_current(bench, x, 0.0, 0.0, np.copysign(1e7, side), proportional_gain, loop.gain_floor)
     wanted = (side - still) / (unit - still) * np.copysign(1e7, side)
     feedback[:] = 0.0
     for k in (0, 3, 5, 7):
@@ -155,9 +153,7 @@ def _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, fee
                 error = -change
             else:
                 probe[6 if k == 5 else 7] += change
-            current = force_law.nominal_current(
-                bench, probe, error, 0.0, wanted, proportional_gain, 0.0, loop.gain_floor
-            )
+            current = force_law.nominal_current(bench, probe, error, 0.0, wanted, proportional_gain, loop.gain_floor)
             values = (values[1], current)
         feedback[k] = (values[0] - values[1]) / (2.0 * STEP)
 

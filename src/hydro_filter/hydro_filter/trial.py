@@ -11,7 +11,7 @@ Gains change at 100 Hz. The five numbers of the paper's Table val_cont come from
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -20,7 +20,7 @@ from hydro_bridge.signals import STATE_DTYPE, Command, CorrectionStatus, Flag, F
 from hydro_filter.filter import Result
 from hydro_filter.sample import Sample
 from hydro_sim.bench import Bench
-from hydro_sim.box import Box
+from hydro_sim.box import Box, BoxConfig
 from hydro_sim.plant import Plant
 from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
@@ -58,6 +58,8 @@ class Trial:
     reference: ReferenceSignal
     gains: FloatArray
     """K_p [1/s], K_i [1/s^2] in force at 100 Hz, shape (policy steps, 2)."""
+    box: BoxConfig = field(default_factory=BoxConfig)
+    """Settings of the box."""
     seed: int = 0
     """Of the plant's noise."""
 
@@ -65,7 +67,7 @@ class Trial:
 def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
     """Run a trial; a filter with `bypass` set shows what happens without it."""
     contraction_filter.reset()
-    box = Box(trial.bench)
+    box = Box(trial.bench, trial.box)
     changes = np.asarray(trial.gains) - (box.config.base_kp, box.config.base_ki)
     states = np.empty(len(changes) * POLICY_SAMPLES, STATE_DTYPE)
     results: list[Result] = []

@@ -16,7 +16,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from tqdm import tqdm
@@ -34,6 +34,7 @@ from hydro_policy.pretrain_source import Source, load_source, source_of
 from hydro_policy.pretraining import Pretraining
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.snapshot import actor_parameters, dump
+from hydro_sim.box import Integral
 from hydro_sim.learned.weights import WeightsError
 
 AGENT = "learner.safetensors"
@@ -75,6 +76,9 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
     what.add_argument(
         "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"
+    )
+    what.add_argument(
+        "--integral", choices=get_args(Integral), default="bumpless", help="of the box's force law (default: bumpless)"
     )
     how = result.add_argument_group("how")
     how.add_argument("--configuration", choices=CONFIGURATIONS, default="paper", help="see docs/training.md")

@@ -15,6 +15,7 @@ from hydro_policy.pretraining import Pretraining, PretrainSettings
 from hydro_policy.randomisation import Randomisation
 from hydro_policy.run import TrainingSettings
 from hydro_sim.bench import Bench
+from hydro_sim.box import BoxConfig, Integral
 from hydro_sim.learned.model import Learned
 
 SOURCE = "pretrain.yaml"
@@ -35,6 +36,8 @@ class Source:
     filter: str = "none"
     """A name of `fleet_filter.FILTERS`."""
     benches: int = 8
+    integral: Integral = "bumpless"
+    """Form of the force law's integral, `BoxConfig.integral`."""
 
     def simulated(self) -> Bench | Learned:
         """The analytic bench or the learned model."""
@@ -50,8 +53,9 @@ class Source:
         """A pretraining at its beginning."""
         randomisation = Randomisation() if self.randomise else None
         settings = PretrainSettings(
-            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter
-        )
+            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter,
+            box=BoxConfig(integral=self.integral),
+        )  # fmt: skip
         return Pretraining(settings, self.simulated(), self.believed())
 
     def save(self, folder: Path) -> None:
@@ -67,6 +71,7 @@ def source_of(options: argparse.Namespace) -> Source:
     files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
     chosen = {"randomise": options.randomise, "filter": options.filter, "benches": options.benches}
+    chosen["integral"] = options.integral
     return Source(model=model, **chosen, **files)
 
 
@@ -79,6 +84,6 @@ def load_source(folder: Path) -> Source:
         The folder holds no pretraining.
     """
     try:
-        return Source(**yaml.safe_load((folder / SOURCE).read_text()))
+        return Source(**{"integral": "paper", **yaml.safe_load((folder / SOURCE).read_text())})  # what older runs had
     except (OSError, TypeError, yaml.YAMLError) as error:
         raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error

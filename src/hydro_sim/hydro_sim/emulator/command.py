@@ -136,6 +136,7 @@ def box_info(bench: Bench, box: BoxConfig) -> BoxInfo:
         delta_ki_min=box.delta_ki_min,
         delta_ki_max=box.delta_ki_max,
         delta_u_max=box.delta_u_max,
+        integral=box.integral,
     )
 
 
