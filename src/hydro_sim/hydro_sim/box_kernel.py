@@ -24,15 +24,11 @@ _LIMITS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min",
 _TIMES = ("load_force_limit", "hold_timeout", "trip_timeout", "gain_floor")
 SETTINGS_DTYPE = np.dtype(
     [(name, np.float64) for name in _LIMITS + _TIMES]
-    + [
-        ("feedback_channel", np.int64),
-        ("integral_form", np.int64),
-        ("low", np.float64, (8,)),
-        ("high", np.float64, (8,)),
-    ]
+    + [("feedback_channel", np.int64), ("integral_form", np.int64)]
+    + [("low", np.float64, (8,)), ("high", np.float64, (8,))]
 )
-"""`BoxConfig` for compiled code; `integral_form` is its number in `hydro_bridge.frames.INTEGRAL_FORMS`, `low` and `high`
-bound each entry of the measurement."""
+"""`BoxConfig` for compiled code; `integral_form` is its number in `hydro_bridge.frames.INTEGRAL_FORMS`, `low` and
+`high` bound each entry of the measurement."""
 
 _COMMANDED = [("delta_kp", np.float64), ("delta_ki", np.float64), ("delta_u", np.float64)]
 COMMAND_DTYPE = np.dtype(
