@@ -20,6 +20,7 @@ STUDIES = frozenset(
         "controllers",
         "diagnosis_peers",
         "foreign_truth",
+        "integral_form",
         "learned_structures",
         "sac_peers",
         "training_seeds",
