@@ -3,7 +3,7 @@
 
 no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
 disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else the user is told how
-no corrections           armed only when they come: base gains meanwhile would wind up an integral that then kicks
+no corrections           armed only when they come: base gains would wind up an integral against standing friction
 stopped                  a second of calm, armed, base gains, no reference, before anything begins: the force is still
                          where what was stopped has left it, and would be held against whatever comes next
 """

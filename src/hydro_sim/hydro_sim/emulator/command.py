@@ -9,6 +9,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
+from typing import get_args
 
 import yaml
 
@@ -17,7 +18,7 @@ from hydro_bridge.protocol import BoxInfo
 from hydro_bridge.recording import RecordingError
 from hydro_bridge.user_errors import explained
 from hydro_sim.bench import Bench
-from hydro_sim.box import EMULATED_BOX, BoxConfig
+from hydro_sim.box import EMULATED_BOX, BoxConfig, Integral
 from hydro_sim.emulator import jobs
 from hydro_sim.emulator.control import ControlPipe
 from hydro_sim.emulator.faults import PRESETS, load_faults
@@ -57,6 +58,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--noise-free", type=writable, metavar="FILE.npz", help="also write the run without noise, for scoring only"
     )
+    parser.add_argument(
+        "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
+    )
     parser.add_argument("--print-truth", action="store_true", help="print the whole truth as YAML and stop")
     line = parser.add_argument_group("on a serial line, in real time")
     line.add_argument("--link", type=Path, metavar="PATH", help=f"where the port appears (default: {default_link()})")
@@ -79,7 +83,7 @@ def _jobs(options: argparse.Namespace) -> list[jobs.Job]:
         return [from_mapping(jobs.Job, entry, f"jobs[{index}]") for index, entry in enumerate(entries)]
     if not options.out:
         raise ConfigError("--offline needs --out, the folder of the recording")
-    keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed")
+    keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed", "integral")
     return [
         from_mapping(jobs.Job, {**{key: getattr(options, key) for key in keys}, "out": str(options.out)}, "emulator")
     ]
@@ -93,7 +97,7 @@ def _serve(options: argparse.Namespace) -> None:
     if options.seed < 0:
         raise ConfigError(f"--seed {options.seed}: 0 or more is meant")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    box = BoxConfig()
+    box = BoxConfig(integral=options.integral)
     machine = Machine(jobs.truth(options.truth), bench, box, options.seed)
     machine.warm_up()
     faults = load_faults(options.faults)
