@@ -23,6 +23,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.frames import BoxInfo
 from hydro_bridge.settings import SettingsError, check
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim import box_kernel, hydraulics
@@ -133,6 +134,12 @@ class Box:
     def refused(self) -> int:
         """Values in commands that were not finite or out of range, since the reset."""
         return int(self.state["refused"][0])
+
+
+def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
+    """What a box of these settings says of itself, under this name."""
+    settings = {entry.name: getattr(config, entry.name) for entry in fields(BoxInfo) if hasattr(config, entry.name)}
+    return BoxInfo(name=name, valve_current_max=bench.valve_current_max, **settings)
 
 
 def fill_command(record: npt.NDArray[np.void], command: Command) -> None:

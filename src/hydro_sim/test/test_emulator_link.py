@@ -21,8 +21,7 @@ from hydro_bridge.protocol import Hello, State, encode_command, encode_hello
 from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
 from hydro_bridge.stream import Decoder, SequenceTracker
 from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
-from hydro_sim.emulator.command import box_info
+from hydro_sim.box import EMULATED_BOX, BoxConfig, box_info
 from hydro_sim.emulator.control import ControlPipe, obey
 from hydro_sim.emulator.faults import FaultyLine, LinkFaults
 from hydro_sim.emulator.link import BoxLink
@@ -96,7 +95,7 @@ def test_a_long_stall_forgets_what_its_buffer_cannot_hold() -> None:
 
 @pytest.fixture
 def link(tmp_path: Path) -> Iterator[BoxLink]:
-    made = BoxLink(Terminal(tmp_path / "port"), box_info(Bench.nominal(), BoxConfig()), LinkFaults())
+    made = BoxLink(Terminal(tmp_path / "port"), box_info(Bench.nominal(), BoxConfig(), EMULATED_BOX), LinkFaults())
     yield made
     made.terminal.unplug()
 
