@@ -17,7 +17,7 @@ import yaml
 
 from hydro_bridge.user_errors import UserError
 
-_UNSET = (None, [], ())
+_UNSET: tuple[Any, ...] = (None, [], ())
 
 DIGITS = 12
 """Of a digest: a mistaken pairing is not an attack."""

@@ -136,6 +136,22 @@ class Box:
         return int(self.state["refused"][0])
 
 
+def with_base_gains(kp: float, ki: float) -> BoxConfig:
+    """A box with these base gains [1/s], [1/s^2] and the default's limits of the gains in all.
+
+    Raises
+    ------
+    SettingsError
+        They are outside of these limits.
+    """
+    usual = BoxConfig()
+    kp_shift, ki_shift = usual.base_kp - kp, usual.base_ki - ki
+    return BoxConfig(
+        base_kp=kp, base_ki=ki, delta_kp_min=usual.delta_kp_min + kp_shift, delta_kp_max=usual.delta_kp_max + kp_shift,
+        delta_ki_min=usual.delta_ki_min + ki_shift, delta_ki_max=usual.delta_ki_max + ki_shift,
+    )  # fmt: skip
+
+
 def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
     """What a box of these settings says of itself, under this name."""
     settings = {entry.name: getattr(config, entry.name) for entry in fields(BoxInfo) if hasattr(config, entry.name)}

@@ -8,9 +8,10 @@ eight, and the tensors, whose places count from the header's end.
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
-from hydro_sim.pairing import ENTRY, MadeFor
+from hydro_sim.pairing import ENTRY, MadeFor, made_for
 
 _LENGTH = 8
 
@@ -29,6 +30,14 @@ def header_of(blob: bytes) -> dict[str, Any]:
         return header
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError("its header has no readable entry 'hydro'") from error
+
+
+def stamp_of(path: Path) -> MadeFor | None:
+    """What a file was made for; None where it does not say, or is none of ours."""
+    try:
+        return made_for(header_of(path.read_bytes()))
+    except ValueError:
+        return None
 
 
 def stamped(blob: bytes, made: MadeFor | None) -> bytes:
