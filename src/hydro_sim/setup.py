@@ -29,6 +29,7 @@ setup(
             "collect = hydro_sim.nodes.collect:main",
             "learn = hydro_sim.learned.learn:main",
             "validate = hydro_sim.learned.validate:main",
+            "stamp = hydro_sim.stamp:main",
         ],
     },
 )

@@ -210,7 +210,7 @@ class GridSession:
         if self._pair is not None:
             self._running = EvaluationSession(
                 self.evaluation,
-                [FixedGains(*self._pair)],
+                [FixedGains(*self._pair, self.override.base)],
                 self._outputs,
                 watch=self.watch,
                 override=self.override,

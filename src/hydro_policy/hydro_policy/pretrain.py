@@ -36,6 +36,8 @@ from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.snapshot import actor_parameters, dump
 from hydro_sim.box import Integral
 from hydro_sim.learned.weights import WeightsError
+from hydro_sim.pairing import refuse
+from hydro_sim.stamping import stamped
 
 AGENT = "learner.safetensors"
 
@@ -73,6 +75,9 @@ def parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="bench.yaml that the box believes in (default: the nominal bench)",
     )
+    what.add_argument(
+        "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box (default: 15 5, the paper's)"
+    )
     what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
     what.add_argument(
         "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"
@@ -100,10 +105,13 @@ def main() -> int:
     run = RunDirectory(options.resume or options.out)
     if options.resume:
         settings, source = resumed(run, sys.argv[1:])
+        refuse(source.trouble())
         pretraining = source.pretraining(settings)
         _resume(run, pretraining)
     else:
-        settings, source = training_settings(options), source_of(options)
+        source = source_of(options)
+        refuse(source.trouble())
+        settings = training_settings(options, source)
         pretraining = source.pretraining(settings)
         _create(run, settings, source)
     began = time.monotonic()
@@ -119,15 +127,17 @@ def main() -> int:
     return 0
 
 
-def training_settings(options: argparse.Namespace) -> TrainingSettings:
-    """What the command line asks for."""
-    settings = configuration(options.configuration, options.seed)
+def training_settings(options: argparse.Namespace, source: Source) -> TrainingSettings:
+    """What the command line asks for; K_p and K_i in all are the configuration's, whatever the box's base gains."""
+    box = source.box_config()
+    settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki))
     episodes = settings.episodes if options.episodes is None else options.episodes
     hidden = settings.sac.hidden_size if options.hidden is None else options.hidden
     steps = settings.task.steps_per_episode if options.steps is None else options.steps
     updates = settings.updates_per_step if options.updates_per_step is None else options.updates_per_step
     return replace(
         settings,
+        made=source.made_for(),
         episodes=episodes,
         updates_per_step=updates,
         replay_capacity=max(settings.replay_capacity, min(episodes * steps, REPLAY_MAX)),
@@ -138,7 +148,8 @@ def training_settings(options: argparse.Namespace) -> TrainingSettings:
 
 def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, Source]:
     """What a run that goes on was begun with; raises UserError where `words` say otherwise. Only --episodes may."""
-    settings, source = run.load_settings(), load_source(run.path)
+    source = load_source(run.path)
+    settings = replace(run.load_settings(), made=source.made_for())
     begun = {
         **asdict(source), "configuration": configuration_of(settings) or NEW_ONLY, "hidden": settings.sac.hidden_size,
         "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
@@ -206,9 +217,9 @@ class _StopRequest:
 def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
     """Checkpoint; the best agent so far and its policy; the learning curve."""
     best = pretraining.best or dump(pretraining.sac)
-    (run.path / (AGENT + ".partial")).write_bytes(best)
-    (run.path / (AGENT + ".partial")).replace(run.path / AGENT)
     training = pretraining.settings.training
+    (run.path / (AGENT + ".partial")).write_bytes(stamped(best, training.made))
+    (run.path / (AGENT + ".partial")).replace(run.path / AGENT)
     policy = Policy(training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max))
     policy.load_flat(actor_parameters(best))
     notes = {
@@ -216,8 +227,8 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
         "episodes": pretraining.episode, "score": pretraining.best_score, "task": asdict(training.task),
         "code": code_version(),
     }  # fmt: skip
-    policy.save(run.policy, training.task.gains, notes)
-    save_checkpoint(run.latest, dump(pretraining.sac), pretraining.replay, pretraining.state())
+    policy.save(run.policy, training.task.gains, notes, training.made)
+    save_checkpoint(run.latest, stamped(dump(pretraining.sac), training.made), pretraining.replay, pretraining.state())
     cases = pretraining.settings.evaluation.cases
     draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / "curve.png")
 

@@ -60,7 +60,7 @@ class PretrainSettings:
     filter: str = "none"
     """The filter between policy and box: none, constant, learned (`fleet_filter`)."""
     box: BoxConfig = field(default_factory=BoxConfig)
-    """Settings of the boxes."""
+    """Base gains, limits and form of the integral of the boxes."""
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
 
     def __post_init__(self) -> None:
@@ -98,7 +98,14 @@ class Pretraining:
         """The agent (`snapshot.dump`) with the best score so far; not part of `state`."""
         self._take_weights()
         drawn = None if settings.randomisation is None else lambda number: self._draw(self._seed(number, 3))
-        self._exam = Examination(self._fleet, believed, settings.evaluation, drawn, settings.examined)
+        self._exam = Examination(
+            self._fleet,
+            believed,
+            settings.evaluation,
+            drawn,
+            settings.examined,
+            (settings.box.base_kp, settings.box.base_ki),
+        )
         self.reference_rmse = self._exam.reference[0]
         """N, RMSE of the reference gains on the known bench, shape (cases,)."""
 

@@ -60,6 +60,13 @@ class GainRange:
     delta_ki_max: float = 10.0
     """1/s^2, above delta_ki_min, [-100, 100]."""
 
+    def shifted(self, kp: float, ki: float) -> GainRange:
+        """The range with so much added to its ends: the same gains in all on a box with that much lower base gains."""
+        return GainRange(
+            delta_kp_min=self.delta_kp_min + kp, delta_kp_max=self.delta_kp_max + kp,
+            delta_ki_min=self.delta_ki_min + ki, delta_ki_max=self.delta_ki_max + ki,
+        )  # fmt: skip
+
     def gains(self, action: FloatArray) -> tuple[float, float]:
         """(delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""
         kp, ki = self.changes(action)

@@ -22,7 +22,8 @@ LOST_AFTER = 0.1  # s without a sample
 _SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
 _RETRY = 1.0  # s
 
-_HINT_AFTER = 8.0  # s
+HINT_AFTER = 8.0
+"""s without a sample, to say how to get a plant."""
 _FILTER_HINT, _FILTER_WITHIN = 8.0, 90.0  # s without corrections: to say so; to go on (its first start compiles)
 
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
@@ -134,7 +135,7 @@ class PlantWatch:
 
     def _tell(self, now: float) -> None:
         if self._hint_at == math.inf and self._told is None:
-            self._hint_at = now + _HINT_AFTER
+            self._hint_at = now + HINT_AFTER
         if self.lost and now > self._hint_at:
             self._hint_at = math.inf
             self._outputs.say(HOW_TO_GET_A_PLANT, warning=True)

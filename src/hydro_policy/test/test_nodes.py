@@ -32,7 +32,9 @@ from hydro_policy.nodes.trainer import parser as trainer_parser
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
 from hydro_policy.task import GainRange
+from hydro_sim.bench import Bench
 from hydro_sim.learned.weights import shipped
+from hydro_sim.pairing import MadeFor
 
 pytestmark = pytest.mark.graph
 
@@ -85,7 +87,8 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
 
 def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     policy = tmp_path / "policy.safetensors"
-    Policy(32).save(policy, GainRange())  # all zero: the middle of the range, K_p = 52.5, K_i = 10
+    made = MadeFor(box=Bench.nominal().digest, base_kp=15.0, base_ki=5.0)
+    Policy(32).save(policy, GainRange(), made=made)  # all zero: the middle of the range, K_p = 52.5, K_i = 10
     words = ["--plant", "sim", "--policy", str(policy), "--fixed", "52.5", "10", "--fixed", "100", "15"]
     figures, plot = tmp_path / "evaluation.json", tmp_path / "tracking.png"
     done = run("evaluate", *words, "--frequencies", "2", "--json", str(figures), "--plot", str(plot))

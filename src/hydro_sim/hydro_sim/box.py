@@ -23,7 +23,7 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.frames import INTEGRAL_FORMS
+from hydro_bridge.frames import INTEGRAL_FORMS, BoxInfo
 from hydro_bridge.settings import SettingsError, check
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim import box_kernel, hydraulics
@@ -142,6 +142,28 @@ class Box:
     def refused(self) -> int:
         """Values in commands that were not finite or out of range, since the reset."""
         return int(self.state["refused"][0])
+
+
+def with_base_gains(kp: float, ki: float) -> BoxConfig:
+    """A box with these base gains [1/s], [1/s^2] and the default's limits of the gains in all.
+
+    Raises
+    ------
+    SettingsError
+        They are outside of these limits.
+    """
+    usual = BoxConfig()
+    kp_shift, ki_shift = usual.base_kp - kp, usual.base_ki - ki
+    return BoxConfig(
+        base_kp=kp, base_ki=ki, delta_kp_min=usual.delta_kp_min + kp_shift, delta_kp_max=usual.delta_kp_max + kp_shift,
+        delta_ki_min=usual.delta_ki_min + ki_shift, delta_ki_max=usual.delta_ki_max + ki_shift,
+    )  # fmt: skip
+
+
+def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
+    """What a box of these settings says of itself, under this name."""
+    settings = {entry.name: getattr(config, entry.name) for entry in fields(BoxInfo) if hasattr(config, entry.name)}
+    return BoxInfo(name=name, valve_current_max=bench.valve_current_max, **settings)
 
 
 def fill_command(record: npt.NDArray[np.void], command: Command) -> None:

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+from hydro_bridge.ros.boxes import BOX_WITHIN, NO_BOX, listen_to_box
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.messages import (
     StateMessage,
+    box_from_message,
+    box_to_message,
     reference_from_message,
     reference_to_message,
     seconds,
@@ -40,6 +43,7 @@ __all__ = [
     "ARM_SERVICE",
     "BOX",
     "BOX_QOS",
+    "BOX_WITHIN",
     "CORRECTION",
     "CORRECTION_QOS",
     "DIAGNOSTICS",
@@ -47,6 +51,7 @@ __all__ = [
     "GAINS",
     "GAINS_QOS",
     "GRAPH",
+    "NO_BOX",
     "OVERRIDE_SERVICE",
     "REFERENCE",
     "REFERENCE_QOS",
@@ -63,8 +68,11 @@ __all__ = [
     "Status",
     "be_ordinary",
     "be_prompt",
+    "box_from_message",
+    "box_to_message",
     "declare_parameters",
     "executable_path",
+    "listen_to_box",
     "reference_from_message",
     "reference_to_message",
     "refuse_unknown_parameters",

@@ -5,7 +5,8 @@ ros2 run hydro_filter filter [--metric learned|constant|FILE] [--model FILE] [--
 
 States are answered in order, each once. After a hold-up those older than `state_age_max` are answered STALE without
 being acted upon. The filter with the learned metric follows the valve's spool from sample to sample: where samples are
-missing it begins anew.
+missing it begins anew. Where the box believes another bench than the filter was started for (/hydro/box), every
+correction is 0 with the status MISMATCH.
 
 Ages are by the machine's clock, or by /clock where a simulation off real time stamps its states by that.
 """
@@ -24,6 +25,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from hydro_bridge.console import command
+from hydro_bridge.known_box import KnownBox
 from hydro_bridge.ros import (
     CORRECTION,
     CORRECTION_QOS,
@@ -34,6 +36,7 @@ from hydro_bridge.ros import (
     Status,
     be_prompt,
     declare_parameters,
+    listen_to_box,
     rivals,
     ros_arguments,
     run_node,
@@ -49,6 +52,7 @@ from hydro_filter.sample import Sample
 from hydro_filter.tally import TROUBLE, Tally, sentence
 from hydro_msgs.msg import BenchState, Correction
 from hydro_sim.bench import Bench
+from hydro_sim.pairing import refuse
 
 NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "noise_floor", "state_age_max")
 """Settings that are options, too; each metric has some of them."""
@@ -82,6 +86,7 @@ class FilterNode(Node):
         self.filter = self._compiled(choice)
         self.tally = Tally()
         self._every, self._age = every, 0.0
+        self._choice, self._foreign = choice, ""
         self._message = Correction()
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
         self._told = choice.describe()
@@ -91,6 +96,7 @@ class FilterNode(Node):
         self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
+        listen_to_box(self, self._on_box)
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)  # last: states wait from now on
 
     def _compiled(self, choice: Choice) -> Filter:
@@ -118,10 +124,20 @@ class FilterNode(Node):
         stamp = seconds(message.header.stamp)
         self._age = self._now() - stamp
         result = self.filter.correct(sample_of(message), self._age)
+        if self._foreign:
+            result = result._replace(delta_u=0.0, after=result.before, status=CorrectionStatus.MISMATCH)
         if message.sequence % self._every:
             return
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
+
+    def _on_box(self, box: KnownBox) -> None:
+        """Whose box it is: from now on, or from its next connection on, another bench may be believed there."""
+        before, self._foreign = self._foreign, self._choice.foreign(box)
+        if self._foreign and self._foreign != before:
+            self.get_logger().error(f"nothing is corrected: {self._foreign}")
+        elif before and not self._foreign:
+            self.get_logger().info("the box believes this filter's bench again: it corrects")
 
     def _publish(self, state: BenchState, result: Result) -> None:
         message = self._message
@@ -156,6 +172,8 @@ class FilterNode(Node):
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
+        if self._foreign:
+            level, told = Level.ERROR, f"nothing is corrected: {self._foreign}; {told}"
         values = {**self._told, **self.tally.values(self.filter.qp.counts)}
         return with_rivals(Status(level=level, message=told, values=values), rivals(self, STATE))
 
@@ -201,7 +219,13 @@ def parser() -> argparse.ArgumentParser:
 
 
 def arguments(given: list[str]) -> tuple[Choice, Settings, argparse.Namespace]:
-    """Parse the command line: which filter, its settings, and the rest."""
+    """Parse the command line: which filter, its settings, and the rest.
+
+    Raises
+    ------
+    PairingError
+        Metric, model and bench do not belong together.
+    """
     asked = parser().parse_args(given)
     if asked.every < 1:
         parser().error("--every needs 1 or more")
@@ -212,12 +236,13 @@ def arguments(given: list[str]) -> tuple[Choice, Settings, argparse.Namespace]:
     if asked.metric == CONSTANT and asked.model:
         parser().error("the constant metric is solved for the bench file; --model needs a learned one")
     bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
-    choice = Choice(bench=bench, metric=asked.metric, model=asked.model)
+    choice = Choice(bench=bench, bench_file=asked.bench, metric=asked.metric, model=asked.model)
     settings = choice.default_settings()
     numbers = {name: value for name in NUMBERS if (value := getattr(asked, name)) is not None}
     for name in numbers:
         if name not in describe(type(settings)):
             parser().error(f"--{name.replace('_', '-')} is no setting of this metric")
+    refuse(choice.trouble())
     return choice, replace(settings, bypass=asked.bypass, **numbers), asked
 
 

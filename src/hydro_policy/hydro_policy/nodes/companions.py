@@ -13,6 +13,7 @@ import math
 import re
 import sys
 import time
+from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,6 +46,8 @@ class PlantOptions:
     """Link faults of the emulator, a file or a preset."""
     bench: Path | None = None
     """bench.yaml for box, simulation and filter; None: the nominal bench."""
+    base_gains: Sequence[float] | None = None
+    """K_p [1/s], K_i [1/s^2] of the box; None: the paper's. A simulated box gets them."""
     recording: Path | None = None
     """Folder for the recording; None: none."""
     metadata: tuple[str, ...] = ()
@@ -143,7 +146,8 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
     started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
     if options.plant == "sim":
-        started.append(("hydro_sim", "sim", [*bench, "--realtime", "--seed", str(options.seed), *guard]))
+        words = ["--realtime", "--seed", str(options.seed), *_base_gains(options), *guard]
+        started.append(("hydro_sim", "sim", [*bench, *words]))
         return started
     port = options.port
     if options.plant == "emulator":
@@ -153,13 +157,21 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         arguments += ["--truth", str(options.truth)] if options.truth else []
         arguments += ["--faults", options.faults] if options.faults else []
         started.append(("hydro_sim", "emulator", arguments))
-    started.append(("hydro_bridge", "bridge", ["--realtime", *(["--port", port] if port else []), *guard]))
+    words = [*(["--port", port] if port else []), *bench, *guard]
+    started.append(("hydro_bridge", "bridge", ["--realtime", *words]))
     return started
+
+
+def _base_gains(options: PlantOptions) -> list[str]:
+    if options.base_gains is None:
+        return []
+    kp, ki = options.base_gains
+    return ["--ros-args", "-p", f"box.base_kp:={float(kp)}", "-p", f"box.base_ki:={float(ki)}", "--"]
 
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     digests = provenance.weights(options.plant, options.bench, options.policies)
-    digests += provenance.of_filter(asked_filter(options.filter)[0])
+    digests += provenance.of_filter(asked_filter(options.filter, options.bench)[0])
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [provenance.bench_file(options.bench), *options.attachments]
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

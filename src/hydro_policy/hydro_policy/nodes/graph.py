@@ -20,13 +20,16 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 from tqdm import tqdm
 
+from hydro_bridge.known_box import KnownBox
 from hydro_bridge.latency import Latency
 from hydro_bridge.ros import (
     ARM_SERVICE,
+    BOX_WITHIN,
     CORRECTION,
     CORRECTION_QOS,
     GAINS,
     GAINS_QOS,
+    NO_BOX,
     OVERRIDE_SERVICE,
     REFERENCE,
     REFERENCE_QOS,
@@ -35,6 +38,7 @@ from hydro_bridge.ros import (
     CompanionError,
     be_ordinary,
     be_prompt,
+    listen_to_box,
     reference_to_message,
     rivals,
     seconds,
@@ -48,6 +52,7 @@ from hydro_msgs.srv import OverrideGains
 from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.override import GainOverride
 from hydro_policy.session import Session
+from hydro_policy.watch import HINT_AFTER, HOW_TO_GET_A_PLANT
 
 TICK = 0.05  # s
 PRIORITY = 10
@@ -81,6 +86,11 @@ class GraphNode(Node):
         self.age = Latency()  # state's stamp -> gains published, the whole way
         self.jitter = Latency()  # |interval between gains - 10 ms|
         self.override = GainOverride(say=lambda sentence: self.say(sentence, warning=True))
+        self.box: KnownBox | None = None
+        """What the plant says of its box, once it was met."""
+        self.unfit: Callable[[KnownBox], str] = lambda box: ""
+        """Why a box is not the one that this run is for, in a sentence, or nothing; asked whenever a box is told of."""
+        self._foreign, self._meeting, self._sampled = "", False, math.inf
         self._session: Session | None = None
         self._alone, self._heard = False, math.inf  # nobody else publishes gains; when the first sample came, s
         self._each_tick: Callable[[], None] = lambda: None
@@ -93,8 +103,29 @@ class GraphNode(Node):
         self._arm_client = self.create_client(SetBool, ARM_SERVICE)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+        listen_to_box(self, self._on_box)
         self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def meet(self) -> bool:
+        """Wait for a plant that says what its box is, and see that it is the right one; False if a signal ended it.
+
+        Nothing is published and nothing is armed meanwhile.
+
+        Raises
+        ------
+        CompanionError
+            It is not the right one, nobody says what it is, or a companion cannot use what it was given.
+        """
+        self._meeting, self._done, self._hint_at = True, Future(), time.monotonic() + HINT_AFTER
+        if self.box is not None:
+            self._on_box(self.box)
+        try:
+            broken = spin(self, self._done)
+        finally:
+            self._meeting = False
+        self._refuse()
+        return not broken
 
     def drive(self, session: Session, each_tick: Callable[[], None]) -> bool:
         """Carry `session` until it is finished (True) or a signal ends it (False); `each_tick` runs every 50 ms.
@@ -102,15 +133,15 @@ class GraphNode(Node):
         Raises
         ------
         CompanionError
-            A companion cannot use what it was given.
+            A companion cannot use what it was given, or another box has come.
         """
         self._session, self._each_tick, self._done = session, each_tick, Future()
+        self._refuse()
         scheduling = be_prompt(realtime=self._realtime, priority=PRIORITY, inherited=False)
         self.say(f"gains leave by {scheduling}")
         try:
             broken = spin(self, self._done)
-            if self.companions.refused:
-                raise CompanionError(self.companions.refused)
+            self._refuse()
             return not broken
         finally:
             self._session = None
@@ -162,10 +193,20 @@ class GraphNode(Node):
         if self.log is not None:
             self.log.write(f"{time.strftime('%H:%M:%S')} {'! ' if warning else ''}{sentence}\n")
 
+    def _refuse(self) -> None:
+        if trouble := self.companions.refused or self._foreign:
+            raise CompanionError(trouble)
+
+    def _on_box(self, box: KnownBox) -> None:
+        self.box, self._foreign = box, self.unfit(box)
+        if self._meeting or self._foreign:
+            self._finish()
+
     def _on_state(self, message: BenchState) -> None:
+        begin = time.monotonic()
+        self._sampled = min(self._sampled, begin)
         if self._session is None:
             return
-        begin = time.monotonic()
         if not self._alone:
             self._heard = min(self._heard, begin)
             return
@@ -194,6 +235,8 @@ class GraphNode(Node):
 
     def _on_tick(self) -> None:
         if self._session is None:
+            if self._meeting:
+                self._await_box(time.monotonic())
             return
         now = time.monotonic()
         if not self._alone:
@@ -204,11 +247,24 @@ class GraphNode(Node):
                 self._session.watch.arm_now(now)
         if self._alone or self._heard == math.inf:
             self._session.on_tick(now)
-        for sentence in self.companions.ended():
-            self.say(sentence, warning=True)
+        self._tell_who_ended()
         self._each_tick()
         if self._session.finished or self.companions.refused:
             self._finish()
+
+    def _await_box(self, now: float) -> None:
+        self._tell_who_ended()
+        if self._sampled == math.inf and now > self._hint_at:
+            self._hint_at = math.inf
+            self.say(HOW_TO_GET_A_PLANT, warning=True)
+        if now - self._sampled > BOX_WITHIN and self.box is None:
+            self._foreign = NO_BOX
+        if self.companions.refused or self._foreign:
+            self._finish()
+
+    def _tell_who_ended(self) -> None:
+        for sentence in self.companions.ended():
+            self.say(sentence, warning=True)
 
     def _look_around(self, now: float) -> None:
         trouble = rivals(self, GAINS)

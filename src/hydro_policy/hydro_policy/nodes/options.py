@@ -21,6 +21,7 @@ _NEEDS = {
     "faults": ("emulator",),
     "port": ("bench", "emulator"),
     "bench": ("sim", "emulator", "bench"),
+    "base_gains": ("sim", "bench"),
     "filter": ("sim", "emulator", "bench"),
 }
 
@@ -39,6 +40,13 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
     group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
+    group.add_argument(
+        "--base-gains",
+        nargs=2,
+        type=float,
+        metavar=("KP", "KI"),
+        help="of the box (default: 15 5, the paper's); those of a plant that runs already are asked for",
+    )
     group.add_argument(
         "--filter",
         default="",
@@ -67,8 +75,9 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
     """
     for name, plants in _NEEDS.items():
         if getattr(options, name) and options.plant not in plants:
-            raise UserError(f"--{name} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
-    names = ("plant", "port", "truth", "faults", "bench")
+            word = "--" + name.replace("_", "-")
+            raise UserError(f"{word} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
+    names = ("plant", "port", "truth", "faults", "bench", "base_gains")
     words = tuple(shlex.split(options.filter))
     return PlantOptions(**{name: getattr(options, name) for name in names}, filter=words, **more)
 

@@ -81,6 +81,8 @@ def drive(
     """Train, then evaluate if asked for: (whether all came to its end, the evaluation or None)."""
     if not rearms(options):
         node.listen_for_enter()
+    if not node.meet():
+        return False, None
     bar = TrainingProgress(node, session, learner)
     try:
         finished = session.ledger.trained or node.drive(session, bar.tick)

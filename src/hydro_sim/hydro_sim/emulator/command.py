@@ -14,11 +14,10 @@ from typing import get_args
 import yaml
 
 from hydro_bridge.console import writable, writable_folder
-from hydro_bridge.protocol import BoxInfo
 from hydro_bridge.recording import RecordingError
 from hydro_bridge.user_errors import explained
 from hydro_sim.bench import Bench
-from hydro_sim.box import EMULATED_BOX, BoxConfig, Integral
+from hydro_sim.box import EMULATED_BOX, BoxConfig, Integral, box_info
 from hydro_sim.emulator import jobs
 from hydro_sim.emulator.control import ControlPipe
 from hydro_sim.emulator.faults import PRESETS, load_faults
@@ -102,7 +101,7 @@ def _serve(options: argparse.Namespace) -> None:
     machine.warm_up()
     faults = load_faults(options.faults)
     terminal = Terminal(options.link or default_link())
-    link = BoxLink(terminal, box_info(bench, box), faults, options.seed)
+    link = BoxLink(terminal, box_info(bench, box, EMULATED_BOX), faults, options.seed)
     control = ControlPipe(options.control) if options.control else None
     log = Log() if options.noise_free else None
     status = _show if sys.stderr.isatty() else None
@@ -126,22 +125,6 @@ def _serve(options: argparse.Namespace) -> None:
     )
     refused = int(machine.box["refused"][0])
     print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)
-
-
-def box_info(bench: Bench, box: BoxConfig) -> BoxInfo:
-    """What the emulated box says about itself."""
-    return BoxInfo(
-        name=EMULATED_BOX,
-        valve_current_max=bench.valve_current_max,
-        base_kp=box.base_kp,
-        base_ki=box.base_ki,
-        delta_kp_min=box.delta_kp_min,
-        delta_kp_max=box.delta_kp_max,
-        delta_ki_min=box.delta_ki_min,
-        delta_ki_max=box.delta_ki_max,
-        delta_u_max=box.delta_u_max,
-        integral=box.integral,
-    )
 
 
 def _stopper() -> list[int]:

@@ -3,7 +3,7 @@
 
 ::
 
-    meet     nobody else publishes gains; is it the simulation or the emulator, which may be armed without a person?
+    meet     nobody else publishes gains; which box is it, and may it be armed without a person (simulation, emulator)?
     drive    arm, play, arm anew after a trip; too many trips in a row are the end
     leave    reference 0 N, and a disarm that the plant confirms
 """
@@ -24,16 +24,20 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from hydro_bridge.console import UserError, progress
+from hydro_bridge.known_box import KnownBox
 from hydro_bridge.ros import (
+    BOX_WITHIN,
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
     GAINS,
     GAINS_QOS,
+    NO_BOX,
     REFERENCE,
     REFERENCE_QOS,
     STATE,
     STATE_QOS,
     Companion,
+    listen_to_box,
     reference_to_message,
     rivals,
     spin,
@@ -41,7 +45,7 @@ from hydro_bridge.ros import (
 from hydro_bridge.signals import Flag
 from hydro_bridge.signals import ReferenceSignal as Signal
 from hydro_msgs.msg import BenchState, Gains, ReferenceSignal
-from hydro_sim.box import EMULATED_BOX, BoxConfig
+from hydro_sim.box import EMULATED_BOX
 from hydro_sim.learned.playback import Playback
 from hydro_sim.nodes.arming import Arming, tell
 from hydro_sim.schedules import Segment
@@ -50,7 +54,6 @@ TRIPS_IN_A_ROW = 3
 _PERIOD = 0.01  # s, of gains
 _REST = 1.0  # s recorded before arming: the still bench
 _LOOK = 1.0  # s from the first sample on, in which others who publish gains are found
-_NAMED_WITHIN = 3.0  # s from the first sample on; a bridge says once a second which box it has
 _PATIENCE = 8.0  # s without a sample: to say so
 
 
@@ -73,7 +76,8 @@ class CollectNode(Node):
         """Why it ended before the schedule did, if it did by itself."""
         self.playback = Playback(schedule)
         self._rearm = rearm
-        self._box, self._boxes = BoxConfig(), dict[str, str]()
+        self.box: KnownBox | None = None
+        """What the plant says of its box: schedules ask for gains in all, and a box takes changes to its own."""
         self._heard, self._started = inf, time.monotonic()
         self._met, self._finished, self._driving = Future(), Future(), False
         self._recorder: Companion | None = None
@@ -84,6 +88,7 @@ class CollectNode(Node):
         self._reference_publisher = self.create_publisher(ReferenceSignal, REFERENCE, REFERENCE_QOS)
         self._arming = Arming(self)
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+        listen_to_box(self, self._on_box)
         self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
@@ -93,7 +98,7 @@ class CollectNode(Node):
         Raises
         ------
         UserError
-            Another node publishes gains.
+            Another node publishes gains, or nobody says what the box is.
         """
         broken = spin(self, self._met)
         if not broken and self.ended:
@@ -126,8 +131,6 @@ class CollectNode(Node):
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             values = {entry.key: entry.value for entry in status.values}
-            if "box" in values:
-                self._boxes[status.name] = values["box"]
             if values.get("folder") == str(self._bag) and values.get(STATE, "0") != "0":
                 self._recorded_since = min(self._recorded_since, time.monotonic())
 
@@ -144,16 +147,18 @@ class CollectNode(Node):
         if now - self._heard < _LOOK:
             return
         self.ended = rivals(self, GAINS)
-        self.plant = self._name_of_plant()
-        if not (self.ended or self.plant) and now - self._heard < _NAMED_WITHIN:
-            return
+        if self.box is None and not self.ended:
+            if now - self._heard < BOX_WITHIN:
+                return
+            self.ended = NO_BOX
         if self._rearm is None:
             self._rearm = self.plant in ("sim", EMULATED_BOX)
         self._met.set_result(None)
 
-    def _name_of_plant(self) -> str:
-        names = {info.node_name for info in self.get_publishers_info_by_topic(STATE)}
-        return "sim" if names == {"sim"} else next((self._boxes[name] for name in names if self._boxes.get(name)), "")
+    def _on_box(self, box: KnownBox) -> None:
+        if self._driving and self.box is not None and box.base_gains != self.box.base_gains:
+            self._end("another box with other base gains has been connected: it is left disarmed")
+        self.box, self.plant = box, "sim" if box.plant == "sim" else box.info.name
 
     def _drive_on(self) -> None:
         now = time.monotonic()
@@ -175,10 +180,10 @@ class CollectNode(Node):
             self._end(f"the plant tripped {playback.trips_in_a_row} times in a row: it is left disarmed")
         elif playback.finished:
             self._end("")
-        if segment is not None:
+        if segment is not None and self.box is not None:
             self._reference_publisher.publish(reference_to_message(segment.signal))
-            self._gains.delta_kp = segment.kp - self._box.base_kp
-            self._gains.delta_ki = segment.ki - self._box.base_ki
+            self._gains.delta_kp = segment.kp - self.box.info.base_kp
+            self._gains.delta_ki = segment.ki - self.box.info.base_ki
         if self._bar is not None:
             self._bar.update(int(playback.elapsed) - self._bar.n)
 
