@@ -12,7 +12,7 @@ from numba import njit
 
 from hydro_filter import displacement, loop_decision, metric_network, model_kernels, sampled_certificate
 from hydro_filter.loop_decision import Problem
-from hydro_filter.loop_filter import LoopFilter
+from hydro_filter.loop_filter import FITS, NOT_FINITE, LoopFilter
 from hydro_filter.loop_model import LOOP, hydraulic_slopes, shares
 from hydro_filter.state import STATES
 from hydro_sim import force_law
@@ -160,12 +160,12 @@ def _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, fee
 
 @njit
 def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
-    """`loop_filter.propose` by differences."""
-    parts, room = box[0]
+    """`loop_filter.propose` by differences; nothing watches the model."""
+    parts, room, _, _ = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
-        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     p = pose(parts, memory[0], x, nominal, current, reference, reference_rate, gain, room)
-    return True, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
+    return FITS, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
 
 
 class DifferencedLoopFilter(LoopFilter):

@@ -36,6 +36,8 @@ class GuardSettings:
     """s, an older correction is stale, and so is one of an older sample, [0.001, 0.2]."""
     gains_age_max: float = 0.2
     """s, older gains are stale, [0.01, 2]."""
+    authority_ramp: float = 0.05
+    """s in which the limits of the gains slide to the narrow range and back (`authority`), [0.001, 1]."""
     abandoned_after: float = 10.0
     """s without gains, after there were some since arming: reference 0 N, disarmed, [2, 3600]."""
     relies_on: str = "nothing"
