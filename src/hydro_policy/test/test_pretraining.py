@@ -200,7 +200,9 @@ def test_the_command_line_says_how_long_how_large_and_on_what() -> None:
     assert (settings.episodes, settings.sac.hidden_size, settings.task.steps_per_episode) == (320, 64, 900)
     assert settings.replay_capacity == 288_000 and settings.task.gains.delta_kp_max == 285.0
     options.steps = 1800
-    assert training_settings(options, source_of(options)).replay_capacity == 576_000, "as much as is played is remembered"
+    assert training_settings(options, source_of(options)).replay_capacity == 576_000, (
+        "as much as is played is remembered"
+    )
 
 
 def pretrain(*words: str) -> subprocess.CompletedProcess[str]:
