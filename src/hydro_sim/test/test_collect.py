@@ -272,7 +272,7 @@ def test_a_bench_file_that_is_not_the_boxs_is_refused_and_its_own_is_kept_withou
     own = replace(Bench.nominal(), spring_stiffness=2.5e4)
     (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
     (tmp_path / "nominal.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
-    plant("--bench", str(tmp_path / "own.yaml"))
+    plant("--", "--bench", str(tmp_path / "own.yaml"))
     collect = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
     refused = subprocess.run(
         [*collect, "--bench", str(tmp_path / "nominal.yaml")], timeout=60, check=False, capture_output=True, text=True
