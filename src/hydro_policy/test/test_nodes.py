@@ -250,6 +250,17 @@ def foreign(tmp_path: Path) -> Iterator[str]:
         simulation.terminate()
 
 
+def test_companions_get_the_bench_and_the_base_gains_of_the_run() -> None:
+    own = PlantOptions(plant="sim", bench=Path("own.yaml"), base_gains=(30.0, 8.0), filter=("--metric", "constant"))
+    started = {executable: words for _, executable, words in commands(own, GainRange(delta_kp_max=270.0), Path("run"))}
+    assert started["sim"][:2] == started["filter"][:2] == ["--bench", "own.yaml"]
+    assert started["sim"].count("--ros-args") == 1 and "box.base_kp:=30.0" in started["sim"]
+    bench = {
+        executable: words for _, executable, words in commands(replace(own, plant="bench"), GainRange(), Path("run"))
+    }
+    assert "own.yaml" in bench["bridge"] and "own.yaml" in bench["filter"]
+
+
 def test_on_a_plant_that_runs_policies_of_another_box_are_refused_and_fixed_gains_are_its_own(
     foreign: str, tmp_path: Path
 ) -> None:
