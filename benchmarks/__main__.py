@@ -22,6 +22,7 @@ STUDIES = frozenset(
         "foreign_truth",
         "integral_form",
         "learned_structures",
+        "pairings",
         "sac_peers",
         "training_seeds",
     }

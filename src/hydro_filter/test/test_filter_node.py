@@ -7,10 +7,13 @@ import io
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 pytestmark = pytest.mark.graph
 pytest.importorskip("hydro_msgs.msg", reason="source install/setup.bash")
@@ -20,6 +23,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 from hydro_bridge.ros import (  # noqa: E402
+    BOX,
+    BOX_QOS,
     CORRECTION,
     CORRECTION_QOS,
     DIAGNOSTICS,
@@ -41,7 +46,7 @@ from hydro_bridge.signals import (  # noqa: E402
 from hydro_filter.choice import Choice  # noqa: E402
 from hydro_filter.filter import ContractionFilter  # noqa: E402
 from hydro_filter.sample import Sample  # noqa: E402
-from hydro_msgs.msg import Correction  # noqa: E402
+from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_sim.bench import Bench  # noqa: E402
 from hydro_sim.offline import Schedule, simulate  # noqa: E402
 from hydro_sim.plant import AnalyticPlant  # noqa: E402
@@ -249,6 +254,59 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
     assert seen >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
     source.wait(lambda: any("sha256" in dict_of(status).get("metric", "") for status in source.diagnostics))
     assert "default_weights.safetensors, sha256" in dict_of(source.diagnostics[-1])["model"]
+
+
+def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_again(
+    started: Callable[..., Source], still: FloatArray
+) -> None:
+    source = started(*CONSTANT)
+    told = source.node.create_publisher(BoxInfo, BOX, BOX_QOS)
+    bad = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
+    digests = (Bench.nominal().digest, "0123456789ab", "", Bench.nominal().digest)
+    wanted = (
+        CorrectionStatus.MODIFIED,
+        CorrectionStatus.MISMATCH,
+        CorrectionStatus.MODIFIED,
+        CorrectionStatus.MODIFIED,
+    )
+    for turn, (digest, status) in enumerate(zip(digests, wanted, strict=True)):
+        told.publish(BoxInfo(plant="bridge", bench_digest=digest))
+        sequence = 1000 * turn
+
+        def answered(status: CorrectionStatus = status) -> bool:
+            nonlocal sequence
+            source.publish(sequence, bad)
+            sequence += 1
+            return bool(source.corrections) and source.corrections[-1].status == status
+
+        source.wait(answered, timeout=30.0)
+        last = source.corrections[-1]
+        assert last.certificate_before > 0.0
+        if status == CorrectionStatus.MISMATCH:
+            assert last.delta_u == 0.0 and not last.active and last.certificate_after == last.certificate_before
+            source.wait(lambda: "nothing is corrected: the filter was started for" in source.diagnostics[-1].message)
+            assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
+        else:
+            assert last.delta_u > 0.0
+    source.node.destroy_publisher(told)
+
+
+def test_a_filter_beside_a_simulation_of_another_bench_corrects_nothing(
+    started: Callable[..., Source], tmp_path: Path
+) -> None:
+    """Nothing but the sim says which bench it is."""
+    own = replace(Bench.nominal(), spring_stiffness=4e4)
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
+    source = started(*CONSTANT)
+    simulation = Companion("hydro_sim", "sim", ["--bench", str(tmp_path / "own.yaml")])
+    try:
+        source.wait(lambda: any(own.digest in status.message for status in source.diagnostics))
+        source.corrections.clear()
+        source.wait(lambda: len(source.corrections) > 300)
+        assert {message.delta_u for message in source.corrections} == {0.0}
+        assert {message.status for message in source.corrections} == {CorrectionStatus.MISMATCH}
+    finally:
+        simulation.stop()
 
 
 def test_two_plants_are_an_error(started: Callable[..., Source]) -> None:

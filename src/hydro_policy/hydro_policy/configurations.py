@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from hydro_policy.run import TrainingSettings
 from hydro_policy.sac import SacSettings
-from hydro_policy.task import GainRange, TaskSettings
+from hydro_policy.task import BASE, GainRange, TaskSettings
 
 WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)
 """K_p from 15 to 300, K_i from 5 to 100: as far as the box goes."""
@@ -19,10 +19,6 @@ WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, t
 """The root of the paper's reward with less weight on e', whose noise would hide the small errors of slow sines."""
 
 CONFIGURATIONS = ("paper", "wide")
-
-
-BASE = (15.0, 5.0)
-"""K_p [1/s], K_i [1/s^2] of the box that `WIDE` and the paper's range are given for (Table training_agent)."""
 
 
 def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) -> TrainingSettings:

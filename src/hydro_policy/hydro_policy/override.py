@@ -11,7 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hydro_policy.task import GainRange
+from hydro_policy.task import BASE, GainRange
 
 
 @dataclass(frozen=True)
@@ -31,14 +31,14 @@ class GainOverride:
     say
         Takes a sentence for each change.
     base
-        K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: paper Table training_agent).
+        K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's).
     """
 
     def __init__(
         self,
         reach: GainRange | None = None,
         say: Callable[[str], None] = lambda _: None,
-        base: tuple[float, float] = (15.0, 5.0),
+        base: tuple[float, float] = BASE,
     ) -> None:
         self.reach, self.base = reach or GainRange(), base
         self.say = say

@@ -20,6 +20,7 @@ from hydro_policy.cases import Case, EvaluationSettings
 from hydro_policy.fleet import Fleet
 from hydro_policy.fleet_runs import Chooser
 from hydro_policy.randomisation import Drawn
+from hydro_policy.task import BASE
 from hydro_sim.bench import Bench
 
 REFERENCE_GAINS = (90.0, 15.0)
@@ -83,7 +84,7 @@ class Examination:
         evaluation: EvaluationSettings,
         draw: Callable[[int], Drawn] | None = None,
         drawn: int = 0,
-        base: tuple[float, float] = (15.0, 5.0),
+        base: tuple[float, float] = BASE,
     ) -> None:
         self._make, self._believed, self._evaluation = fleet, believed, evaluation
         self._benches: list[Drawn] = []

@@ -24,8 +24,7 @@ from hydro_bridge.settings import check
 from hydro_policy.cases import ExamSettings
 from hydro_policy.monitor import MonitorSettings
 from hydro_policy.sac import SacSettings
-from hydro_policy.task import GainRange, TaskSettings
-from hydro_sim.box import BoxConfig
+from hydro_policy.task import BASE, GainRange, TaskSettings
 from hydro_sim.pairing import MadeFor
 
 
@@ -53,9 +52,9 @@ class TrainingSettings:
     @property
     def base_gains(self) -> tuple[float, float]:
         """K_p [1/s] and K_i [1/s^2] of the box, to which its actions are changes."""
-        made, default = self.made, BoxConfig()
+        made = self.made
         if made is None or made.base_kp is None or made.base_ki is None:
-            return default.base_kp, default.base_ki
+            return BASE
         return made.base_kp, made.base_ki
 
     def __post_init__(self) -> None:

@@ -20,6 +20,9 @@ SAMPLES_PER_STEP = 10
 
 ACTIONS = 2
 
+BASE = (15.0, 5.0)
+"""K_p [1/s], K_i [1/s^2] of the paper's box (Table training_agent): what changes are added to. A box says its own."""
+
 _SPREAD: FloatArray = np.array((0.7548776662466927, 0.5698402909980532))  # 1 / p, 1 / p^2 with p^3 = p + 1
 
 _NORMALIZATION: tuple[tuple[str, float, float], ...] = (  # name, center, scale: the middle and the reach of normal runs

@@ -7,10 +7,13 @@ import json
 import os
 import subprocess
 import time
+from collections.abc import Iterator
+from dataclasses import replace
 from hashlib import sha256
 from pathlib import Path
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
@@ -31,6 +34,7 @@ from hydro_policy.nodes.trainer import DEMO, asked
 from hydro_policy.nodes.trainer import parser as trainer_parser
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
+from hydro_policy.start import shipped_start
 from hydro_policy.task import GainRange
 from hydro_sim.bench import Bench
 from hydro_sim.learned.weights import shipped
@@ -232,3 +236,50 @@ def test_a_run_that_is_refused_leaves_no_folder(tmp_path: Path) -> None:
     done = run("trainer", "--runs", str(tmp_path), "--plant", "sim", "--truth", "t.yaml")
     assert done.returncode == 2 and "of no use" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Iterator[str]:
+    """A simulation whose box believes another bench and has other base gains; gives its digest."""
+    own = replace(Bench.nominal(), spring_stiffness=2.5e4)
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
+    words = [str(executable_path("hydro_sim", "sim")), "--bench", str(tmp_path / "own.yaml")]
+    free = ["--ros-args", "-p", "guard.require_filter:=false", "-p", "box.base_kp:=30.0", "-p", "box.base_ki:=8.0"]
+    with subprocess.Popen([*words, *free], env=os.environ | ENVIRONMENT, stderr=subprocess.DEVNULL) as simulation:
+        yield own.digest
+        simulation.terminate()
+
+
+def test_companions_get_the_bench_and_the_base_gains_of_the_run() -> None:
+    own = PlantOptions(plant="sim", bench=Path("own.yaml"), base_gains=(30.0, 8.0), filter=("--metric", "constant"))
+    started = {executable: words for _, executable, words in commands(own, GainRange(delta_kp_max=270.0), Path("run"))}
+    assert started["sim"][:2] == started["filter"][:2] == ["--bench", "own.yaml"]
+    assert started["sim"].count("--ros-args") == 1 and "box.base_kp:=30.0" in started["sim"]
+    bench = {
+        executable: words for _, executable, words in commands(replace(own, plant="bench"), GainRange(), Path("run"))
+    }
+    assert "own.yaml" in bench["bridge"] and "own.yaml" in bench["filter"]
+
+
+def test_on_a_plant_that_runs_policies_of_another_box_are_refused_and_fixed_gains_are_its_own(
+    foreign: str, tmp_path: Path
+) -> None:
+    shipped = str(shipped_start("paper").source)  # type: ignore[union-attr]
+    refused = run("trainer", "--runs", str(tmp_path / "runs"))
+    assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
+    assert not (tmp_path / "runs").exists()
+    refused = run("evaluate", "--policy", shipped)
+    assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
+    figures = str(tmp_path / "figures.json")
+    done = run("evaluate", "--rearm", "auto", "--fixed", "70", "20", "--frequencies", "2", "--json", figures)
+    assert done.returncode == 0, done.stderr
+    (score,) = json.loads(Path(figures).read_text())["runs"]
+    assert score["proportional_gain"] == pytest.approx(70.0, abs=0.5)
+
+
+def test_a_box_of_a_companion_that_is_not_as_planned_ends_the_run_before_anything_is_armed(tmp_path: Path) -> None:
+    done = run(
+        "trainer", "--plant", "sim", "--runs", str(tmp_path), "--from", "scratch", "--base-gains", "600", "5"
+    )  # fmt: skip
+    assert done.returncode == 2 and "base_kp" in done.stderr.splitlines()[-1]
+    assert not any(tmp_path.iterdir())

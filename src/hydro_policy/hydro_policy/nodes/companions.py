@@ -146,7 +146,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
     started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
     if options.plant == "sim":
-        words = ["--realtime", "--seed", str(options.seed), *_base_gains(options), *guard]
+        words = ["--realtime", "--seed", str(options.seed), *_with_base_gains(guard, options.base_gains)]
         started.append(("hydro_sim", "sim", [*bench, *words]))
         return started
     port = options.port
@@ -162,11 +162,12 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     return started
 
 
-def _base_gains(options: PlantOptions) -> list[str]:
-    if options.base_gains is None:
-        return []
-    kp, ki = options.base_gains
-    return ["--ros-args", "-p", f"box.base_kp:={float(kp)}", "-p", f"box.base_ki:={float(ki)}", "--"]
+def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) -> list[str]:
+    """ROS parameters of a simulation, with its box's base gains where they are given."""
+    if base_gains is None:
+        return parameters
+    kp, ki = base_gains
+    return [*(parameters or ["--ros-args"]), "-p", f"box.base_kp:={float(kp)}", "-p", f"box.base_ki:={float(ki)}"]
 
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:

@@ -22,7 +22,6 @@ from hydro_bridge.console import command, writable, writable_folder
 from hydro_bridge.recording_run import code_version
 from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_policy import report
-from hydro_policy.configurations import BASE
 from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
 from hydro_policy.grid import GridSession, GridSettings
@@ -33,7 +32,7 @@ from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.planned import planned, refuse_policy, surprise
 from hydro_policy.nodes.progress import EvaluationProgress
 from hydro_policy.override import GainOverride
-from hydro_policy.task import GainRange
+from hydro_policy.task import BASE, GainRange
 from hydro_policy.watch import PlantWatch
 from hydro_sim.pairing import Believed
 

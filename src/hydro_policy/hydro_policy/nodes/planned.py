@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from math import isclose
 from pathlib import Path
 
@@ -11,8 +12,8 @@ from hydro_bridge.known_box import KnownBox
 from hydro_policy.controllers import policy_file
 from hydro_policy.nodes.options import plant_options
 from hydro_policy.start import Start
-from hydro_sim.box import BoxConfig
-from hydro_sim.pairing import Believed, MadeFor, refuse, unfit
+from hydro_policy.task import BASE
+from hydro_sim.pairing import INTEGRAL, Believed, MadeFor, refuse, unfit
 from hydro_sim.stamping import stamp_of
 
 PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
@@ -31,8 +32,8 @@ def planned(options: argparse.Namespace) -> Believed:
     plant_options(options)
     if options.plant == "external":
         return Believed(digest="", source="the plant that runs")
-    usual = BoxConfig()
-    return Believed.of_file(options.bench, tuple(options.base_gains or (usual.base_kp, usual.base_ki)))
+    box = Believed.of_file(options.bench, tuple(options.base_gains or BASE))
+    return box if options.plant == "bench" else replace(box, integral=INTEGRAL)
 
 
 def surprise(plan: Believed, box: KnownBox) -> str:

@@ -16,7 +16,7 @@ from typing import IO
 from hydro_bridge.console import writable_folder
 from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
-from hydro_policy.configurations import BASE, configuration
+from hydro_policy.configurations import configuration
 from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import asked_filter, guard_range, uncovered
@@ -26,6 +26,7 @@ from hydro_policy.override import GainOverride
 from hydro_policy.record import RunRecord
 from hydro_policy.run import RunDirectory, TrainingSettings, new_run
 from hydro_policy.start import AGENT, Start, load_start, shipped_start
+from hydro_policy.task import BASE
 from hydro_sim.pairing import Believed
 
 SCRATCH = "scratch"

@@ -28,6 +28,7 @@ from hydro_sim.bench import Bench
 from hydro_sim.box import Box, BoxConfig, box_info
 from hydro_sim.effects.catalogue import label
 from hydro_sim.learned import weights
+from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.pairing import Believed, refuse, unfit
 from hydro_sim.plant import AnalyticPlant, Plant
@@ -129,12 +130,11 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
         return AnalyticPlant(bench, noise=settings.noise)
-    plant = LearnedPlant(None if name == "shipped" else name, noise=settings.noise)
+    learned = Learned.load(None if name == "shipped" else name)
     thing = f"the model {Path(weights.shipped() if name == 'shipped' else name).name}"
     remedy = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
-    box = Believed.of_file(settings.box_bench or settings.bench or None)
-    refuse(unfit(thing, plant.learned.made, box, remedy))
-    return plant
+    refuse(unfit(thing, learned.made, Believed.of_file(settings.box_bench or settings.bench or None), remedy))
+    return LearnedPlant(learned, noise=settings.noise)
 
 
 def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
