@@ -7,6 +7,9 @@ States are answered in order, each once. After a hold-up those older than `state
 being acted upon. The filter with the learned metric follows the valve's spool from sample to sample: where samples are
 missing it begins anew.
 
+Where the model is not this bench's every answer is MISMATCH: nothing is corrected, and the plant narrows the gains.
+Reasons come from the filter, which watches its own predictions, or from outside (`FilterNode.foreign`).
+
 Ages are by the machine's clock, or by /clock where a simulation off real time stamps its states by that.
 """
 
@@ -17,6 +20,7 @@ import signal
 import threading
 import time
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -50,7 +54,7 @@ from hydro_filter.tally import TROUBLE, Tally, sentence
 from hydro_msgs.msg import BenchState, Correction
 from hydro_sim.bench import Bench
 
-NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "noise_floor", "state_age_max")
+NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "noise_floor", "state_age_max")
 """Settings that are options, too; each metric has some of them."""
 
 PATIENCE = 2.0
@@ -58,6 +62,10 @@ PATIENCE = 2.0
 
 FOREIGN = 1.0
 """s between a stamp and now that no hold-up explains: the states are stamped by another clock."""
+
+MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
+
+REMEDY = "start it with --model and --metric of this bench (`learn`, `learn_metric`), or with --metric constant"
 
 
 class FilterNode(Node):
@@ -81,6 +89,9 @@ class FilterNode(Node):
         self.settings = declare_parameters(self, settings)
         self.filter = self._compiled(choice)
         self.tally = Tally()
+        self.foreign = ""
+        """Why its files are not this bench's, by what the plant says of itself; empty: they are."""
+        self._mismatch = ""
         self._every, self._age = every, 0.0
         self._message = Correction()
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
@@ -114,14 +125,29 @@ class FilterNode(Node):
     def _on_state(self, message: BenchState) -> None:
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
-            self.filter.reset()
+            self.filter.skip()
         stamp = seconds(message.header.stamp)
         self._age = self._now() - stamp
-        result = self.filter.correct(sample_of(message), self._age)
+        result = self._fitting(self.filter.correct(sample_of(message), self._age))
         if message.sequence % self._every:
             return
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
+
+    def _fitting(self, result: Result) -> Result:
+        """The result, or that nothing should rest on it; a change of which is told at once."""
+        if self.foreign and result.status not in (CorrectionStatus.NAN, CorrectionStatus.BYPASSED):
+            result = MISMATCHED
+        if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
+            self._tell_mismatch(self.foreign or self.filter.mismatch)
+        return result
+
+    def _tell_mismatch(self, reason: str) -> None:
+        if reason and not self._mismatch:
+            self.get_logger().error(f"MISMATCH, nothing is corrected and the gains are narrow: {reason}; {REMEDY}")
+        elif not reason and self._mismatch:
+            self.get_logger().warning(f"the model is this bench's again; it was not: {self._mismatch}")
+        self._mismatch = reason
 
     def _publish(self, state: BenchState, result: Result) -> None:
         message = self._message
@@ -156,7 +182,9 @@ class FilterNode(Node):
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
-        values = {**self._told, **self.tally.values(self.filter.qp.counts)}
+        if self._mismatch:
+            level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
+        values = {**self._told, "mismatch": self._mismatch or "no", **self.tally.values(self.filter.qp.counts)}
         return with_rivals(Status(level=level, message=told, values=values), rivals(self, STATE))
 
 
