@@ -3,9 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +16,6 @@ from hydro_filter.trial import Corrector
 from hydro_policy.controllers import Controller
 from hydro_policy.offline import OfflineGraph
 from hydro_sim.bench import Bench
-from hydro_sim.emulator.parameters import compile_parameters
-from hydro_sim.emulator.truth import TruthPlant
-from hydro_sim.emulator.truth_config import TruthConfig, truth_from_mapping
 from hydro_sim.plant import Plant
 from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
@@ -28,31 +23,6 @@ WIDE = GuardSettings(
     delta_kp_min=-55.0, delta_kp_max=285.0, delta_ki_min=-25.0, delta_ki_max=95.0, require_filter=False
 )
 """All that the box takes."""
-
-
-def truth(change: Mapping[str, Any]) -> TruthConfig:
-    """The emulator's default truth with some of its effects or bench numbers changed."""
-    return truth_from_mapping({"profile": "default", **change})
-
-
-class ChangingPlant:
-    """The emulated bench; from sample `at` on it is another one, the piston where it was."""
-
-    def __init__(self, before: TruthConfig, after: TruthConfig, at: int) -> None:
-        self.plant, self.at, self.k = TruthPlant(before), at, 0
-        self.parameters = compile_parameters(before), compile_parameters(after)
-
-    def reset(self, seed: int) -> FloatArray:
-        """See `hydro_sim.plant.Plant`."""
-        self.k, self.plant.parameters = 0, self.parameters[0]
-        return self.plant.reset(seed)
-
-    def step(self, valve_current: float) -> FloatArray:
-        """See `hydro_sim.plant.Plant`."""
-        self.k += 1
-        if self.k == self.at:
-            self.plant.parameters = self.parameters[1]
-        return self.plant.step(valve_current)
 
 
 class Unwatched:
@@ -123,7 +93,6 @@ def outcome(states: StateArray, statuses: FloatArray, change: int, begin: int = 
     """Figures of a run whose bench changed at sample `change`; errors from `begin` or the change on."""
     at = np.flatnonzero(statuses == CorrectionStatus.MISMATCH)
     error = (states["reference_force"] - states["load_force"])[max(change, begin) :]
-    steps = np.diff(states["valve_current"][max(change, begin) :])
     if not len(error):
         error = np.array([np.nan])
     square = np.convolve(error**2, np.full(min(1000, len(error)), 1.0 / min(1000, len(error))), "valid")
@@ -133,7 +102,6 @@ def outcome(states: StateArray, statuses: FloatArray, change: int, begin: int = 
         rmse=float(np.sqrt(np.mean(error**2))),
         peak=float(np.abs(error).max()),
         worst_second=float(np.sqrt(square.max())),
-        jump=1e3
-        * float(np.abs(np.diff(states["valve_current"][max(change, begin) :], prepend=0.0)[1:]).max(initial=0)),
+        jump=1e3 * float(np.abs(np.diff(states["valve_current"][change:])).max(initial=0.0)),
         tripped=bool(int(states["flags"][-1]) & Flag.TRIPPED),
     )

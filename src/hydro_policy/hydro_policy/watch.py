@@ -36,7 +36,7 @@ HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --pl
 AWAITING_FILTER = "waiting for the filter to answer: where it starts for the first time it compiles, up to a minute"
 NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
 MISMATCH = (
-    "the filter says that its model is not this bench's (its log names what does not fit): fixed gains within the narrow "
+    "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
     "range, nothing is learned or begun; start it with model and metric of this bench, or with --metric constant"
 )
 FITS = "the filter's model fits again: going on"
