@@ -21,6 +21,7 @@ STUDIES = frozenset(
         "diagnosis_peers",
         "foreign_truth",
         "learned_structures",
+        "model_mismatch",
         "sac_peers",
         "training_seeds",
     }

@@ -15,6 +15,7 @@ from hydro_filter.sample import Sample
 from hydro_filter.trial import Corrector
 from hydro_policy.controllers import Controller
 from hydro_policy.offline import OfflineGraph
+from hydro_policy.watch import FALLBACK
 from hydro_sim.bench import Bench
 from hydro_sim.plant import Plant
 from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
@@ -71,7 +72,10 @@ def play(
     seconds: float = 10.0,
     seed: int = 0,
 ) -> tuple[StateArray, FloatArray]:
-    """Samples, shape (n,), and each one's `CorrectionStatus`, shape (n,), until the box trips."""
+    """Samples, shape (n,), and each one's `CorrectionStatus`, shape (n,), until the box trips.
+
+    Under MISMATCH the gains are `FALLBACK`, as trainer and evaluate have it.
+    """
     graph = OfflineGraph(plant, bench, guard=guard, seed=seed, corrector=corrector)
     controller.reset()
     if corrector is not None:
@@ -85,7 +89,8 @@ def play(
         if int(records[-1]["flags"]) & Flag.TRIPPED:
             break
         if k % POLICY_SAMPLES == 0:
-            graph.gains(*controller.gains(np.array([records[-1][name] for name in STATE_FIELDS])), 0)
+            asked = controller.gains(np.array([records[-1][name] for name in STATE_FIELDS]))
+            graph.gains(*(FALLBACK if statuses[-1] == CorrectionStatus.MISMATCH else asked), 0)
     return np.array(records), np.array(statuses, float)
 
 
