@@ -41,6 +41,7 @@ from hydro_bridge.signals import (  # noqa: E402
 from hydro_filter.choice import Choice  # noqa: E402
 from hydro_filter.filter import ContractionFilter  # noqa: E402
 from hydro_filter.sample import Sample  # noqa: E402
+from hydro_filter.validation_plants import ChangingPlant, changed  # noqa: E402
 from hydro_msgs.msg import Correction  # noqa: E402
 from hydro_sim.bench import Bench  # noqa: E402
 from hydro_sim.offline import Schedule, simulate  # noqa: E402
@@ -240,7 +241,7 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
         source.publish(k, sample)
         source.wait(lambda wanted=k + 1 if k < 200 else k - 9: len(source.corrections) >= wanted, timeout=5.0)
         if k == 210:
-            contraction_filter.reset()
+            contraction_filter.skip()
         expected, message = contraction_filter.correct(sample), source.corrections[-1]
         assert (message.sequence, message.status) == (k, expected.status)
         assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
@@ -249,6 +250,28 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
     assert seen >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
     source.wait(lambda: any("sha256" in dict_of(status).get("metric", "") for status in source.diagnostics))
     assert "default_weights.safetensors, sha256" in dict_of(source.diagnostics[-1])["model"]
+
+
+def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagnostics(
+    started: Callable[..., Source],
+) -> None:
+    """A stiffer spring from the beginning; each sample waits for its answer, so that the age is no matter."""
+    source = started("--metric", "learned", *PATIENT)
+    plant = ChangingPlant([changed({"bench": {"spring_stiffness": 3e4}})], [])
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
+    records = simulate(plant, Bench.nominal(), Schedule(reference=signal, gains=(90.0, 15.0), seconds=1.0))
+    for k, record in enumerate(records):
+        source.publish(k, Sample.of(record))
+        source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
+    statuses = [message.status for message in source.corrections]
+    first = statuses.index(CorrectionStatus.MISMATCH)
+    assert set(statuses[first:]) == {CorrectionStatus.MISMATCH}
+    assert all(message.delta_u == 0.0 and not message.active for message in source.corrections[first:])
+    source.wait(lambda: "MISMATCH" in source.diagnostics[-1].message)
+    assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
+    told = dict_of(source.diagnostics[-1])
+    assert "the model's load (the spring or its load cell) is off by" in told["fits"]
+    assert int(told["mismatch"]) == len(statuses) - first
 
 
 def test_two_plants_are_an_error(started: Callable[..., Source]) -> None:

@@ -184,7 +184,8 @@ class FilterNode(Node):
             self.get_logger().error(told, throttle_duration_sec=10.0)
         if self._mismatch:
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
-        values = {**self._told, "mismatch": self._mismatch or "no", **self.tally.values(self.filter.qp.counts)}
+        values = {**self._told, **self.tally.values(self.filter.qp.counts)}
+        values["fits"] = f"no: {self._mismatch}" if self._mismatch else "yes"
         return with_rivals(Status(level=level, message=told, values=values), rivals(self, STATE))
 
 
