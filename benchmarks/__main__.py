@@ -22,6 +22,7 @@ STUDIES = frozenset(
         "foreign_truth",
         "integral_form",
         "learned_structures",
+        "model_mismatch",
         "pairings",
         "sac_peers",
         "training_seeds",

@@ -3,9 +3,9 @@
 
 The guard believes nobody. A value that is not finite is dropped, one out of range is clamped, an old one is replaced
 by the safe one (base gains, no correction); each is counted, and each change is told once in a sentence
-(`take_events`). A filter whose model is not this bench's (MISMATCH) gets no correction through, and gains narrow ones
-(`authority`). If nobody chooses gains any more it gives the plant up: reference 0 N, disarmed. Source: failure table
-of docs/architecture.md.
+(`take_events`). On the word of a filter whose model is not this bench's (MISMATCH) no correction passes, and gains
+within the narrow range alone. If nobody chooses gains any more it gives the plant up: reference 0 N, disarmed. Source:
+failure table of docs/architecture.md.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from hydro_bridge.authority import Authority
-from hydro_bridge.guard_limits import GuardSettings, narrowed, unfit, with_frequency
+from hydro_bridge.guard_limits import GuardSettings, narrowed, unfit, with_frequency, within_narrow
 from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, ReferenceSignal
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
@@ -68,7 +67,6 @@ class CommandGuard:
     _correction_at: float = -inf
     _mismatched: bool = False
     """Whether the filter's last word was MISMATCH; only a decision takes it back."""
-    _authority: Authority = field(default_factory=Authority)
     _newest: int | None = None
     _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
     _arm: bool = False
@@ -191,8 +189,7 @@ class CommandGuard:
             self._tell("stale gains", not gained, "gains are stale: base gains", "gains are fresh again")
         self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
         passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
-        self._authority.move(wide=not self._mismatched, now=now, ramp=self.settings.authority_ramp)
-        delta_kp, delta_ki = self._authority.admitted(passed, self.settings)
+        delta_kp, delta_ki = within_narrow(passed) if self._mismatched else passed
         self.counts.narrowed += (delta_kp, delta_ki) != passed
         return Command(
             arm=self._arm,

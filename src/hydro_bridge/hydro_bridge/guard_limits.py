@@ -36,14 +36,25 @@ class GuardSettings:
     """s, an older correction is stale, and so is one of an older sample, [0.001, 0.2]."""
     gains_age_max: float = 0.2
     """s, older gains are stale, [0.01, 2]."""
-    authority_ramp: float = 0.05
-    """s in which the limits of the gains slide to the narrow range and back (`authority`), [0.001, 1]."""
     abandoned_after: float = 10.0
     """s without gains, after there were some since arming: reference 0 N, disarmed, [2, 3600]."""
     relies_on: str = "nothing"
     """The filter that gains of this range need to be safe; nothing: the bench bears them all. Told at the start."""
     require_filter: bool = True
     """Without a fresh correction: base gains. False lets gains pass unfiltered: logged, flagged and on /diagnostics."""
+
+
+NARROW = GuardSettings()
+"""Its ranges of delta_kp and delta_ki are what every bench of this kind bears by itself: the paper's, K_p 15 to 90 and
+K_i 5 to 15 on base gains of 15 and 5. They hold, however wide a guard was opened, where the filter says MISMATCH."""
+
+
+def within_narrow(gains: tuple[float, float]) -> tuple[float, float]:
+    """Changes of K_p [1/s] and K_i [1/s^2], clamped to `NARROW`."""
+    return (
+        min(max(gains[0], NARROW.delta_kp_min), NARROW.delta_kp_max),
+        min(max(gains[1], NARROW.delta_ki_min), NARROW.delta_ki_max),
+    )
 
 
 def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:

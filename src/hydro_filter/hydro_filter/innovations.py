@@ -176,4 +176,5 @@ def sentence(m: np.void) -> str:
     if not m["broken"]:
         return ""
     place = int(m["broken"]) - 1
-    return f"{EQUATIONS[place]} ({SUSPECTS[place]}) is off by {m['ratio']:.1f} times what is allowed"
+    name, suspects = EQUATIONS[place], SUSPECTS[place]
+    return f"the model's {name} ({suspects}) is off by {m['ratio']:.1f} times what is allowed"

@@ -54,7 +54,11 @@ def compare(problems: np.ndarray) -> QpFilter:
         assert (solved.status is CorrectionStatus.NAN) == unusable, (a, b, low, high)
         assert solved.delta_u == 0.0 if unusable else low <= solved.delta_u <= high
         seen.add(solved.status)
-    assert seen == set(CorrectionStatus) - {CorrectionStatus.STALE, CorrectionStatus.BYPASSED}
+    assert seen == set(CorrectionStatus) - {
+        CorrectionStatus.STALE,
+        CorrectionStatus.BYPASSED,
+        CorrectionStatus.MISMATCH,
+    }
     return qp
 
 

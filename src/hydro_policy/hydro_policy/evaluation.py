@@ -23,7 +23,7 @@ from hydro_policy.override import GainOverride
 from hydro_policy.scoring import Score, Trace, score
 from hydro_policy.steps import HELD, StepClock
 from hydro_policy.task import SAMPLES_PER_STEP
-from hydro_policy.watch import PlantWatch
+from hydro_policy.watch import FALLBACK, PlantWatch
 
 HELD_MAX = 0.01
 """Share of a run's samples for which the box may hold base gains."""
@@ -123,6 +123,9 @@ class EvaluationSession:
         if held is not None:
             self._run = None
             return self._publish(held) if sequence % SAMPLES_PER_STEP == 0 else False
+        if self.watch.mismatched and not self.watch.calming:
+            self._run = None  # begun anew once the filter fits
+            return self._publish(FALLBACK) if sequence % SAMPLES_PER_STEP == 0 else False
         if self._run is None:
             if not self.watch.may_begin(now):
                 return self.watch.calming and sequence % SAMPLES_PER_STEP == 0 and self._publish((0.0, 0.0))
@@ -138,6 +141,7 @@ class EvaluationSession:
 
     def on_correction(self, after: float, status: int) -> None:
         """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
+        self.watch.on_correction(status)
         if self.monitor is not None:
             self.monitor.on_correction(after, status)
 

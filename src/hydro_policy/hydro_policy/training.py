@@ -28,7 +28,7 @@ from hydro_policy.record import RunRecord
 from hydro_policy.run import TrainingSettings
 from hydro_policy.steps import Step, StepClock
 from hydro_policy.training_episode import EpisodePlayer
-from hydro_policy.watch import PlantWatch
+from hydro_policy.watch import FALLBACK, PlantWatch
 
 FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
 UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
@@ -125,6 +125,7 @@ class TrainingSession:
     def on_correction(self, after: float, status: int) -> None:
         """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
         self.monitor.on_correction(after, status)
+        self.watch.on_correction(status)
 
     def on_tick(self, now: float) -> None:
         """Some twenty times a second: arming, loss of the plant, death of the learner."""
@@ -143,6 +144,9 @@ class TrainingSession:
             return True
         if self.watch.calming:
             self.explorer.hold((0.0, 0.0))
+            return True
+        if self.watch.mismatched:
+            self.player.hold(FALLBACK, step, episode=self.phase is Phase.TRAINING)
             return True
         if self.phase is not Phase.TRAINING:
             if not self.learner.ready or not self.watch.may_begin(now):

@@ -4,6 +4,8 @@
 no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
 disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else the user is told how
 no corrections           armed only when they come: base gains would wind up an integral against standing friction
+MISMATCH                 the filter's model is not this bench's: nothing begins until the filter decides again, and
+                         what has begun goes on under `FALLBACK`
 stopped                  a second of calm, armed, base gains, no reference, before anything begins: the force is still
                          where what was stopped has left it, and would be held against whatever comes next
 """
@@ -12,8 +14,13 @@ from __future__ import annotations
 
 import math
 
-from hydro_bridge.signals import Flag, ReferenceSignal
+from hydro_bridge.guard_limits import NARROW
+from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
 from hydro_policy.outputs import Outputs
+
+FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)
+"""Changes of K_p, K_i that are held while the filter says MISMATCH: the upper end of what the guard then lets pass, the
+paper's fixed (90, 15). A policy clamped to that range asks for less and tracks worse."""
 
 CALM = 1.0
 """s, armed, between a stop and what follows it."""
@@ -29,6 +36,11 @@ _FILTER_HINT, _FILTER_WITHIN = 8.0, 90.0  # s without corrections: to say so; to
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
 AWAITING_FILTER = "waiting for the filter to answer: where it starts for the first time it compiles, up to a minute"
 NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
+MISMATCH = (
+    "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
+    "range, nothing is learned or begun; start it with model and metric of this bench, or with --metric constant"
+)
+FITS = "the filter's model fits again: going on"
 HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
 
 
@@ -54,6 +66,8 @@ class PlantWatch:
         self._stale_since = math.inf  # since when no corrections reach the box
         self._calm_until: float | None = None  # math.inf: asked for, but not armed yet
         self._hints: set[str] = set()  # given already, each once
+        self.mismatched = False
+        """Whether the filter's last word was that its model is not this bench's."""
 
     @property
     def lost(self) -> bool:
@@ -85,6 +99,12 @@ class PlantWatch:
             self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
             if now >= self._calm_until:
                 self._calm_until = None
+
+    def on_correction(self, status: int) -> None:
+        """Take the status of a correction."""
+        if (status == CorrectionStatus.MISMATCH) != self.mismatched:
+            self.mismatched = not self.mismatched
+            self._outputs.say(MISMATCH if self.mismatched else FITS, warning=self.mismatched)
 
     def may_begin(self, now: float) -> bool:
         """Whether an episode or a run may begin: armed and calm, and the filter answers or has been waited for."""
@@ -126,6 +146,8 @@ class PlantWatch:
             self.arm_now(now)
 
     def _awaits_filter(self, now: float) -> bool:
+        if self.mismatched:
+            return True
         waited = now - self._stale_since if self._flags & Flag.FILTER_STALE else -math.inf
         for after, sentence in ((_FILTER_HINT, AWAITING_FILTER), (_FILTER_WITHIN, NO_FILTER)):
             if waited > after and sentence not in self._hints:

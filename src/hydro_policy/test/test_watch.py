@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from hydro_bridge.signals import Flag, ReferenceSignal
-from hydro_policy.watch import AWAITING_FILTER, NO_FILTER, PlantWatch
+from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
+from hydro_policy.watch import AWAITING_FILTER, FITS, MISMATCH, NO_FILTER, PlantWatch
 
 
 class Heard:
@@ -81,3 +81,17 @@ def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_dis
     assert watch.calming and not watch.may_begin(3.4), "0.9 s armed in a row, whatever was before"
     run(watch, armed, 3.4, 3.6)
     assert not watch.calming and watch.may_begin(3.6)
+
+
+def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once() -> None:
+    heard = Heard()
+    watch = PlantWatch(heard, rearm=True)
+    for _ in range(3):
+        watch.on_correction(CorrectionStatus.MISMATCH)
+    run(watch, int(Flag.FILTER_STALE), 0.0, 200.0)
+    assert True not in heard.armings, "it is not waited for: it has answered"
+    run(watch, int(Flag.ARMED | Flag.FILTER_STALE), 200.0, 202.0)
+    assert not watch.may_begin(202.0)
+    watch.on_correction(CorrectionStatus.PASS)
+    run(watch, int(Flag.ARMED), 202.0, 204.0)
+    assert watch.may_begin(204.0) and [said for said in heard.said if said in (MISMATCH, FITS)] == [MISMATCH, FITS]

@@ -5,8 +5,11 @@ ros2 run hydro_filter filter [--metric learned|constant|FILE] [--model FILE] [--
 
 States are answered in order, each once. After a hold-up those older than `state_age_max` are answered STALE without
 being acted upon. The filter with the learned metric follows the valve's spool from sample to sample: where samples are
-missing it begins anew. Where the box believes another bench than the filter was started for (/hydro/box), every
-correction is 0 with the status MISMATCH.
+missing it begins anew.
+
+Where the model is not this bench's every answer is MISMATCH: nothing is corrected, and the plant narrows the gains.
+Reasons come from the filter, which watches its own predictions, or from the box, which believes another bench than
+the filter was started for (/hydro/box).
 
 Ages are by the machine's clock, or by /clock where a simulation off real time stamps its states by that.
 """
@@ -18,6 +21,7 @@ import signal
 import threading
 import time
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +58,7 @@ from hydro_msgs.msg import BenchState, Correction
 from hydro_sim.bench import Bench
 from hydro_sim.pairing import refuse
 
-NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "noise_floor", "state_age_max")
+NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "noise_floor", "state_age_max")
 """Settings that are options, too; each metric has some of them."""
 
 PATIENCE = 2.0
@@ -62,6 +66,10 @@ PATIENCE = 2.0
 
 FOREIGN = 1.0
 """s between a stamp and now that no hold-up explains: the states are stamped by another clock."""
+
+MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
+
+REMEDY = "start it with --model and --metric of this bench (`learn`, `learn_metric`), or with --metric constant"
 
 
 class FilterNode(Node):
@@ -85,8 +93,11 @@ class FilterNode(Node):
         self.settings = declare_parameters(self, settings)
         self.filter = self._compiled(choice)
         self.tally = Tally()
+        self.foreign = ""
+        """Why its files are not this bench's, by what the plant says of itself; empty: they are."""
+        self._mismatch = ""
         self._every, self._age = every, 0.0
-        self._choice, self._foreign = choice, ""
+        self._choice = choice
         self._message = Correction()
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
         self._told = choice.describe()
@@ -120,12 +131,10 @@ class FilterNode(Node):
     def _on_state(self, message: BenchState) -> None:
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
-            self.filter.reset()
+            self.filter.skip()
         stamp = seconds(message.header.stamp)
         self._age = self._now() - stamp
-        result = self.filter.correct(sample_of(message), self._age)
-        if self._foreign:
-            result = result._replace(delta_u=0.0, after=result.before, status=CorrectionStatus.MISMATCH)
+        result = self._fitting(self.filter.correct(sample_of(message), self._age))
         if message.sequence % self._every:
             return
         self._publish(message, result)
@@ -133,11 +142,23 @@ class FilterNode(Node):
 
     def _on_box(self, box: KnownBox) -> None:
         """Whose box it is: from now on, or from its next connection on, another bench may be believed there."""
-        before, self._foreign = self._foreign, self._choice.foreign(box)
-        if self._foreign and self._foreign != before:
-            self.get_logger().error(f"nothing is corrected: {self._foreign}")
-        elif before and not self._foreign:
-            self.get_logger().info("the box believes this filter's bench again: it corrects")
+        self.foreign = self._choice.foreign(box)
+
+    def _fitting(self, result: Result) -> Result:
+        """The result, or that nothing should rest on it; a change of which is told at once."""
+        if self.foreign and result.status not in (CorrectionStatus.NAN, CorrectionStatus.BYPASSED):
+            result = MISMATCHED
+        if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
+            seen = self.filter.mismatch
+            self._tell_mismatch(self.foreign or (f"{seen}; {REMEDY}" if seen else ""))
+        return result
+
+    def _tell_mismatch(self, reason: str) -> None:
+        if reason and not self._mismatch:
+            self.get_logger().error(f"MISMATCH, nothing is corrected and the gains are narrow: {reason}")
+        elif not reason and self._mismatch:
+            self.get_logger().warning(f"the model is this bench's again; it was not: {self._mismatch}")
+        self._mismatch = reason
 
     def _publish(self, state: BenchState, result: Result) -> None:
         message = self._message
@@ -172,9 +193,10 @@ class FilterNode(Node):
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
-        if self._foreign:
-            level, told = Level.ERROR, f"nothing is corrected: {self._foreign}; {told}"
+        if self._mismatch:
+            level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
         values = {**self._told, **self.tally.values(self.filter.qp.counts)}
+        values["fits"] = f"no: {self._mismatch}" if self._mismatch else "yes"
         return with_rivals(Status(level=level, message=told, values=values), rivals(self, STATE))
 
 
