@@ -13,6 +13,7 @@ from hydro_bridge.ros.messages import (
     state_from_message,
 )
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
+from hydro_bridge.ros.recorder_watch import RecorderWatch
 from hydro_bridge.ros.rivals import RivalWatch, rivals, with_rivals
 from hydro_bridge.ros.scheduling import be_ordinary, be_prompt
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
@@ -58,6 +59,7 @@ __all__ = [
     "CompanionError",
     "DiagnosticsPublisher",
     "Level",
+    "RecorderWatch",
     "RivalWatch",
     "StateMessage",
     "Status",

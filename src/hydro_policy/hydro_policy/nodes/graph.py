@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import IO
 
 import numpy as np
@@ -21,6 +22,7 @@ from std_srvs.srv import SetBool
 from tqdm import tqdm
 
 from hydro_bridge.latency import Latency
+from hydro_bridge.readiness import NotReadyError, Requirement
 from hydro_bridge.ros import (
     ARM_SERVICE,
     CORRECTION,
@@ -32,7 +34,9 @@ from hydro_bridge.ros import (
     REFERENCE_QOS,
     STATE,
     STATE_QOS,
+    Companion,
     CompanionError,
+    RecorderWatch,
     be_ordinary,
     be_prompt,
     reference_to_message,
@@ -55,6 +59,7 @@ PRIORITY = 10
 DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 _PERIOD = 0.01  # s, of a policy step
 _LOOK = 0.5  # s from the first sample on, in which others who publish gains are found
+_ALONE_WITHIN = 600.0  # s that a newcomer waits for the others to go
 
 
 class GraphNode(Node):
@@ -77,6 +82,8 @@ class GraphNode(Node):
         self.log = log
         self._realtime = realtime
         self.companions = CompanionWatch([])
+        self.requirements: list[Requirement] = []
+        """What must be there before a session of this node arms, besides what every session needs."""
         self.response = Latency()  # state taken -> gains published, in this process
         self.age = Latency()  # state's stamp -> gains published, the whole way
         self.jitter = Latency()  # |interval between gains - 10 ms|
@@ -84,7 +91,7 @@ class GraphNode(Node):
         self._session: Session | None = None
         self._alone, self._heard = False, math.inf  # nobody else publishes gains; when the first sample came, s
         self._each_tick: Callable[[], None] = lambda: None
-        self._crowded = False
+        self._crowded, self._crowded_since = False, math.inf
         self._done = Future()
         self._gains_out = self._published = 0.0
         self._gains = Gains()
@@ -96,6 +103,13 @@ class GraphNode(Node):
         self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    def follow(self, companions: list[Companion], recording: Path | None) -> None:
+        """From now on tell which of them end, and arm nothing before the one that writes `recording` has samples."""
+        self.companions = CompanionWatch(companions)
+        for companion in companions:
+            if recording is not None and companion.name == "recorder":
+                self.requirements.append(RecorderWatch(self, recording, companion).requirement)
+
     def drive(self, session: Session, each_tick: Callable[[], None]) -> bool:
         """Carry `session` until it is finished (True) or a signal ends it (False); `each_tick` runs every 50 ms.
 
@@ -103,6 +117,8 @@ class GraphNode(Node):
         ------
         CompanionError
             A companion cannot use what it was given.
+        NotReadyError
+            Something without which nothing may be armed did not come within its time.
         """
         self._session, self._each_tick, self._done = session, each_tick, Future()
         scheduling = be_prompt(realtime=self._realtime, priority=PRIORITY, inherited=False)
@@ -196,26 +212,32 @@ class GraphNode(Node):
         if self._session is None:
             return
         now = time.monotonic()
-        if not self._alone:
-            self._look_around(now)
-        if self._alone:
-            with suppress(queue.Empty):
-                self._keys.get_nowait()
-                self._session.watch.arm_now(now)
-        if self._alone or self._heard == math.inf:
-            self._session.on_tick(now)
         for sentence in self.companions.ended():
             self.say(sentence, warning=True)
+        if self.companions.refused:
+            self._finish()
+            return
+        if not self._alone:
+            self._look_around(now)
+        with suppress(queue.Empty):
+            self._keys.get_nowait()
+            self._session.watch.arm_now(now)
+        if self._alone or self._heard == math.inf:
+            self._session.on_tick(now)
         self._each_tick()
-        if self._session.finished or self.companions.refused:
+        if self._session.finished:
             self._finish()
 
     def _look_around(self, now: float) -> None:
         trouble = rivals(self, GAINS)
         looked = now - self._heard > _LOOK
         if trouble and looked and not self._crowded:
-            self.say(f"{trouble}; {self.get_name()} waits until it is alone", warning=True)
+            how = f"{self.get_name()} waits until it is alone, {_ALONE_WITHIN:g} s at most"
+            self.say(f"{trouble}; {how}", warning=True)
+            self._crowded_since = now
         self._crowded = bool(trouble) and looked
+        if self._crowded and now - self._crowded_since > _ALONE_WITHIN:
+            raise NotReadyError(f"{trouble}, still after {_ALONE_WITHIN:g} s")
         self._alone = looked and not trouble
 
     def _finish(self) -> None:
