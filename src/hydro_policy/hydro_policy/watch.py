@@ -59,8 +59,10 @@ class PlantWatch:
     ) -> None:
         self._outputs, self._override = outputs, override or GainOverride()
         self._arming = Arming(outputs, rearm)
-        first = needs.plant(lambda: not self.lost), needs.corrections(lambda: not self._flags & Flag.FILTER_STALE)
-        self.readiness = Readiness((*first, *requirements), lambda sentence: outputs.say(sentence, warning=True))
+        samples = needs.plant(lambda: not self.lost)
+        corrections = needs.corrections(lambda: not self._flags & Flag.FILTER_STALE)  # last: its wait is the shortest
+        needed = (samples, *requirements, corrections)
+        self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
         self._seen = -math.inf
         self._acted = -math.inf  # when a controller acted last, or the plant was armed
         self._spoilt = TOO_EARLY  # why nothing may act on it as it is armed: nobody knows for how long it has been
