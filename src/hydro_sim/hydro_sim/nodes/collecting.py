@@ -170,7 +170,7 @@ class CollectNode(Node):
         self._gains_publisher.publish(self._gains)
 
     def _wait_to_begin(self, now: float, *, armed: bool) -> None:
-        """Until the recorder has a second of the bench at rest: whoever arms it meanwhile is told, and it is disarmed."""
+        """Wait until the recorder has a second of the bench at rest; if somebody arms it meanwhile, it is disarmed."""
         ready = self._ready(now) and not armed
         self._still_since = min(self._still_since, now) if ready else inf
         self._arming.wait(self._readiness.awaited or "a second of the still bench", armed=armed, now=now)
