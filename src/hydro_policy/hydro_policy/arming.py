@@ -36,6 +36,10 @@ class Arming:
         self._outputs.arm(False)
         self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
 
+    def under_way(self, now: float) -> bool:
+        """Whether arming was asked for from here, and may be what is seen now."""
+        return now - self._asked <= RETRY
+
     def seek(self, ready: bool, now: float) -> None:
         """Call on each tick while the plant is not armed; `ready`: it may be."""
         self._lowered = -math.inf
@@ -64,7 +68,7 @@ class Arming:
 
     def prompt(self, condition: str, ready: bool, now: float) -> str:
         """What a person must do now, once for each condition of a plant that is not armed; else nothing."""
-        if self.alone or not ready or condition == self._prompted or now - self._asked <= RETRY:
+        if self.alone or not ready or condition == self._prompted or self.under_way(now):
             return ""
         self._prompted = condition
         return HOW_TO_ARM

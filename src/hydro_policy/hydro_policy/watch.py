@@ -32,6 +32,7 @@ IDLE = 2.0
 LOST_AFTER = 0.1  # s without a sample
 
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
+UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law begins anew"
 CALM_AGAIN = "calm again: disarmed and armed anew, so that the force law begins anew"
 
 
@@ -100,7 +101,8 @@ class PlantWatch:
     def on_sample(self, flags: int, now: float) -> None:
         """Take a sample's flags."""
         if flags & Flag.ARMED and not (self.armed or self.lost):
-            self._acted, self._spoilt = now, "" if self.readiness.complete else TOO_EARLY
+            wanted = self.readiness.complete or self._arming.under_way(now)
+            self._acted, self._spoilt = now, "" if wanted else TOO_EARLY
         self._seen, self._flags = now, flags
         if self._calm_until is not None:
             self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
@@ -148,7 +150,7 @@ class PlantWatch:
             Something without which nothing may be armed has not come within its time.
         """
         if not self.lost and now - self._seen > LOST_AFTER:
-            self._seen, self._spoilt = -math.inf, TOO_EARLY
+            self._seen, self._spoilt = -math.inf, UNSEEN
             self._flags = int(Flag.FILTER_STALE)
             self._outputs.arm(False)
         self.readiness.look(now)

@@ -127,6 +127,19 @@ def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out
     assert sum(HOW_TO_ARM in sentence for sentence in heard.said) == 2, "asked anew"
 
 
+def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_it() -> None:
+    heard = Heard()
+    watch = PlantWatch(heard, rearm=False)
+    run(watch, 0, 0.0, 1.0)
+    watch.arm_now(1.0)
+    run(watch, 0, 1.0, 1.15)
+    run(watch, STALE, 1.15, 1.2)
+    run(watch, STALE | ARMED, 1.2, 1.3)
+    assert heard.armings == [False, True] and not watch.may_begin(1.3)
+    run(watch, ARMED, 1.3, 1.4)
+    assert heard.armings == [False, True] and watch.may_begin(1.4)
+
+
 @pytest.mark.parametrize("rearm", [True, False])
 def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: bool) -> None:
     heard = Heard()
