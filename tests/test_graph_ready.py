@@ -50,7 +50,7 @@ def test_armed_last_and_acted_upon_at_once(probe: Probe, tmp_path: Path) -> None
     run = RunDirectory(tmp_path / "run")
     words = ("--plant", "emulator", "--from", "scratch", "--episodes", "1", "--runs", str(tmp_path), "--name", "run")
     with trainer(*words, *SHORT) as process:
-        assert process.process.wait(180.0) == 0
+        assert process.process.wait(400.0) == 0
     bag = read_bag(run.bag)
     states, gains = bag.state, bag[GAINS]
     armed = np.flatnonzero(states["flags"] & Flag.ARMED)[0]
