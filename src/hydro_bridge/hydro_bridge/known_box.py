@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from math import isclose
 from typing import Any
@@ -12,6 +12,12 @@ import yaml
 
 from hydro_bridge import bench_file
 from hydro_bridge.frames import BoxInfo
+from hydro_bridge.readiness import Requirement
+
+NO_BOX = (
+    "no node says on /hydro/box what the box is and believes: start a bridge or a sim of this version, "
+    "or a replayer on a recording that has it"
+)
 
 SAMPLE_PERIOD = 1e-3
 """s, that everything here is made for."""
@@ -40,6 +46,12 @@ class KnownBox:
     def base_gains(self) -> tuple[float, float]:
         """K_p [1/s] and K_i [1/s^2] that changes are added to."""
         return self.info.base_kp, self.info.base_ki
+
+
+def told(ready: Callable[[], bool]) -> Requirement:
+    """That the plant's node says what its box is; it does so once, latched, before the first sample."""
+    hint = "its node says it on /hydro/box"
+    return Requirement(name="what the box says of itself", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
 
 
 def known_box(info: BoxInfo, bench: Mapping[str, Any] | None, plant: str) -> KnownBox:

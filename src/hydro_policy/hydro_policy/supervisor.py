@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 import signal
 import time
@@ -32,8 +31,6 @@ from hydro_policy.learner import (
 from hydro_policy.run import RunDirectory, TrainingSettings
 
 RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds, and it is not bad luck
-HINT_AFTER = 8.0  # s
-AWAITING_LEARNER = "waiting for the learner: where it starts for the first time it compiles, up to a minute"
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
@@ -80,7 +77,6 @@ class LearnerSupervisor:
         if start is not None:
             self._snapshot.publish(start)
         self._deaths: deque[float] = deque()
-        self._hint_at = math.inf
         self.restarts = 0
         self._start()
 
@@ -125,7 +121,7 @@ class LearnerSupervisor:
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
     def revive(self) -> str | None:
-        """If the learner died, start another from its last snapshot; what to tell the user of that or of a long start.
+        """If the learner died, start another from its last snapshot; what to tell the user of that.
 
         Raises
         ------
@@ -133,7 +129,7 @@ class LearnerSupervisor:
             It keeps dying.
         """
         if self.alive:
-            return self._hint()
+            return None
         now, code = time.monotonic(), self._process.exitcode
         self._deaths.append(now)
         while now - self._deaths[0] > RESTART_WINDOW:
@@ -191,16 +187,8 @@ class LearnerSupervisor:
             if snapshot is not None:
                 write_run(SaveRequest(self._run.path, trainer, False), snapshot, None, self.replay, self._settings)
 
-    def _hint(self) -> str | None:
-        """Why nothing begins yet; once."""
-        if self.ready or time.monotonic() < self._hint_at:
-            return None
-        self._hint_at = math.inf
-        return AWAITING_LEARNER
-
     def _start(self) -> None:
         self._status[READY] = 0.0
-        self._hint_at = time.monotonic() + HINT_AFTER
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
         arguments = (self._memory, self._settings, theirs)  # small: what does not fit the pipe would wait for the child

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
@@ -11,6 +12,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -21,7 +23,7 @@ from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executab
 from hydro_bridge.signals import Flag  # noqa: E402
 from hydro_sim.bench import Bench  # noqa: E402
 from hydro_sim.learned.playback import Playback  # noqa: E402
-from hydro_sim.nodes.arming import HOW_TO_ARM  # noqa: E402
+from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY  # noqa: E402
 from hydro_sim.nodes.collect import main  # noqa: E402
 from hydro_sim.schedules import Segment  # noqa: E402
 
@@ -221,6 +223,25 @@ def test_a_bench_is_armed_by_a_person_only(plant: Callable[..., None], listener:
     listener.wait(lambda: not collect.running)
     assert collect.stop() == 0
     assert (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED).sum() > 900
+
+
+@pytest.mark.graph
+def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a_person_is_asked(
+    plant: Callable[..., None], listener: Listener, tmp_path: Path
+) -> None:
+    plant("-r", "__node:=bench")
+    arm = [str(executable_path("hydro_bridge", "arm"))]
+    subprocess.run(arm, timeout=60, check=True)
+    output = io.StringIO()
+    collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output)
+    listener.wait(lambda: HOW_TO_ARM[False] in collect.last_words)
+    assert TOO_EARLY in output.getvalue() and not listener.fresh() & Flag.ARMED
+    subprocess.run(arm, timeout=30, check=True)
+    listener.wait(lambda: not collect.running)
+    assert collect.stop() == 0
+    armed = (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED) != 0
+    begun = np.flatnonzero(np.diff(armed.astype(int)) == 1)[-1] + 1
+    assert armed[begun:].sum() > 900 and not armed[begun - 900 : begun].any()
 
 
 @pytest.mark.graph

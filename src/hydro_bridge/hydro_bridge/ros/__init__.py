@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from hydro_bridge.ros.boxes import BOX_WITHIN, NO_BOX, listen_to_box
+from hydro_bridge.ros.boxes import listen_to_box
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.messages import (
@@ -16,6 +16,7 @@ from hydro_bridge.ros.messages import (
     state_from_message,
 )
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
+from hydro_bridge.ros.recorder_watch import RecorderWatch
 from hydro_bridge.ros.rivals import RivalWatch, rivals, with_rivals
 from hydro_bridge.ros.scheduling import be_ordinary, be_prompt
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
@@ -43,7 +44,6 @@ __all__ = [
     "ARM_SERVICE",
     "BOX",
     "BOX_QOS",
-    "BOX_WITHIN",
     "CORRECTION",
     "CORRECTION_QOS",
     "DIAGNOSTICS",
@@ -51,7 +51,6 @@ __all__ = [
     "GAINS",
     "GAINS_QOS",
     "GRAPH",
-    "NO_BOX",
     "OVERRIDE_SERVICE",
     "REFERENCE",
     "REFERENCE_QOS",
@@ -63,6 +62,7 @@ __all__ = [
     "CompanionError",
     "DiagnosticsPublisher",
     "Level",
+    "RecorderWatch",
     "RivalWatch",
     "StateMessage",
     "Status",

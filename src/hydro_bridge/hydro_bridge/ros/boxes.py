@@ -12,14 +12,6 @@ from hydro_bridge.ros.messages import box_from_message
 from hydro_bridge.ros.topics import BOX, BOX_QOS
 from hydro_msgs.msg import BoxInfo
 
-BOX_WITHIN = 5.0
-"""s from the first sample on in which a plant has said what its box is; it is latched."""
-
-NO_BOX = (
-    "no node says on /hydro/box what the box is and believes: start a bridge or a sim of this version, "
-    "or a replayer on a recording that has it"
-)
-
 
 def listen_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> None:
     """Call `on_box` with what the plant node says of its box: as soon as it is found, and when that changes."""

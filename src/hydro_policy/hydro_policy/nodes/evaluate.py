@@ -19,13 +19,14 @@ from tempfile import TemporaryDirectory
 import rclpy
 
 from hydro_bridge.console import command, writable, writable_folder
+from hydro_bridge.readiness import NotReadyError
 from hydro_bridge.recording_run import code_version
 from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_policy import report
 from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
 from hydro_policy.grid import GridSession, GridSettings
-from hydro_policy.nodes.companions import CompanionWatch, start_companions
+from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import guard_range, uncovered
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
@@ -80,7 +81,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-@command(ValueError, CompanionError)
+@command(ValueError, CompanionError, NotReadyError)
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
@@ -160,7 +161,7 @@ def start_plant(
     if sentence := uncovered(wanted, plant.filter, plant.bench):
         node.say(sentence, warning=True)
     node.unfit = partial(surprise, box)
-    node.companions = CompanionWatch(start_companions(stack, plant, wanted, folder, None))
+    node.follow(start_companions(stack, plant, wanted, folder, None), options.record)
 
 
 def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
@@ -174,7 +175,7 @@ def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
 def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, *, rearm: bool) -> GridSession:
     """Look for the best fixed gains on the plant, by short runs; not `finished` if a signal came before."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
-    session = GridSession(grid, short, node, rearm=rearm, override=node.override)
+    session = GridSession(grid, short, node, rearm=rearm, override=node.override, requirements=node.requirements)
     told = 0
 
     def tick() -> None:
@@ -204,7 +205,13 @@ def evaluate_on(
     `after` is the watch of the session before, if there was one.
     """
     session = EvaluationSession(
-        settings or EvaluationSettings(), controllers, node, rearm=rearm, after=after, override=node.override
+        settings or EvaluationSettings(),
+        controllers,
+        node,
+        rearm=rearm,
+        after=after,
+        override=node.override,
+        requirements=node.requirements,
     )
     bar = EvaluationProgress(session)
     try:

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import IO
 
 import numpy as np
@@ -20,22 +21,23 @@ from rclpy.task import Future
 from std_srvs.srv import SetBool
 from tqdm import tqdm
 
-from hydro_bridge.known_box import KnownBox
+from hydro_bridge.known_box import KnownBox, told
 from hydro_bridge.latency import Latency
+from hydro_bridge.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.ros import (
     ARM_SERVICE,
-    BOX_WITHIN,
     CORRECTION,
     CORRECTION_QOS,
     GAINS,
     GAINS_QOS,
-    NO_BOX,
     OVERRIDE_SERVICE,
     REFERENCE,
     REFERENCE_QOS,
     STATE,
     STATE_QOS,
+    Companion,
     CompanionError,
+    RecorderWatch,
     be_ordinary,
     be_prompt,
     listen_to_box,
@@ -49,10 +51,10 @@ from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import BenchState, Correction, Gains
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import OverrideGains
+from hydro_policy import requirements as needs
 from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.override import GainOverride
 from hydro_policy.session import Session
-from hydro_policy.watch import HINT_AFTER, HOW_TO_GET_A_PLANT
 
 TICK = 0.05  # s
 PRIORITY = 10
@@ -60,6 +62,7 @@ PRIORITY = 10
 DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 _PERIOD = 0.01  # s, of a policy step
 _LOOK = 0.5  # s from the first sample on, in which others who publish gains are found
+_ALONE_WITHIN = 600.0  # s that a newcomer waits for the others to go
 
 
 class GraphNode(Node):
@@ -82,6 +85,8 @@ class GraphNode(Node):
         self.log = log
         self._realtime = realtime
         self.companions = CompanionWatch([])
+        self.requirements: list[Requirement] = []
+        """What must be there before a session of this node arms, besides what every session needs."""
         self.response = Latency()  # state taken -> gains published, in this process
         self.age = Latency()  # state's stamp -> gains published, the whole way
         self.jitter = Latency()  # |interval between gains - 10 ms|
@@ -90,11 +95,12 @@ class GraphNode(Node):
         """What the plant says of its box, once it was met."""
         self.unfit: Callable[[KnownBox], str] = lambda box: ""
         """Why a box is not the one that this run is for, in a sentence, or nothing; asked whenever a box is told of."""
-        self._foreign, self._meeting, self._sampled = "", False, math.inf
+        self._foreign, self._sampled = "", math.inf
+        self._meeting: Readiness | None = None  # while a plant is waited for that says what its box is
         self._session: Session | None = None
         self._alone, self._heard = False, math.inf  # nobody else publishes gains; when the first sample came, s
         self._each_tick: Callable[[], None] = lambda: None
-        self._crowded = False
+        self._crowded, self._crowded_since = False, math.inf
         self._done = Future()
         self._gains_out = self._published = 0.0
         self._gains = Gains()
@@ -107,6 +113,13 @@ class GraphNode(Node):
         self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
+    def follow(self, companions: list[Companion], recording: Path | None) -> None:
+        """From now on tell which of them end, and arm nothing before the one that writes `recording` has samples."""
+        self.companions = CompanionWatch(companions)
+        for companion in companions:
+            if recording is not None and companion.name == "recorder":
+                self.requirements.append(RecorderWatch(self, recording, companion).requirement)
+
     def meet(self) -> bool:
         """Wait for a plant that says what its box is, and see that it is the right one; False if a signal ended it.
 
@@ -115,15 +128,18 @@ class GraphNode(Node):
         Raises
         ------
         CompanionError
-            It is not the right one, nobody says what it is, or a companion cannot use what it was given.
+            It is not the right one, or a companion cannot use what it was given.
+        NotReadyError
+            No plant came within its time, or nobody says what it is.
         """
-        self._meeting, self._done, self._hint_at = True, Future(), time.monotonic() + HINT_AFTER
+        needed = (needs.plant(lambda: self._sampled < math.inf), told(lambda: self.box is not None))
+        self._meeting, self._done = Readiness(needed, lambda sentence: self.say(sentence, warning=True)), Future()
         if self.box is not None:
             self._on_box(self.box)
         try:
             broken = spin(self, self._done)
         finally:
-            self._meeting = False
+            self._meeting = None
         self._refuse()
         return not broken
 
@@ -134,6 +150,8 @@ class GraphNode(Node):
         ------
         CompanionError
             A companion cannot use what it was given, or another box has come.
+        NotReadyError
+            Something without which nothing may be armed did not come within its time.
         """
         self._session, self._each_tick, self._done = session, each_tick, Future()
         self._refuse()
@@ -199,7 +217,7 @@ class GraphNode(Node):
 
     def _on_box(self, box: KnownBox) -> None:
         self.box, self._foreign = box, self.unfit(box)
-        if self._meeting or self._foreign:
+        if self._meeting is not None or self._foreign:
             self._finish()
 
     def _on_state(self, message: BenchState) -> None:
@@ -235,31 +253,29 @@ class GraphNode(Node):
 
     def _on_tick(self) -> None:
         if self._session is None:
-            if self._meeting:
-                self._await_box(time.monotonic())
+            if self._meeting is not None:
+                self._await_box(self._meeting, time.monotonic())
             return
         now = time.monotonic()
+        self._tell_who_ended()
+        if self.companions.refused:
+            self._finish()
+            return
         if not self._alone:
             self._look_around(now)
-        if self._alone:
-            with suppress(queue.Empty):
-                self._keys.get_nowait()
-                self._session.watch.arm_now(now)
+        with suppress(queue.Empty):
+            self._keys.get_nowait()
+            self._session.watch.arm_now(now)
         if self._alone or self._heard == math.inf:
             self._session.on_tick(now)
-        self._tell_who_ended()
         self._each_tick()
-        if self._session.finished or self.companions.refused:
+        if self._session.finished:
             self._finish()
 
-    def _await_box(self, now: float) -> None:
+    def _await_box(self, meeting: Readiness, now: float) -> None:
         self._tell_who_ended()
-        if self._sampled == math.inf and now > self._hint_at:
-            self._hint_at = math.inf
-            self.say(HOW_TO_GET_A_PLANT, warning=True)
-        if now - self._sampled > BOX_WITHIN and self.box is None:
-            self._foreign = NO_BOX
-        if self.companions.refused or self._foreign:
+        meeting.look(now)
+        if self.companions.refused:
             self._finish()
 
     def _tell_who_ended(self) -> None:
@@ -270,8 +286,12 @@ class GraphNode(Node):
         trouble = rivals(self, GAINS)
         looked = now - self._heard > _LOOK
         if trouble and looked and not self._crowded:
-            self.say(f"{trouble}; {self.get_name()} waits until it is alone", warning=True)
+            how = f"{self.get_name()} waits until it is alone, {_ALONE_WITHIN:g} s at most"
+            self.say(f"{trouble}; {how}", warning=True)
+            self._crowded_since = now
         self._crowded = bool(trouble) and looked
+        if self._crowded and now - self._crowded_since > _ALONE_WITHIN:
+            raise NotReadyError(f"{trouble}, still after {_ALONE_WITHIN:g} s")
         self._alone = looked and not trouble
 
     def _finish(self) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import IO
 
 from hydro_bridge.console import writable_folder
-from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters
+from hydro_bridge.ros import CompanionError, refuse_unknown_parameters
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.configurations import configuration
 from hydro_policy.nodes.companions import start_companions
@@ -162,15 +162,16 @@ def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespac
 
 
 def start_plant(
-    stack: ExitStack, options: argparse.Namespace, prepared: Prepared, log: IO[str]
-) -> tuple[Path | None, list[Companion]]:
-    """Start the companions; returns where the recording goes, and them."""
+    stack: ExitStack, options: argparse.Namespace, prepared: Prepared, node: GraphNode, log: IO[str]
+) -> Path | None:
+    """Start what runs beside the node, which follows it from now on; returns where the recording goes."""
     run = prepared.run
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
     kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}
     plant = plant_options(options, recording=recording, seed=prepared.settings.seed, **kept)
-    return recording, start_companions(stack, plant, prepared.settings.task.gains, run.path, log)
+    node.follow(start_companions(stack, plant, prepared.settings.task.gains, run.path, log), recording)
+    return recording
 
 
 def _free(folder: Path) -> Path:
