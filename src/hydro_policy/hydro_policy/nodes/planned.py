@@ -13,6 +13,7 @@ from hydro_policy.controllers import policy_file
 from hydro_policy.nodes.options import plant_options
 from hydro_policy.start import Start
 from hydro_policy.task import BASE
+from hydro_sim.box import BoxConfig
 from hydro_sim.pairing import Believed, MadeFor, refuse, unfit
 from hydro_sim.stamping import stamp_of
 
@@ -33,7 +34,7 @@ def planned(options: argparse.Namespace) -> Believed:
     if options.plant == "external":
         return Believed(digest="", source="the plant that runs")
     box = Believed.of_file(options.bench, tuple(options.base_gains or BASE))
-    return box if options.plant == "bench" else replace(box, integral=usual.integral)
+    return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
 
 
 def surprise(plan: Believed, box: KnownBox) -> str:
