@@ -231,6 +231,7 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
 ) -> None:
     plant("-r", "__node:=bench")
     arm = [str(executable_path("hydro_bridge", "arm"))]
+    assert not listener.fresh() & Flag.ARMED
     subprocess.run(arm, timeout=60, check=True)
     output = io.StringIO()
     collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output)
