@@ -9,7 +9,7 @@ PYTHON ?= $(shell [ -x .venv/bin/python ] && echo .venv/bin/python || echo pytho
 ARGS ?=
 N ?= 100
 SOURCED := source install/setup.bash &&
-BOTH_CORES := -n 2 --dist loadgroup
+BOTH_CORES := -n 2 --dist loadgroup --no-loadscope-reorder
 CORES := setup $(wildcard src/hydro_*/hydro_*)
 
 # A test's graph stays on this machine and apart from a bench that runs on the default domain.

@@ -9,6 +9,8 @@ import importlib
 import json
 import multiprocessing
 import os
+import signal
+import sys
 import tempfile
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -21,6 +23,9 @@ from hydro_sim import compiled
 
 PACKAGES = ("hydro_policy", "hydro_sim", "hydro_sim.emulator", "hydro_filter", "hydro_diagnosis")
 """In whose `precompile` the steps are. The learner first: it shares no kernel with the rest, and takes long."""
+
+FOLDERS = ("hydro_bridge", "hydro_sim", "hydro_filter", "hydro_policy", "hydro_diagnosis")
+"""Packages whose sources count."""
 
 PROCESSES = 4
 """At most: each takes half a gigabyte."""
@@ -35,17 +40,15 @@ def main() -> None:
     parser.add_argument("--machine", required=True, help="written into the stamp")
     parser.add_argument("--stamp", type=Path, required=True, help="file to write")
     options = parser.parse_args()
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # `run_all` ends its processes
     modules = [importlib.import_module(f"{package}.precompile") for package in PACKAGES]
-    folders = tuple(Path(str(importlib.import_module(name).__file__)).resolve().parent for name in _FOLDERS)
+    folders = tuple(Path(str(importlib.import_module(name).__file__)).resolve().parent for name in FOLDERS)
     sources = compiled.stats(compiled.imported([Path(str(m.__file__)).resolve() for m in modules], folders))
     run_all([(module.__name__, step) for module in modules for step in module.STEPS])
     caches = sorted(str(path) for folder in folders for path in folder.rglob("*.nbi"))
     part = options.stamp.with_suffix(".part")
     part.write_text(json.dumps({"machine": options.machine, "sources": sources, "caches": caches}))
     part.replace(options.stamp)
-
-
-_FOLDERS = ("hydro_bridge", "hydro_sim", "hydro_filter", "hydro_policy", "hydro_diagnosis")
 
 
 def run_all(steps: Sequence[tuple[str, str]]) -> None:
@@ -57,10 +60,16 @@ def run_all(steps: Sequence[tuple[str, str]]) -> None:
         ProcessPoolExecutor(min(PROCESSES, len(os.sched_getaffinity(0))), context, save_alone, (lock.name,)) as pool,
     ):
         names = {pool.submit(run, module, step): step for module, step in steps}
-        for done, future in enumerate(as_completed(names), 1):
-            future.result()
-            filled = BAR * done // len(steps)
-            print(f"[{'#' * filled}{'.' * (BAR - filled)}] {done}/{len(steps)}  {names[future]}", flush=True)
+        try:
+            for done, future in enumerate(as_completed(names), 1):
+                future.result()
+                filled = BAR * done // len(steps)
+                print(f"[{'#' * filled}{'.' * (BAR - filled)}] {done}/{len(steps)}  {names[future]}", flush=True)
+        except BaseException:  # what has begun would be waited for, and what has not, be done
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():
+                child.kill()
+            raise
 
 
 def run(module: str, step: str) -> None:

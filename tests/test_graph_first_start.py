@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -62,7 +63,7 @@ def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
     """Without this the tests here could not fail."""
     code = "import hydro_sim, numba; numba.njit(lambda x: x + 1)(1)"
     environment = {**os.environ, VARIABLE: str(tmp_path / "log")}
-    subprocess.run([os.sys.executable, "-c", code], env=environment, check=True)
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
     assert [line["function"] for line in read_compilations(tmp_path / "log")] == ["__main__.<lambda>"]
 
 

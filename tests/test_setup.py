@@ -181,13 +181,10 @@ def test_kernels_are_compiled_anew_where_a_source_a_cache_or_the_machine_changed
 
 
 def test_every_package_with_kernels_is_compiled_at_set_up() -> None:
-    with_kernels = {path.parts[-2] for path in ROOT.glob("src/*/*") if any(map(has_kernels, path.rglob("*.py")))}
-    told = {package.partition(".")[0] for package in compile_kernels.PACKAGES}
-    assert told == {path.name for path in ROOT.glob("src/*") if path.name in with_kernels}
-
-
-def has_kernels(source: Path) -> bool:
-    return "@njit" in source.read_text() and "test" not in source.parts
+    sources = [path for path in ROOT.glob("src/hydro_*/hydro_*/**/*.py") if "@njit" in path.read_text()]
+    assert sources
+    compiled = {package.partition(".")[0] for package in compile_kernels.PACKAGES}
+    assert compiled == {path.relative_to(ROOT / "src").parts[0] for path in sources}
 
 
 def test_environment_cut_short_or_moved_is_not_usable(tmp_path: Path) -> None:

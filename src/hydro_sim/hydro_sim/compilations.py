@@ -23,9 +23,10 @@ VARIABLE = "HYDRO_COMPILATIONS"
 
 def record_compilations() -> None:
     """Begin, if the environment asks for it. Call it once, before anything is compiled."""
-    file = os.environ.get(VARIABLE)
-    if not file:
+    name = os.environ.get(VARIABLE)
+    if not name:
         return
+    file = Path(name)
     from numba.core import event  # takes half a second: only where it is needed
 
     class _Recorder(event.Listener):
@@ -36,7 +37,7 @@ def record_compilations() -> None:
             self._begun.append(monotonic())
 
         def on_end(self, event: Any) -> None:
-            _append(Path(file), event.data["dispatcher"], monotonic() - self._begun.pop())
+            _append(file, event.data["dispatcher"], monotonic() - self._begun.pop())
 
     event.register("numba:compile", _Recorder())
 
