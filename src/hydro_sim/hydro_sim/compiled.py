@@ -52,6 +52,8 @@ def forget_stale(*packages: Path) -> bool:
             before = _read(file.read())
             if before["all"] == present:
                 return False
+            for kept in (_imports, _source):  # from before the change
+                kept.cache_clear()
             modules = {str(module): stats(imported([module], packages)) for module in _compiled_modules(packages[0])}
             file.truncate(0)  # first: cut short anywhere after this, everything counts as stale
             for module, sources in modules.items():
@@ -69,37 +71,43 @@ def stats(paths: Iterable[Path]) -> Stats:
 
 
 def imported(modules: Iterable[Path], packages: tuple[Path, ...]) -> set[Path]:
-    """Sources of `packages` that run when the modules are imported, themselves included."""
+    """Sources of `packages` that the modules import from, directly or through others, and themselves.
+
+    A package's `__init__` counts where something is imported from it, not where it only stands around a module.
+    """
     found: set[Path] = set()
     coming = list(modules)
     while coming:
         module = coming.pop()
         if module not in found:
             found.add(module)
-            coming += [path for name in _names(module) for path in _files(name, packages)]
+            coming += [path for names in _imports(module) if (path := _source(names, packages))]
     return found
 
 
 @cache
-def _names(module: Path) -> set[str]:
-    """Dotted names that a source imports; of `from a import b` both a and a.b."""
-    names: set[str] = set()
+def _imports(module: Path) -> set[tuple[str, ...]]:
+    """Dotted names that a source imports, each with what else it may be: of `from a import b` it is a.b, or a."""
+    names: set[tuple[str, ...]] = set()
     for node in ast.walk(ast.parse(module.read_bytes())):
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
+            names |= {(alias.name,) for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
-            names |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
+            names |= {(f"{node.module}.{alias.name}", node.module) for alias in node.names}
     return names
 
 
 @cache
-def _files(name: str, packages: tuple[Path, ...]) -> list[Path]:
-    """Sources of ours that an import of `name` runs: the module's, and those of the packages around it."""
-    words = name.split(".")
-    roots = [package.parent for package in packages if package.name == words[0]]
-    places = [root.joinpath(*words[:count]) for root in roots for count in range(1, len(words) + 1)]
-    candidates = [file for place in places for file in (place.with_suffix(".py"), place / "__init__.py")]
-    return [file for file in candidates if file.is_file()]
+def _source(names: tuple[str, ...], packages: tuple[Path, ...]) -> Path | None:
+    """The source of ours that the first of the names is which is one."""
+    for name in names:
+        words = name.split(".")
+        for package in packages:
+            place = package.parent.joinpath(*words)
+            for file in (place.with_suffix(".py"), place / "__init__.py"):
+                if words[0] == package.name and file.is_file():
+                    return file
+    return None
 
 
 def _compiled_modules(package: Path) -> list[Path]:

@@ -51,7 +51,9 @@ def test_only_what_imports_an_edited_source_is_forgotten(tmp_path: Path) -> None
     assert left(plain="b = 22") == [True, True, True]
     assert left(inner=INNER.format(value=333)) == [False, False, True]
     assert left(new="from numba import njit") == [True, True, True]
-    assert left(__init__="c = 4444") == [False, False, True], "of the package that `outer` is imported from"
+    assert left(__init__="c = 4444") == [True, True, True], "nothing is imported from there"
+    assert left(outer=OUTER + "from toy import c") == [True, False, True]
+    assert left(__init__="c = 55555") == [True, False, True]
 
 
 def test_sources_of_another_package_count(tmp_path: Path) -> None:
