@@ -46,7 +46,6 @@ from hydro_filter.metric_polish import polished_rows
 from hydro_filter.metric_training import Progress, TrainingSettings, corrected, questions, train
 from hydro_filter.metric_words import arguments, begun
 from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
 from hydro_sim.learned import weights
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
@@ -80,7 +79,7 @@ def main() -> None:
     bench, path = Bench.load(options.bench) if options.bench else Bench.nominal(), options.model or weights.shipped()
     remedy = "name the bench.yaml of its box by --bench, or learn a model from this box's recordings (hydro_sim learn)"
     refuse(unfit(f"the model {Path(path).name}", learned.made, Believed.of_file(options.bench), remedy))
-    made = MadeFor(box=bench.digest, model=weights.digest(path), integral=BoxConfig().integral)
+    made = MadeFor(box=bench.digest, model=weights.digest(path))  # either form of the integral: decision 31
     loop = loop_model(learned.model, bench)
     material = gather(LearnedPlant(learned), bench, loop, data)
     low, high = certified_range(material.rollouts)
