@@ -9,6 +9,7 @@ import subprocess
 import time
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
@@ -21,24 +22,26 @@ import rclpy
 
 from hydro_bridge.console import UserError
 from hydro_bridge.recording import read_bag
-from hydro_bridge.ros import GAINS, GAINS_QOS, STATE, STATE_QOS, executable_path
+from hydro_bridge.ros import BOX, BOX_QOS, GAINS, GAINS_QOS, STATE, STATE_QOS, CompanionError, executable_path
 from hydro_bridge.signals import Flag
 from hydro_filter.choice import DEFAULT
-from hydro_msgs.msg import BenchState, Gains
+from hydro_msgs.msg import BenchState, BoxInfo, Gains
 from hydro_policy.checkpoint import load_checkpoint
+from hydro_policy.nodes import graph
 from hydro_policy.nodes.companions import PlantOptions, commands
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import uncovered
 from hydro_policy.nodes.options import plant_options
+from hydro_policy.nodes.planned import surprise
 from hydro_policy.nodes.trainer import DEMO, asked
 from hydro_policy.nodes.trainer import parser as trainer_parser
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
 from hydro_policy.start import shipped_start
-from hydro_policy.task import GainRange
+from hydro_policy.task import BASE, GainRange
 from hydro_sim.bench import Bench
 from hydro_sim.learned.weights import shipped
-from hydro_sim.pairing import MadeFor
+from hydro_sim.pairing import Believed, MadeFor
 
 pytestmark = pytest.mark.graph
 
@@ -277,9 +280,34 @@ def test_on_a_plant_that_runs_policies_of_another_box_are_refused_and_fixed_gain
     assert score["proportional_gain"] == pytest.approx(70.0, abs=0.5)
 
 
-def test_a_box_of_a_companion_that_is_not_as_planned_ends_the_run_before_anything_is_armed(tmp_path: Path) -> None:
-    done = run(
-        "trainer", "--plant", "sim", "--runs", str(tmp_path), "--from", "scratch", "--base-gains", "600", "5"
-    )  # fmt: skip
-    assert done.returncode == 2 and "base_kp" in done.stderr.splitlines()[-1]
-    assert not any(tmp_path.iterdir())
+@pytest.mark.parametrize(
+    ("told", "sentence"),
+    [
+        (BoxInfo(plant="bridge", base_kp=30.0, base_ki=8.0), "say --base-gains 30 8"),
+        (
+            BoxInfo(plant="bridge", base_kp=15.0, base_ki=5.0, bench_digest="0123456789ab"),
+            "the box believes 0123456789ab",
+        ),
+        (None, "no node says on /hydro/box"),
+    ],
+)
+def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything_is_sent(
+    told: BoxInfo | None, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph, "BOX_WITHIN", 0.5)
+    rclpy.init()
+    other, node = rclpy.create_node("plant"), GraphNode("newcomer", realtime=False)
+    node.unfit = partial(surprise, Believed.of_file(None, BASE))
+    try:
+        state = other.create_publisher(BenchState, STATE, STATE_QOS)
+        if told is not None:
+            other.create_publisher(BoxInfo, BOX, BOX_QOS).publish(told)
+        ticking = node.create_timer(0.05, lambda: state.publish(BenchState()))
+        with pytest.raises(CompanionError, match=sentence):
+            node.meet()
+        node.destroy_timer(ticking)
+        assert node.response.count == 0
+    finally:
+        node.destroy_node()
+        other.destroy_node()
+        rclpy.shutdown()
