@@ -102,7 +102,7 @@ def alarms(minutes: float, seed: int) -> Table:
     """The first table."""
     columns = {"plant": "", "minutes": "of bench time", "alarms": "samples", "tripped": "benches"}
     table = Table(
-        {**columns, **dict.fromkeys(EQUATIONS, "largest sum; 30 is told")}, title="Nothing is wrong: false alarms"
+        {**columns, **dict.fromkeys(EQUATIONS, "largest sum; 50 is told")}, title="Nothing is wrong: false alarms"
     )
     for plant in ("emulator", "sim"):
         found = _false_alarms.run(plant, minutes, seed)
