@@ -7,13 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.memory import RecordMemory
 
 
 def _memory() -> None:
-    path: FloatArray = np.linspace(0.0, 1.0, 10)
-    record = RecordMemory(1e-3)
+    path, record = np.zeros(10), RecordMemory(1e-3)
     record.bristle("z", path, 2e5, np.ones(10))
     record.play("p", path, 0.1)
 
