@@ -7,22 +7,28 @@ SHELL := /bin/bash
 PYTHON ?= $(shell [ -x .venv/bin/python ] && echo .venv/bin/python || echo python3)
 # Further words for the command behind a target: make train ARGS="--episodes 12", make test ARGS="-k bag".
 ARGS ?=
+N ?= 100
 SOURCED := source install/setup.bash &&
+BOTH_CORES := -n 2 --dist loadgroup --no-loadscope-reorder
 CORES := setup $(wildcard src/hydro_*/hydro_*)
 
 # A test's graph stays on this machine and apart from a bench that runs on the default domain.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-test fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
+test test-slow graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
 
-.PHONY: help setup build train prove test check lint fast-tests colcon-test demo bench bench-peers fuzz format clean
+.PHONY: help setup environment build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
+.PHONY: bench bench-peers fuzz format clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-setup:  ## environment, pinned wheels, built packages; at once when nothing changed
+setup:  ## environment, pinned wheels, built packages, compiled kernels; at once when nothing changed
 	@$(PYTHON) -m setup.bootstrap
 
-build: setup  ## the same: rebuilds after a change of messages, executables, launch or config files
+environment:
+	@$(PYTHON) -m setup.bootstrap --without-kernels
+
+build: setup  ## the same: rebuilds and compiles after a change of messages, executables, launch files or kernels
 
 train: setup  ## a short training on the emulated bench over the serial line, recorded and evaluated
 	@$(SOURCED) ros2 run hydro_policy trainer --demo $(ARGS)
@@ -30,19 +36,25 @@ train: setup  ## a short training on the emulated bench over the serial line, re
 prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261120" repeats docs/proof.md)
 	@$(SOURCED) ros2 run hydro_diagnosis prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
 
-test: lint  ## all checks and all tests
-	@$(SOURCED) .venv/bin/python -m pytest $(ARGS)
+test: lint setup  ## all checks and all tests but the studies, on two cores
+	@$(SOURCED) .venv/bin/python -m pytest -m "not study" $(BOTH_CORES) $(ARGS)
+
+test-slow: setup  ## the studies among the tests: minutes of computing each
+	@$(SOURCED) .venv/bin/python -m pytest -m study $(BOTH_CORES) $(ARGS)
+
+graph-repeat: setup  ## the graph tests N times beside a busy process (N=100 ARGS="-k recorder")
+	@$(SOURCED) .venv/bin/python -m tests.graph_repeat --times $(N) $(ARGS)
 
 check: lint fast-tests  ## format, lint, types, import rules and the fast tests
 
-lint: setup
+lint: environment
 	@.venv/bin/ruff format --check .
 	@.venv/bin/ruff check .
 	@.venv/bin/mypy $(CORES)
 	@$(SOURCED) .venv/bin/lint-imports --no-logo
 
 fast-tests: setup
-	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph" $(ARGS)
+	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph and not study" $(ARGS)
 
 colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build farm runs them
 	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src $(if $(ARGS),--pytest-args " $(ARGS)") \
@@ -63,7 +75,7 @@ bench-peers: setup  ## peers of the learner in an environment of their own (.ven
 fuzz: setup  ## a million hostile frames to the decoder
 	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)
 
-format: setup  ## rewrite the sources in the house format
+format: environment  ## rewrite the sources in the house format
 	@.venv/bin/ruff format . && .venv/bin/ruff check --fix .
 
 clean:  ## remove what is built; the environment stays (`rm -r .venv` removes that too)

@@ -14,11 +14,11 @@ def pytest_configure() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """A graph test keeps real time: one that fails is run once more, and the report counts it as a rerun.
+    """Graph tests come first and one after the other; the rest is shared out by file, so that fixtures are made once.
 
-    They come last: by then what they run is compiled, and a fresh machine does not compile beside a graph.
+    They keep real time: two graphs at once would ask for more than two cores. Beside them computes the other worker.
     """
-    items.sort(key=lambda item: item.get_closest_marker("graph") is not None)
+    items.sort(key=lambda item: item.get_closest_marker("graph") is None)
     for item in items:
-        if item.get_closest_marker("graph"):
-            item.add_marker(pytest.mark.flaky(reruns=1))
+        group = "graph" if item.get_closest_marker("graph") else item.path.name
+        item.add_marker(pytest.mark.xdist_group(group))

@@ -20,7 +20,10 @@ STUDIES = frozenset(
         "controllers",
         "diagnosis_peers",
         "foreign_truth",
+        "integral_form",
         "learned_structures",
+        "model_mismatch",
+        "pairings",
         "sac_peers",
         "training_seeds",
     }

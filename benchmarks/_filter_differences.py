@@ -12,7 +12,7 @@ from numba import njit
 
 from hydro_filter import displacement, loop_decision, metric_network, model_kernels, sampled_certificate
 from hydro_filter.loop_decision import Problem
-from hydro_filter.loop_filter import LoopFilter
+from hydro_filter.loop_filter import FITS, NOT_FINITE, LoopFilter
 from hydro_filter.loop_model import LOOP, hydraulic_slopes, shares
 from hydro_filter.state import STATES
 from hydro_sim import force_law
@@ -137,10 +137,8 @@ def _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, fee
     """K, of the law with the reference's rate that makes it give the nominal current."""
     bench, probe = loop.bench[0], np.empty(STATES)
     side = np.copysign(nominal, hidden[0] + loop.model[0][OFFSET])
-    still = force_law.nominal_current(bench, x, 0.0, 0.0, 0.0, proportional_gain, 0.0, loop.gain_floor)
-    unit = force_law.nominal_current(
-        bench, x, 0.0, 0.0, np.copysign(1e7, side), proportional_gain, 0.0, loop.gain_floor
-    )
+    still = force_law.nominal_current(bench, x, 0.0, 0.0, 0.0, proportional_gain, loop.gain_floor)
+    unit = force_law.nominal_current(bench, x, 0.0, 0.0, np.copysign(1e7, side), proportional_gain, loop.gain_floor)
     wanted = (side - still) / (unit - still) * np.copysign(1e7, side)
     feedback[:] = 0.0
     for k in (0, 3, 5, 7):
@@ -155,21 +153,19 @@ def _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, fee
                 error = -change
             else:
                 probe[6 if k == 5 else 7] += change
-            current = force_law.nominal_current(
-                bench, probe, error, 0.0, wanted, proportional_gain, 0.0, loop.gain_floor
-            )
+            current = force_law.nominal_current(bench, probe, error, 0.0, wanted, proportional_gain, loop.gain_floor)
             values = (values[1], current)
         feedback[k] = (values[0] - values[1]) / (2.0 * STEP)
 
 
 @njit
 def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
-    """`loop_filter.propose` by differences."""
-    parts, room = box[0]
+    """`loop_filter.propose` by differences; nothing watches the model."""
+    parts, room, _, _ = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
-        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     p = pose(parts, memory[0], x, nominal, current, reference, reference_rate, gain, room)
-    return True, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
+    return FITS, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
 
 
 class DifferencedLoopFilter(LoopFilter):

@@ -15,7 +15,9 @@ from numba.extending import overload
 
 from hydro_policy import fleet_plants
 from hydro_policy.fleet import Fleet
+from hydro_policy.fleet_filter import FleetFilter
 from hydro_sim.bench import Bench
+from hydro_sim.box import BoxConfig
 from hydro_sim.emulator import truth
 from hydro_sim.emulator.truth import TruthPlant
 from hydro_sim.emulator.truth_config import TruthConfig, profile
@@ -62,7 +64,9 @@ def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:
 fleet_plants.KINDS[TruthPlant] = (_rows, _copy)
 
 
-def truth_fleet(count: int, config: TruthConfig | None = None) -> Fleet:
+def truth_fleet(
+    count: int, config: TruthConfig | None = None, box: BoxConfig | None = None, filters: FleetFilter | None = None
+) -> Fleet:
     """So many emulated benches; the boxes believe in the nominal bench."""
     truth_config = config or profile("default")
-    return Fleet([Bench.nominal()] * count, [TruthPlant(truth_config) for _ in range(count)])
+    return Fleet([Bench.nominal()] * count, [TruthPlant(truth_config) for _ in range(count)], box, filters)

@@ -19,8 +19,7 @@ from hydro_bridge.protocol import State, encode_command, encode_hello
 from hydro_bridge.signals import Command, ReferenceSignal, Waveform
 from hydro_bridge.stream import Decoder
 from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
-from hydro_sim.emulator.command import box_info
+from hydro_sim.box import EMULATED_BOX, BoxConfig, box_info
 from hydro_sim.emulator.faults import LinkFaults
 from hydro_sim.emulator.link import BoxLink
 from hydro_sim.emulator.machine import Machine
@@ -63,7 +62,7 @@ def serial(seconds: float) -> dict[str, float]:
     machine.warm_up()
     with tempfile.TemporaryDirectory() as folder:
         terminal = Terminal(Path(folder) / "port")
-        link = BoxLink(terminal, box_info(Bench.nominal(), BoxConfig()), LinkFaults())
+        link = BoxLink(terminal, box_info(Bench.nominal(), BoxConfig(), EMULATED_BOX), LinkFaults())
         reader = multiprocessing.get_context("spawn").Process(
             target=command_back, args=(str(terminal.path), seconds + 30.0)
         )

@@ -94,7 +94,7 @@ class DifferencedLaw(ForceLaw):
 
     def _current(self, sample: Sample, state: FloatArray, reference_rate: float) -> float:
         error = sample.reference_force - state[LOAD_FORCE]
-        known = (error, 0.0, reference_rate, sample.proportional_gain, 0.0, self.gain_floor)
+        known = (error, 0.0, reference_rate, sample.proportional_gain, self.gain_floor)
         return float(force_law.nominal_current(self.constants[0], state, *known))
 
 

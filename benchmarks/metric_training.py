@@ -127,11 +127,10 @@ def plain_loop(batch: Batch, loop: LoopModel) -> FloatArray:
 def law_slopes(loop: LoopModel, batch: Batch, n: int) -> FloatArray:
     """K of one sample by differences of the force law."""
     _, _, reference, rate, gain = batch.signals[n]
-    integral = 0.0
 
     def law(x: FloatArray) -> float:
         error = reference - x[2]
-        return float(force_law.nominal_current(loop.bench[0], x, error, integral, rate, gain, 0.0, loop.gain_floor))
+        return float(force_law.nominal_current(loop.bench[0], x, error, 0.0, rate, gain, loop.gain_floor))
 
     share_a, share_b = shares(loop.model[0], batch.x[n, 6])
     moves = {0: ((4, share_a), (5, share_b)), 3: ((2, 1.0),), 5: ((6, 1.0),), 7: ((7, 1.0),)}

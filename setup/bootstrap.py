@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make this checkout ready to run: environment, pinned wheels, built packages. Does nothing where nothing has changed.
+"""Make this checkout ready to run: environment, pinned wheels, built packages, compiled kernels.
 
-Usage: python3 -m setup.bootstrap [--force]
+Does nothing where nothing has changed.
+
+Usage: python3 -m setup.bootstrap [--force] [--without-kernels]
 """
 
 # This file must parse on old Pythons, to say in a sentence that they are too old: no `from __future__`, late imports.
@@ -27,7 +29,7 @@ def main():
     from setup import plan, progress
 
     try:
-        plan.carry_out(force="--force" in sys.argv[1:])
+        plan.carry_out(force="--force" in sys.argv[1:], kernels="--without-kernels" not in sys.argv[1:])
     except progress.SetupError as error:
         sys.stderr.write("setup: {}\n".format(error))
         return 2

@@ -38,6 +38,11 @@ class Layout:
         """Digest of what the packages were built from; gone when `install/` is deleted."""
         return self.install / "hydro-setup.stamp"
 
+    @property
+    def kernels_stamp(self) -> Path:
+        """What the compiled kernels were made from and where they are; gone when `.cache/` is deleted."""
+        return self.root / ".cache" / "setup" / "kernels.json"
+
     def log(self, name: str) -> Path:
         """Where the output of a step goes."""
         return self.root / ".cache" / "setup" / f"{name}.log"

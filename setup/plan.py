@@ -12,29 +12,45 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from setup import host, stamp, venv, wheels, workspace
+from setup import kernels as compiling
 from setup.layout import HERE, Layout
 from setup.progress import Steps
 
 
-def carry_out(layout: Layout = HERE, *, force: bool = False) -> None:
-    """Bring the checkout up to date; interrupted anywhere, the next call goes on, as a stamp follows its step."""
+def carry_out(layout: Layout = HERE, *, force: bool = False, kernels: bool = True) -> None:
+    """Bring the checkout up to date; interrupted anywhere, the next call goes on, as a stamp follows its step.
+
+    `force`: everything anew. `kernels`: compile them, too.
+    """
     ros = host.sourced_ros(os.environ, layout.venv)
     wheels_digest = _wheels_digest(layout, ros)
     build_digest = _build_digest(layout, wheels_digest)
-    if not force and _is_done(layout, wheels_digest, build_digest):
+    machine = compiling.machine_digest(wheels_digest)
+
+    def needed() -> tuple[bool, bool, bool]:
+        wheels_needed = not stamp.is_current(layout.wheels_stamp, wheels_digest)
+        build_needed = wheels_needed or not stamp.is_current(layout.build_stamp, build_digest)
+        return wheels_needed, build_needed, kernels and not compiling.are_current(layout, machine)
+
+    if not force and not any(needed()):
         return
     with _alone(layout):
         if force:
-            layout.wheels_stamp.unlink(missing_ok=True)
-            layout.build_stamp.unlink(missing_ok=True)
-        wheels_needed = not stamp.is_current(layout.wheels_stamp, wheels_digest)
-        steps = Steps(total=4 if wheels_needed else 1)
+            for path in (layout.wheels_stamp, layout.build_stamp, layout.kernels_stamp):
+                path.unlink(missing_ok=True)
+        wheels_needed, build_needed, kernels_needed = needed()
+        steps = Steps(total=3 * wheels_needed + build_needed + kernels_needed)
+        environment = host.build_environment(os.environ, layout.venv, ros)
         if wheels_needed:
             _make_environment(layout, ros, steps)
             stamp.write(layout.wheels_stamp, wheels_digest)
-        with steps.step("build the packages with colcon"):
-            workspace.build(layout, host.build_environment(os.environ, layout.venv, ros))
-            stamp.write(layout.build_stamp, build_digest)
+        if build_needed:
+            with steps.step("build the packages with colcon"):
+                workspace.build(layout, environment)
+                stamp.write(layout.build_stamp, build_digest)
+        if kernels_needed:
+            with steps.step("compile the kernels (minutes, where nothing is compiled yet)"):
+                compiling.compile_all(layout, machine, environment)
     print("hydro is set up: `source install/setup.bash`, then for example `ros2 run hydro_policy trainer --help`.")
 
 
@@ -69,10 +85,6 @@ def _wheels_digest(layout: Layout, ros: Path | None) -> str:
 def _build_digest(layout: Layout, wheels_digest: str) -> str:
     contents, names = stamp.package_inputs(layout.root / "src")
     return stamp.digest([wheels_digest], [*contents, layout.root / "colcon.meta"], names)
-
-
-def _is_done(layout: Layout, wheels_digest: str, build_digest: str) -> bool:
-    return stamp.is_current(layout.wheels_stamp, wheels_digest) and stamp.is_current(layout.build_stamp, build_digest)
 
 
 @contextmanager

@@ -37,8 +37,10 @@ class Steps:
         print(f" {time.monotonic() - started:.0f} s", flush=True)
 
 
-def run_logged(command: Sequence[str], log: Path, environment: Mapping[str, str], hint: str = "") -> None:
-    """Run `command` with its output in `log`; whoever watches sees the time and the last line of it.
+def run_logged(
+    command: Sequence[str], log: Path, environment: Mapping[str, str], hint: str = "", folder: Path | None = None
+) -> None:
+    """Run `command`, in `folder`, with its output in `log`; whoever watches sees the time and the last line of it.
 
     Raises
     ------
@@ -48,7 +50,7 @@ def run_logged(command: Sequence[str], log: Path, environment: Mapping[str, str]
     log.parent.mkdir(parents=True, exist_ok=True)
     with log.open("wb") as out:
         process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, env=environment
+            command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, env=environment, cwd=folder
         )
         try:
             _wait(process, log)

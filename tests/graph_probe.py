@@ -91,12 +91,15 @@ class Probe:
 
 
 class Trainer:
-    """A trainer with its companions, in a process group of its own; `text` is what it has printed."""
+    """A trainer with its companions, in a process group of its own; `text` is what it has printed.
 
-    def __init__(self, *words: str) -> None:
+    `stdin`: the descriptor that it reads; none by default.
+    """
+
+    def __init__(self, *words: str, stdin: int = subprocess.DEVNULL) -> None:
         self.process = subprocess.Popen(
             [str(executable_path("hydro_policy", "trainer")), *words],
-            stdin=subprocess.DEVNULL,
+            stdin=stdin,
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,
             text=True,
@@ -132,9 +135,9 @@ class Trainer:
 
 
 @contextmanager
-def trainer(*words: str) -> Iterator[Trainer]:
+def trainer(*words: str, stdin: int = subprocess.DEVNULL) -> Iterator[Trainer]:
     """Start a trainer, and be sure that it is gone in the end; on failure its output is printed."""
-    run = Trainer(*words)
+    run = Trainer(*words, stdin=stdin)
     try:
         yield run
     except BaseException:

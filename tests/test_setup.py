@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import os
 import resource
 import subprocess
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from setup import bootstrap, host, plan, stamp, venv, wheels
+from setup import bootstrap, compile_kernels, host, kernels, plan, stamp, venv, wheels
 from setup.layout import Layout
 from setup.progress import SetupError, run_logged
 
@@ -151,6 +152,39 @@ def test_stamp_is_current_only_for_its_own_digest(tmp_path: Path) -> None:
     assert not stamp.is_current(path, "abd")
     path.write_text("ab")
     assert not stamp.is_current(path, "abc")
+
+
+def compiled_checkout(root: Path) -> tuple[Layout, Path, Path]:
+    """A layout whose one kernel was compiled: source and cache."""
+    layout, source, cache = Layout(root=root), root / "kernel.py", root / "kernel.nbi"
+    source.write_text("one")
+    cache.touch()
+    stat = source.stat()
+    layout.kernels_stamp.parent.mkdir(parents=True)
+    content = {"machine": "this", "sources": {str(source): [stat.st_mtime_ns, stat.st_size]}, "caches": [str(cache)]}
+    layout.kernels_stamp.write_text(json.dumps(content))
+    return layout, source, cache
+
+
+def test_kernels_are_compiled_anew_where_a_source_a_cache_or_the_machine_changed(tmp_path: Path) -> None:
+    layout, source, cache = compiled_checkout(tmp_path)
+    assert kernels.are_current(layout, "this") and not kernels.are_current(layout, "that")
+    cache.unlink()
+    assert not kernels.are_current(layout, "this")
+    cache.touch()
+    source.write_text("another")
+    assert not kernels.are_current(layout, "this")
+    source.unlink()
+    assert not kernels.are_current(layout, "this")
+    layout.kernels_stamp.write_text("{")
+    assert not kernels.are_current(layout, "this")
+
+
+def test_every_package_with_kernels_is_compiled_at_set_up() -> None:
+    sources = [path for path in ROOT.glob("src/hydro_*/hydro_*/**/*.py") if "@njit" in path.read_text()]
+    assert sources
+    compiled = {package.partition(".")[0] for package in compile_kernels.PACKAGES}
+    assert compiled == {path.relative_to(ROOT / "src").parts[0] for path in sources}
 
 
 def test_environment_cut_short_or_moved_is_not_usable(tmp_path: Path) -> None:

@@ -27,20 +27,23 @@ def sense(bench, state, noise, quantum, row):
 
 @njit
 def command(box, row, integral):
-    """Write the force law's current into a row of readings and gains, and return the integral [N s]."""
+    """Write the force law's current into a row of readings and gains, and return the integral of K_i e [N/s].
+
+    The bumpless form of docs/protocol.md; with gains that stay as they are the paper's is the same.
+    """
     a, b, position, velocity = row[4], row[5], row[6], row[7]
     area, ratio, modulus = box.piston_area, box.area_ratio, box.bulk_modulus
     volume_a = box.dead_volume_a + area * position
     volume_b = box.dead_volume_b + ratio * area * (box.stroke - position)
     drift = -modulus * area**2 * (1.0 / volume_a + ratio**2 / volume_b) * velocity
     error = row[10] - row[2]
-    grown = integral + PERIOD * error
-    wanted = row[11] + row[12] * error + row[13] * grown - drift
+    grown = integral + PERIOD * row[13] * error
+    wanted = row[11] + row[12] * error + grown - drift
     high_a, high_b = (box.supply_pressure - a, b - box.tank_pressure) if wanted >= 0.0 else (
         a - box.tank_pressure, box.supply_pressure - b)  # fmt: skip
     edges = math.sqrt(max(high_a, 1e4)) / volume_a + ratio * math.sqrt(max(high_b, 1e4)) / volume_b
     row[9] = wanted / (modulus * flow_gain(box) * area * edges)
     row[8] = min(max(row[9], -box.valve_current_max), box.valve_current_max)
-    saturated = row[8] != row[9]
-    row[14] = 3.0 if saturated else 1.0
-    return integral if saturated else grown
+    row[14] = 3.0 if row[8] != row[9] else 1.0
+    outward = (row[9] - row[8]) * row[13] * error > 0.0
+    return integral if outward else grown

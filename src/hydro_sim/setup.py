@@ -29,6 +29,7 @@ setup(
             "collect = hydro_bridge.start:main_of.hydro_sim.nodes.collect",
             "learn = hydro_bridge.start:main_of.hydro_sim.learned.learn",
             "validate = hydro_bridge.start:main_of.hydro_sim.learned.validate",
+            "stamp = hydro_bridge.start:main_of.hydro_sim.stamp",
         ],
     },
 )

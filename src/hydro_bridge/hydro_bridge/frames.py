@@ -41,6 +41,10 @@ class WrongVersionError(MalformedError):
         self.version = version
 
 
+INTEGRAL_FORMS = ("", "paper", "bumpless")
+"""Forms of the force law's integral by their number in HELLO: not told, K_i int e dt, int K_i e dt."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class BoxInfo:
     """What a box says about itself in its HELLO; the bridge never sends more than these limits allow."""
@@ -65,6 +69,8 @@ class BoxInfo:
     """A."""
     sample_period: float = 1e-3
     """s."""
+    integral: str = ""
+    """Form of the force law's integral, one of `INTEGRAL_FORMS`; empty: the box does not tell."""
 
 
 class Hello(NamedTuple):

@@ -3,8 +3,9 @@
 
 The guard believes nobody. A value that is not finite is dropped, one out of range is clamped, an old one is replaced
 by the safe one (base gains, no correction); each is counted, and each change is told once in a sentence
-(`take_events`). If nobody chooses gains any more it gives the plant up: reference 0 N, disarmed. Source: failure table
-of docs/architecture.md.
+(`take_events`). On the word of a filter whose model is not this bench's (MISMATCH) no correction passes, and gains
+within the narrow range alone. If nobody chooses gains any more it gives the plant up: reference 0 N, disarmed. Source:
+failure table of docs/architecture.md.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from hydro_bridge.guard_limits import GuardSettings, narrowed, unfit, with_frequency
+from hydro_bridge.guard_limits import GuardSettings, narrowed, unfit, with_frequency, within_narrow
 from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, ReferenceSignal
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
@@ -20,7 +21,10 @@ __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"
 DECIDED = frozenset(
     {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
 )
-"""Statuses with which the filter did decide. NAN and STALE say that it could not, BYPASSED that it was told not to."""
+"""Statuses with which the filter did decide. NAN and STALE say that it could not, BYPASSED that it was told not to;
+MISMATCH that nothing should rest on it."""
+
+MISMATCHED = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
 
 
 @dataclass(kw_only=True)
@@ -34,6 +38,10 @@ class GuardCounts:
     """Corrections with status NAN, STALE or BYPASSED."""
     outdated: int = 0
     """Corrections of a sample that was too old when they came, or of one that never was."""
+    mismatched: int = 0
+    """Corrections with status MISMATCH: the filter's model is not this bench's."""
+    narrowed: int = 0
+    """Commands whose gains were narrowed for that."""
     references_refused: int = 0
     stale_correction: int = 0
     """Commands for which the correction was stale."""
@@ -57,6 +65,8 @@ class CommandGuard:
     _delta_u: float = 0.0
     _corrects: int = 0
     _correction_at: float = -inf
+    _mismatched: bool = False
+    """Whether the filter's last word was MISMATCH; only a decision takes it back."""
     _newest: int | None = None
     _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
     _arm: bool = False
@@ -110,17 +120,31 @@ class CommandGuard:
 
     def set_correction(self, delta_u: float, status: int, sequence: int, now: float) -> None:
         """Take the filter's correction [A] for sample `sequence`; without a decision in it, the last one ages on."""
-        if not isfinite(delta_u):
+        if status == CorrectionStatus.MISMATCH:
+            self._take_mismatch(sequence, now)
+        elif not isfinite(delta_u):
             self.counts.not_finite += 1
         elif status not in DECIDED:
             self.counts.undecided += 1
-        elif self._newest is not None and (self._newest - sequence) & 0xFFFFFFFF > self._samples_back:
+        elif self._outdated(sequence):
             self.counts.outdated += 1
         else:
             limit = self.settings.delta_u_max
             self._delta_u = self._clamp("delta_u", delta_u, -limit, limit)
             self._corrects = sequence & 0xFFFFFFFF
-            self._correction_at = now
+            self._correction_at, self._mismatched = now, False
+
+    def _take_mismatch(self, sequence: int, now: float) -> None:
+        """Nothing rests on the filter from now on; that it answers keeps the narrow gains in force."""
+        self.counts.mismatched += 1
+        self._mismatched, self._delta_u = True, 0.0
+        if self._outdated(sequence):
+            self.counts.outdated += 1
+        else:
+            self._corrects, self._correction_at = sequence & 0xFFFFFFFF, now
+
+    def _outdated(self, sequence: int) -> bool:
+        return self._newest is not None and (self._newest - sequence) & 0xFFFFFFFF > self._samples_back
 
     def note_sample(self, sequence: int | None) -> None:
         """Say which sample is the newest; None for a new start. Without it corrections age by their arrival alone."""
@@ -141,7 +165,10 @@ class CommandGuard:
         return True
 
     def correction_fresh(self, now: float) -> bool:
-        """Whether the filter decided within `correction_age_max`."""
+        """Whether the filter decided within `correction_age_max`, and its model is this bench's."""
+        return self._answered(now) and not self._mismatched
+
+    def _answered(self, now: float) -> bool:
         return now - self._correction_at <= self.settings.correction_age_max
 
     def gains_fresh(self, now: float) -> bool:
@@ -152,23 +179,26 @@ class CommandGuard:
         """What may go down at time `now`."""
         if self._arm and self._gained and now - self._gains_at > self.settings.abandoned_after:
             self.give_up(f"no gains for {self.settings.abandoned_after:g} s, whoever chose them is gone")
-        filtered, gained = self.correction_fresh(now), self.gains_fresh(now)
+        answered, gained = self._answered(now), self.gains_fresh(now)
         self.counts.commands += 1
-        self.counts.stale_correction += not filtered
+        self.counts.stale_correction += not answered
         self.counts.stale_gains += not gained
         if self._correction_at > -inf:  # before its first correction the filter is merely not up yet
-            self._tell("stale correction", not filtered, self._stale_sentence(), "corrections are fresh again")
+            self._tell("stale correction", not answered, self._stale_sentence(), "corrections are fresh again")
         if self._gains_at > -inf:
             self._tell("stale gains", not gained, "gains are stale: base gains", "gains are fresh again")
-        delta_kp, delta_ki = self._gains if gained and (filtered or not self.settings.require_filter) else (0.0, 0.0)
+        self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
+        passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
+        delta_kp, delta_ki = within_narrow(passed) if self._mismatched else passed
+        self.counts.narrowed += (delta_kp, delta_ki) != passed
         return Command(
             arm=self._arm,
             delta_kp=delta_kp,
             delta_ki=delta_ki,
-            delta_u=self._delta_u if filtered else 0.0,
+            delta_u=self._delta_u if answered else 0.0,
             reference=self._reference,
             corrects=self._corrects,
-            filter_fresh=filtered,
+            filter_fresh=answered and not self._mismatched,
         )
 
     def take_events(self) -> list[str]:

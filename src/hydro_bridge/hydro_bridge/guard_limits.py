@@ -44,6 +44,19 @@ class GuardSettings:
     """Without a fresh correction: base gains. False lets gains pass unfiltered: logged, flagged and on /diagnostics."""
 
 
+NARROW = GuardSettings()
+"""Its ranges of delta_kp and delta_ki are what every bench of this kind bears by itself: the paper's, K_p 15 to 90 and
+K_i 5 to 15 on base gains of 15 and 5. They hold, however wide a guard was opened, where the filter says MISMATCH."""
+
+
+def within_narrow(gains: tuple[float, float]) -> tuple[float, float]:
+    """Changes of K_p [1/s] and K_i [1/s^2], clamped to `NARROW`."""
+    return (
+        min(max(gains[0], NARROW.delta_kp_min), NARROW.delta_kp_max),
+        min(max(gains[1], NARROW.delta_ki_min), NARROW.delta_ki_max),
+    )
+
+
 def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
     """Limits that neither the settings nor the box exceed."""
     return replace(

@@ -72,6 +72,8 @@ class Link:
         Called with a sentence when something changes.
     warn
         Called with a sentence when something is wrong; `log` by default.
+    on_box
+        Called in the thread of `run` at each connection with what the box says of itself.
     """
 
     def __init__(
@@ -81,6 +83,7 @@ class Link:
         on_state: Callable[[State, int, int], None],
         log: Callable[[str], None],
         warn: Callable[[str], None] | None = None,
+        on_box: Callable[[BoxInfo], None] | None = None,
     ) -> None:
         self.port, self.guard = port, guard
         self.lock = threading.Lock()
@@ -93,6 +96,7 @@ class Link:
         self.flags = Flag(0)
         self._wanted_limits = guard.settings
         self._on_state, self._log, self._warn = on_state, log, warn or log
+        self._on_box = on_box or (lambda info: None)
         self._decoder, self._tracker = Decoder(self.counts), SequenceTracker(self.counts)
         self._stopping = threading.Event()
         self._sequence = 0
@@ -229,6 +233,7 @@ class Link:
         self._log(
             f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed"
         )
+        self._on_box(info)
 
     def _note_flags(self, flags: Flag) -> None:
         changed, self.flags = (flags ^ self.flags) & Flag.ARMED, flags

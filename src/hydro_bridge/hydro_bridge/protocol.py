@@ -19,6 +19,7 @@ from zlib import crc32
 from cobs import cobs
 
 from hydro_bridge.frames import (
+    INTEGRAL_FORMS,
     VERSION,
     BoxInfo,
     CheckSumError,
@@ -64,7 +65,7 @@ MAX_ENCODED = 160
 _HEADER = Struct("<BBIQ")
 _STATE = Struct(f"<BBIQ{len(STATE_FIELDS)}fII")
 _COMMAND = Struct("<BBIQIIfffIffff")
-_HELLO = Struct("<BBIQBBBx32s9f")
+_HELLO = Struct("<BBIQBBBB32s9f")
 _CRC = Struct("<I")
 _ARM, _FILTER_FRESH = 1, 2
 
@@ -107,8 +108,9 @@ def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
 
 def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None) -> bytes:
     """Frame that opens a connection; a box gives its `info`, the host none."""
-    name, *numbers = astuple(info) if info else ("", *(0.0,) * 9)
-    head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, VERSION_MIN, VERSION, info is not None)
+    name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
+    who = (VERSION_MIN, VERSION, info is not None, INTEGRAL_FORMS.index(integral))
+    head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
     return _wrap(_HELLO.pack(*head, name.encode()[:32], *numbers))
 
 
@@ -188,10 +190,11 @@ def _command(fields: tuple[float, ...]) -> CommandFrame:
 
 
 def _hello(fields: tuple[float, ...]) -> Hello:
-    _, _, sequence, time_us, version_min, version_max, is_box, name, *numbers = fields
+    _, _, sequence, time_us, version_min, version_max, is_box, form, name, *numbers = fields
     text = bytes(name).rstrip(b"\0").decode(errors="replace")  # type: ignore[call-overload]
-    names = tuple(BoxInfo.__dataclass_fields__)[1:]
-    info = BoxInfo(name=text, **dict(zip(names, numbers, strict=True))) if is_box else None
+    integral = INTEGRAL_FORMS[int(form)] if form < len(INTEGRAL_FORMS) else ""
+    names = tuple(BoxInfo.__dataclass_fields__)[1:-1]
+    info = BoxInfo(name=text, integral=integral, **dict(zip(names, numbers, strict=True))) if is_box else None
     return Hello(int(sequence), int(time_us), int(version_min), int(version_max), info)
 
 

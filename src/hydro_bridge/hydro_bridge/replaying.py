@@ -13,7 +13,7 @@ from hydro_bridge.recording import messages
 from hydro_bridge.settings import SettingsError
 
 _STAMP = Struct("<iI")
-_STAMPED = ("BenchState", "Correction", "Gains", "TrainingStatus", "DiagnosticArray")
+_STAMPED = ("BenchState", "BoxInfo", "Correction", "Gains", "TrainingStatus", "DiagnosticArray")
 
 
 def restamp(data: bytes, time_ns: int) -> bytes:

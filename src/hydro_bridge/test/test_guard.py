@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hydro_bridge.frames import BoxInfo
-from hydro_bridge.guard import CommandGuard, GuardSettings, narrowed
+from hydro_bridge.guard import MISMATCHED, CommandGuard, GuardSettings, narrowed
 from hydro_bridge.signals import Command, CorrectionStatus, ReferenceSignal, Waveform
 
 anything = st.floats(allow_nan=True, allow_infinity=True)
@@ -188,3 +188,46 @@ def test_the_box_narrows_the_limits_and_never_widens_them():
     limits = narrowed(GuardSettings(), box)
     assert (limits.delta_kp_min, limits.delta_kp_max) == (0.0, 10.0)
     assert (limits.delta_ki_max, limits.delta_u_max) == (10.0, 0.0625)
+
+
+def opened() -> CommandGuard:
+    """Opened wide by name, wide gains in force, a correction of 10 mA for the newest sample, 50."""
+    guard = CommandGuard(settings=GuardSettings(delta_kp_min=-55.0, delta_kp_max=285.0, delta_ki_max=95.0))
+    guard.set_gains(235.0, 50.0, 0.0)
+    guard.note_sample(50)
+    guard.set_correction(0.01, CorrectionStatus.MODIFIED, 50, 0.0)
+    return guard
+
+
+def test_a_filter_whose_model_is_not_this_benchs_leaves_narrow_gains_and_no_correction():
+    guard = opened()
+    assert guard.command(0.0) == Command(delta_kp=235.0, delta_ki=50.0, delta_u=0.01, corrects=50, filter_fresh=True)
+    guard.set_correction(0.0, CorrectionStatus.MISMATCH, 50, 0.001)
+    assert guard.command(0.001) == Command(delta_kp=75.0, delta_ki=10.0, corrects=50, filter_fresh=False)
+    assert not guard.correction_fresh(0.001) and guard.counts.narrowed == guard.counts.mismatched == 1
+    guard.set_gains(-55.0, 3.0, 0.002)
+    assert (guard.command(0.002).delta_kp, guard.command(0.002).delta_ki) == (0.0, 3.0), "gains inside are left alone"
+    assert guard.take_events() == [MISMATCHED]
+
+
+def test_gains_are_wide_again_only_once_a_correction_was_decided():
+    guard = opened()
+    guard.set_correction(0.0, CorrectionStatus.MISMATCH, 50, 0.001)
+    for status in (CorrectionStatus.STALE, CorrectionStatus.NAN, CorrectionStatus.BYPASSED):
+        guard.set_correction(0.0, status, 50, 0.002)
+        assert guard.command(0.002).delta_kp == 75.0
+    guard.set_correction(0.02, CorrectionStatus.PASS, 0, 0.003)
+    assert guard.command(0.003).delta_kp == 75.0, "a decision about a sample of long ago is none"
+    guard.set_correction(0.02, CorrectionStatus.MODIFIED, 50, 0.004)
+    assert guard.command(0.004) == Command(delta_kp=235.0, delta_ki=50.0, delta_u=0.02, corrects=50, filter_fresh=True)
+
+
+def test_an_outdated_mismatch_narrows_all_the_same_and_silence_after_it_gives_base_gains():
+    guard = opened()
+    guard.set_correction(0.0, CorrectionStatus.MISMATCH, 2, 0.001)
+    assert (guard.command(0.001).delta_kp, guard.command(0.001).delta_u) == (75.0, 0.0)
+    assert guard.command(0.1).delta_kp == 0.0
+    unrequired = opened()
+    unrequired.settings = GuardSettings(delta_kp_max=285.0, require_filter=False)
+    unrequired.set_correction(0.0, CorrectionStatus.MISMATCH, 50, 0.001)
+    assert unrequired.command(0.1).delta_kp == 75.0, "nor does a guard that needs no filter open up"

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, ClassVar
 
 import pytest
+import yaml
 
 rclpy = pytest.importorskip("rclpy")
 
@@ -25,12 +26,15 @@ from rclpy.publisher import Publisher  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 
+from hydro_bridge import bench_file  # noqa: E402
 from hydro_bridge.nodes.arm import parser as arm_parser  # noqa: E402
 from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
 from hydro_bridge.port import PortSettings  # noqa: E402
-from hydro_bridge.recording import STATE_TOPIC, BagWriter, continuity, read_bag  # noqa: E402
+from hydro_bridge.protocol import BoxInfo as BoxFrame  # noqa: E402
+from hydro_bridge.recording import STATE_TOPIC, BagWriter, continuity, objects, read_bag  # noqa: E402
 from hydro_bridge.ros import (  # noqa: E402
     ARM_SERVICE,
+    BOX,
     CORRECTION,
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
@@ -44,7 +48,7 @@ from hydro_bridge.ros import (  # noqa: E402
     reference_to_message,
 )
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform  # noqa: E402
-from hydro_msgs.msg import BenchState, Correction, Gains  # noqa: E402
+from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains  # noqa: E402
 
 pytestmark = pytest.mark.graph
 
@@ -328,6 +332,58 @@ def test_bridge_disarms_the_box_when_it_is_ended(number, cable, small_box, probe
     print(f"{number.name}: disarmed after {1e3 * took:.0f} ms")
     assert took < 2.0, "it looks for signals five times a second; the machine may be busy"
     assert bridge.process.wait(10.0) == 0
+
+
+def boxes_heard(probe: Probe) -> list[BoxInfo]:
+    """What comes on /hydro/box from now on, the latched one first."""
+    heard: list[BoxInfo] = []
+    probe.node.create_subscription(BoxInfo, BOX, heard.append, GRAPH[BOX][1])
+    return heard
+
+
+def test_bridge_says_what_the_box_is_and_a_recording_of_it_says_so_again(cable, small_box, probe, start, tmp_path):
+    small_box(info=BoxFrame(name="small box 3", base_kp=30.0, base_ki=8.0))
+    bridge = start("bridge", "--port", cable.path)
+    probe.wait(lambda: len(probe.states) > 20)
+    heard = boxes_heard(probe)  # later than it was said
+    probe.wait(lambda: heard)
+    said = heard[0]
+    assert (said.plant, said.firmware, said.base_kp, said.base_ki) == ("bridge", "small box 3", 30.0, 8.0)
+    assert said.bench_digest == bench_file.digest(bench_file.read_numbers(bench_file.shipped()))
+    assert yaml.safe_load(said.bench)["valve_current_max"] == 0.05
+    recorder = start("recorder", "--out", tmp_path / "run")
+    probe.wait(lambda: probe.node.count_subscribers(BOX) == 2)
+    probe.listen(4.0)
+    assert recorder.stop() == 0 and bridge.stop() == 0
+    (kept,) = [message for _, message in objects(tmp_path / "run", BOX)]
+    assert (kept.bench_digest, kept.base_kp) == (said.bench_digest, 30.0)
+    heard.clear()
+    start("replayer", tmp_path / "run", "--loop")
+    probe.wait(lambda: heard)
+    assert (heard[0].bench_digest, heard[0].base_kp) == (said.bench_digest, 30.0)
+
+
+def test_a_box_that_differs_from_its_bench_file_is_told_with_both_numbers(cable, small_box, probe, start):
+    small_box(info=BoxFrame(name="other box", valve_current_max=0.08))
+    output = io.StringIO()
+    start("bridge", "--port", cable.path, output=output)
+    sentence = "its valve_current_max is 0.08 A, the bench file says 0.05 A"
+    probe.wait(lambda: sentence in output.getvalue())
+    heard = boxes_heard(probe)
+    probe.wait(lambda: heard)
+    assert heard[0].bench_digest not in ("", bench_file.digest(bench_file.read_numbers(bench_file.shipped())))
+
+
+def test_a_box_with_its_own_bench_file_is_that_bench(cable, small_box, probe, start, tmp_path):
+    numbers = {**bench_file.read_numbers(bench_file.shipped()), "valve_current_max": 0.08}
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(numbers))
+    small_box(info=BoxFrame(name="other box", valve_current_max=0.08))
+    output = io.StringIO()
+    start("bridge", "--port", cable.path, "--bench", tmp_path / "own.yaml", output=output)
+    heard = boxes_heard(probe)
+    probe.wait(lambda: heard)
+    assert heard[0].bench_digest == bench_file.digest(numbers)
+    assert "is not what was expected" not in output.getvalue()
 
 
 def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, start, tmp_path):

@@ -9,6 +9,7 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hydro_bridge.frames import INTEGRAL_FORMS
 from hydro_bridge.protocol import (
     HANDSHAKE,
     MAX_ENCODED,
@@ -67,14 +68,24 @@ def test_command_round_trip(sequence, time_us, command):
     assert decode(inside(encode_command(sequence, time_us, command))) == CommandFrame(sequence, time_us, command)
 
 
-@given(u32, u64, st.text(max_size=8), single)
-def test_hello_round_trip(sequence, time_us, name, limit):
+@given(u32, u64, st.text(max_size=8), single, st.sampled_from(INTEGRAL_FORMS))
+def test_hello_round_trip(sequence, time_us, name, limit, integral):
     name = name.replace("\0", "")
     info = BoxInfo(
-        name=name, valve_current_max=limit, delta_u_max=0.125, sample_period=0.25, base_kp=90.0, delta_ki_max=7.5
-    )
+        name=name, valve_current_max=limit, delta_u_max=0.125, sample_period=0.25, base_kp=90.0, delta_ki_max=7.5,
+        integral=integral,
+    )  # fmt: skip
     assert decode(inside(encode_hello(sequence, time_us, info))) == Hello(sequence, time_us, 1, VERSION, info)
     assert decode(inside(encode_hello(sequence, time_us))) == Hello(sequence, time_us, 1, VERSION, None)
+
+
+@pytest.mark.parametrize(("number", "form"), [(0, ""), (1, "paper"), (2, "bumpless"), (3, ""), (255, "")])
+def test_the_fourth_byte_of_a_hello_is_the_form_of_the_integral(number, form):
+    """What is not known here counts as not told: a newer box is not refused for it."""
+    body = bytearray(cobs.decode(inside(encode_hello(1, 2, BoxInfo(integral="paper"))))[:-4])
+    assert body[14 + 3] == 1
+    body[14 + 3] = number
+    assert decode(sealed(bytes(body))).info.integral == form
 
 
 def test_every_frame_fits_between_two_delimiters():

@@ -15,7 +15,8 @@ metric, `sampled_certificate` and `loop_decision` one decision, `loop_filter` th
 
 from pathlib import Path
 
+import hydro_bridge
 import hydro_sim
 from hydro_sim.compiled import forget_stale
 
-forget_stale(Path(__file__).parent, Path(hydro_sim.__file__).parent)
+forget_stale(*(Path(file).parent for file in (__file__, hydro_bridge.__file__, hydro_sim.__file__)))

@@ -16,10 +16,12 @@ from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
+from hydro_bridge.known_box import KnownBox
 from hydro_filter import learned_metric
 from hydro_filter.filter import ContractionFilter, FilterSettings
 from hydro_filter.learned_metric import LearnedMetric
@@ -33,7 +35,9 @@ from hydro_sim.learned import weights
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.structured_model import StructuredModel
 from hydro_sim.learned.weights import WeightsError
+from hydro_sim.pairing import Believed, MadeFor, unfit
 
+WAYS_ON = "or run `--metric constant`, which keeps to the bench file, with narrow gains"
 LEARNED, CONSTANT = "learned", "constant"
 DEFAULT = LEARNED
 
@@ -47,6 +51,8 @@ class Choice:
 
     bench: Bench
     """What the box believes."""
+    bench_file: Path | None = None
+    """Where that stands; None: the bench.yaml of hydro_sim."""
     metric: str = DEFAULT
     """`learned` (the shipped one), `constant`, or a file."""
     model: Path | None = None
@@ -70,6 +76,48 @@ class Choice:
         if self.constant:
             return {"metric": "constant, solved for the bench file", "model": "analytic, the bench file"}
         return {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
+
+    def trouble(self, box: Believed | None = None) -> str:
+        """Why metric, model and bench do not belong together, in one sentence; empty where they do.
+
+        Parameters
+        ----------
+        box
+            What the box believes; None: this filter's own bench.
+
+        Raises
+        ------
+        WeightsError
+            A file is missing or unreadable.
+        """
+        if self.constant:
+            return ""
+        box = box or Believed(digest=self.bench.digest, source=self.source)
+        model, metric, digest = self.stamps
+        learn = f"learn one from its recordings with `ros2 run hydro_sim learn`, {WAYS_ON}"
+        learn_metric = f"make one with `ros2 run hydro_filter learn_metric` and its --bench and --model, {WAYS_ON}"
+        return unfit(f"the model {self.files['model'].name}", model, box, learn) or unfit(
+            f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest
+        )
+
+    @cached_property
+    def stamps(self) -> tuple[MadeFor | None, MadeFor | None, str]:
+        """What model and metric were made for, and the model's digest, as the files were when first asked for."""
+        model, metric = self.files["model"], self.files["metric"]
+        return Learned.load(model).made, LearnedMetric.load(metric).made, weights.digest(model)
+
+    def foreign(self, box: KnownBox) -> str:
+        """Why this filter does not belong to a box that runs; empty where it does, or where it is not known."""
+        theirs = Believed.of_box(box)
+        if theirs.digest and theirs.digest != self.bench.digest:
+            mine = f"the filter was started for bench {self.bench.digest} ({self.source})"
+            return f"{mine}, the box believes {theirs.told}: start it with the bench.yaml of this box (--bench)"
+        return self.trouble(theirs)
+
+    @property
+    def source(self) -> str:
+        """Where the bench file is, for people."""
+        return str(self.bench_file or "bench.yaml of hydro_sim")
 
     def default_settings(self) -> Settings:
         """Defaults of the settings that this filter has."""

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """K = du/dx of the force law (paper eq. fl_rl), in closed form.
 
-    u = (f_r' + K_p (f_r - f_l) + K_i int e dt - h) / g        g = g(x_p, p_a, p_b), h = h(x_p, x_p')
+    u = (f_r' + K_p (f_r - f_l) + I - h) / g        g = g(x_p, p_a, p_b), h = h(x_p, x_p')
 
     du/df_l  = -K_p / g                  du/dx_p  = -(dh/dx_p + u dg/dx_p) / g
     du/dx_p' = -(dh/dx_p') / g           du/dp_a  = -u (dg/dp_a) / g,  the same for p_b
 
 With F(x, u) = h + g u the right side of eq. q13, dh/dx + u dg/dx is dF/dx at held u, so K = -(dF/dx)/g except along
 f_l. As in `hydro_sim.force_law`, g is no less than a floor (there dg/dx = 0) and the position is one within the
-stroke. The integral is the law's own memory and no function of x: K_i has no place in K, and the certificate does not
-see it.
+stroke. The integral I, of either form, is the law's own memory and no function of x: K_i has no place in K, and the
+certificate does not see it.
 
 K is that of the law before the valve's limit. Beyond the limit the valve passes none of it on: what the correction can
 still do there is in the QP's bounds (`filter`, `loop_decision`), not in K.

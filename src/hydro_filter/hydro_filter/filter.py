@@ -62,6 +62,9 @@ class ContractionFilter:
         Of these only the age and the bypass are used here; the rest went into the certificate.
     """
 
+    mismatch = ""
+    """It has no model to watch but the bench file's; see `LoopFilter.mismatch`."""
+
     def __init__(self, certificate: Certificate, settings: FilterSettings | None = None) -> None:
         self.certificate = certificate
         self.settings = settings or FilterSettings()
@@ -85,7 +88,10 @@ class ContractionFilter:
         return cls(certificate, settings)
 
     def reset(self) -> None:
-        """Begin anew: the next sample does not follow the last one. Nothing here remembers samples."""
+        """Begin anew. Nothing here remembers samples."""
+
+    def skip(self) -> None:
+        """Samples are missing before the next one."""
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide about a sample that is `age` [s] old."""

@@ -28,16 +28,25 @@ def follow(c, velocity, current, hidden):
 
     The spool follows the current [A] that the valve got, the bristle the measured velocity [m/s].
     """
-    w, d = c[SPOOL_OMEGA], c[SPOOL_DAMPING]
     for _ in range(SUBSTEPS):
         hidden[BRISTLE_STATE] = integration.half_bristle(c, hidden[BRISTLE_STATE], velocity)
         hidden[BRISTLE_STATE] = integration.half_bristle(c, hidden[BRISTLE_STATE], velocity)
-        position, rate, total_rate, total_pull = hidden[SPOOL], hidden[SPOOL_RATE], 0.0, 0.0
+    hidden[SPOOL], hidden[SPOOL_RATE] = lag(
+        c[SPOOL_OMEGA], c[SPOOL_DAMPING], current, hidden[SPOOL], hidden[SPOOL_RATE]
+    )
+
+
+@njit(cache=True, inline="always")
+def lag(w, d, target, position, rate):
+    """Position and rate of `y'' = w (w (target - y) - 2 d y')` one sample later, the target held."""
+    for _ in range(SUBSTEPS):
+        y, slope, total_rate, total_pull = position, rate, 0.0, 0.0
         for stage in range(4):
-            pull = w * (w * (current - position) - 2.0 * d * rate)
+            pull = w * (w * (target - y) - 2.0 * d * slope)
             weight = STEP / 6.0 if stage == 0 or stage == 3 else STEP / 3.0
-            total_rate, total_pull = total_rate + weight * rate, total_pull + weight * pull
+            total_rate, total_pull = total_rate + weight * slope, total_pull + weight * pull
             reach = STEP if stage == 2 else 0.5 * STEP
-            position, rate = hidden[SPOOL] + reach * rate, hidden[SPOOL_RATE] + reach * pull
-        hidden[SPOOL] += total_rate
-        hidden[SPOOL_RATE] += total_pull
+            y, slope = position + reach * slope, rate + reach * pull
+        position += total_rate
+        rate += total_pull
+    return position, rate

@@ -46,10 +46,12 @@ from hydro_filter.metric_polish import polished_rows
 from hydro_filter.metric_training import Progress, TrainingSettings, corrected, questions, train
 from hydro_filter.metric_words import arguments, begun
 from hydro_sim.bench import Bench
+from hydro_sim.learned import weights
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.learned.structured_model import StructuredModel
 from hydro_sim.learned.weights import WeightsError
+from hydro_sim.pairing import Believed, MadeFor, refuse, unfit
 
 HELD_OUT = 5
 """Every fifth rollout is not trained on."""
@@ -74,7 +76,10 @@ def main() -> None:
     learned = Learned.load(options.model)
     if not isinstance(learned.model, StructuredModel):
         raise UserError("the metric needs a structured model: the network's states hold no spool and no load cell")
-    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    bench, path = Bench.load(options.bench) if options.bench else Bench.nominal(), options.model or weights.shipped()
+    remedy = "name the bench.yaml of its box by --bench, or learn a model from this box's recordings (hydro_sim learn)"
+    refuse(unfit(f"the model {Path(path).name}", learned.made, Believed.of_file(options.bench), remedy))
+    made = MadeFor(box=bench.digest, model=weights.digest(path))  # either form of the integral: decision 31
     loop = loop_model(learned.model, bench)
     material = gather(LearnedPlant(learned), bench, loop, data)
     low, high = certified_range(material.rollouts)
@@ -95,7 +100,7 @@ def main() -> None:
         "history": [list(row) for row in last.history],
     }  # fmt: skip
     levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
-    replace(best, thresholds=levels, training=facts).save(out)
+    replace(best, thresholds=levels, training=facts, made=made).save(out)
     draw_metric_curves(np.array(last.history), out.with_suffix(".png"))
     out.with_suffix(".checkpoint").unlink(missing_ok=True)
     still = LearnedMetric.designed(loop, bench, design)

@@ -28,6 +28,7 @@ from hydro_sim.bench import Bench
 from hydro_sim.hydraulics import rest_state
 from hydro_sim.learned import mlp, weights
 from hydro_sim.learned.weights import WeightsError
+from hydro_sim.pairing import MadeFor, made_for
 
 STRUCTURE = "metric"
 ARRAYS = ("center", "scale", "low", "high", "gains", "table")
@@ -68,6 +69,8 @@ class LearnedMetric:
     thresholds: Thresholds = Thresholds()
     training: dict[str, Any] = field(default_factory=dict)
     """Command, settings, losses reached, digest of the model that it was trained on."""
+    made: MadeFor | None = None
+    """Which bench and model it is for; None: the file does not say."""
 
     @classmethod
     def designed(
@@ -114,7 +117,7 @@ class LearnedMetric:
             "coordinates": list(LOOP_FIELDS), "thresholds": asdict(self.thresholds), "training": self.training,
             "normalization": "(x - center) / scale, K_p / 100 or 0, foreign 0 or 1; out: Cholesky factor by rows",
         }  # fmt: skip
-        weights.save(path, {**views, **arrays}, header)
+        weights.save(path, {**views, **arrays}, header, self.made)
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> LearnedMetric:
@@ -133,7 +136,7 @@ class LearnedMetric:
             _check(arrays, float(header["floor"]), Thresholds(**header["thresholds"]))
             return cls(
                 flat=flat, hidden=hidden, floor=float(header["floor"]), thresholds=Thresholds(**header["thresholds"]),
-                training=header.get("training", {}), **arrays,
+                training=header.get("training", {}), made=made_for(header), **arrays,
             )  # fmt: skip
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error

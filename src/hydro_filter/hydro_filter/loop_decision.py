@@ -42,7 +42,7 @@ class LoopParts(NamedTuple):
     foreign_noise_size: float
     """The same for all other gains, whose metric has another size."""
     integral_allowance: float
-    """N/s that the law's integral may ask for: what disturbances take on stable runs."""
+    """N/s that the law's integral I may ask for: what disturbances take on stable runs."""
 
 
 class Space(NamedTuple):
@@ -89,7 +89,7 @@ def space(parts: LoopParts) -> Space:
 
 @njit(cache=True, inline="always")
 def integral_term(bench, gain_floor, x, nominal_current, reference, reference_rate, proportional_gain):
-    """K_i int e dt [N/s] and g [N/s/A], from the current that the law made of it (`hydro_sim.force_law`)."""
+    """I [N/s] of `hydro_sim.force_law` and g [N/s/A], from the current that the law made of it: of either form."""
     position = min(max(x[POSITION], 0.0), bench.stroke)
     gain = max(input_gain(bench, position, x[PRESSURE_A], x[PRESSURE_B], nominal_current), gain_floor)
     driven = nominal_current * gain + velocity_term(bench, position, x[VELOCITY])

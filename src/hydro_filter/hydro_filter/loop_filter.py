@@ -11,6 +11,9 @@
 
 Samples must follow one another, each once. A correction acts one sample after its own. Which gains are held, and what
 is not: docs/safety.md.
+
+`LoopFilter` also watches whether the model is still the bench's (`innovations`); where it is not, every answer is
+MISMATCH and corrects nothing. A `LoopBank` does not: its benches are simulated, by that model or on purpose by others.
 """
 
 from __future__ import annotations
@@ -25,9 +28,10 @@ from numba import njit
 
 from hydro_bridge.settings import check
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, FloatArray, StateArray
-from hydro_filter import displacement, loop_decision
+from hydro_filter import displacement, innovations, loop_decision
 from hydro_filter.displacement import MEMORY_DTYPE
 from hydro_filter.filter import Result
+from hydro_filter.innovations import MONITOR_DTYPE
 from hydro_filter.learned_metric import LearnedMetric
 from hydro_filter.loop_decision import LoopParts, Problem
 from hydro_filter.loop_model import loop_model
@@ -48,6 +52,8 @@ class LoopFilterSettings:
     """lambda [1/s] for all other gains, whose loop the correction closes, [0, 15]: how fast an error has to decay."""
     noise_share: float = 1.0
     """What of the metric's own noise level counts as nothing, [0, 100]; 0: correct noise as well."""
+    innovation_limit: float = 1.0
+    """How far the model's predictions may be off before nothing rests on them, of what is allowed, [0.3, 10]."""
     state_age_max: float = 5e-3
     """s, a state that is older, or stamped so far ahead, is not acted upon, [0.001, 0.1]."""
     bypass: bool = False
@@ -61,23 +67,30 @@ judge, nearest, beyond = (each.py_func for each in (loop_decision.judge, loop_de
 """Of one sample's numbers: a compiled call would take longer than they do."""
 
 
+NOT_FINITE, FITS, BROKEN = range(3)
+"""What `propose` says of a sample: a number is not finite; the model holds; it does not."""
+
+
 @njit(cache=True)
-def boxed(parts, room):
-    """Parts and room where compiled code finds them: to hand seventy arrays over takes as long as all the rest."""
+def boxed(parts, room, monitor, limit):
+    """All of them where compiled code finds them: to hand seventy arrays over takes as long as all the rest."""
     box = numba.typed.List()
-    box.append((parts, room))
+    box.append((parts, room, monitor, limit))
     return box
 
 
 @njit(cache=True)
 def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
-    """Whether all is finite, and the `Problem` of one sample; moves the memory, shape (1,), on."""
-    parts, room = box[0]
+    """How the sample is, and its `Problem`; moves the memory, shape (1,), and the monitor's on."""
+    parts, room, monitor, limit = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
         displacement.begin(memory[0])
-        return False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        innovations.begin(monitor[0])
+        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    innovations.watch(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
     p = loop_decision.pose(parts, memory[0], x, nominal, current, reference, reference_rate, gain, room)
-    return True, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
+    state = BROKEN if monitor[0].broken != 0 else FITS
+    return state, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
 
 
 class LoopFilter:
@@ -88,7 +101,7 @@ class LoopFilter:
     parts
         Of `loop_parts`.
     settings
-        Of these only age and bypass are used here; the rest went into the parts.
+        Of these only age, bypass and `innovation_limit` are used here; the rest went into the parts.
     """
 
     _propose = staticmethod(propose)
@@ -98,24 +111,38 @@ class LoopFilter:
         self.settings = settings or LoopFilterSettings()
         self.qp = QpFilter()
         self.memory = np.zeros(1, MEMORY_DTYPE)
-        self._box = boxed(parts, loop_decision.space(parts))
+        self.monitor = np.zeros(1, MONITOR_DTYPE)
+        self._box = boxed(parts, loop_decision.space(parts), self.monitor, self.settings.innovation_limit)
+
+    @property
+    def mismatch(self) -> str:
+        """Why the model is not this bench's, for people; empty while it is."""
+        return innovations.sentence(self.monitor[0])
 
     def reset(self) -> None:
-        """Begin anew: the next sample does not follow the last one."""
+        """Begin anew, as if nothing had been seen."""
+        self.skip()
+        self.monitor["broken"] = 0
+
+    def skip(self) -> None:
+        """Samples are missing before the next one. What was found out about the model stays."""
         displacement.begin(self.memory[0])
+        innovations.begin(self.monitor[0])
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide about a sample that is `age` [s] old."""
         x, nominal = np.ascontiguousarray(sample.state), sample.nominal_current
         signals = nominal, sample.valve_current, sample.reference_force, sample.reference_rate
-        usable, *numbers = self._propose(self._box, self.memory, x, *signals, sample.proportional_gain)
-        if not usable:
+        state, *numbers = self._propose(self._box, self.memory, x, *signals, sample.proportional_gain)
+        if state == NOT_FINITE:
             status = CorrectionStatus.BYPASSED if self.settings.bypass else CorrectionStatus.NAN
             return Result(0.0, math.nan, math.nan, status)
         problem = Problem(*numbers)  # also of an old sample: the memory moves on
         if self.settings.bypass:
             before, _ = judge(problem, 0.0)
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
+        if state == BROKEN:  # a certificate of another bench says nothing
+            return Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
         if not abs(age) <= self.settings.state_age_max:
             return Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
         if not sample.armed:

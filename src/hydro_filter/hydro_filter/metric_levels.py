@@ -2,8 +2,8 @@
 """The thresholds of a metric, measured: what of v'Mv is the sensors' noise, and what stable loops ask of the integral.
 
 Noise: the still bench with a closed valve, once with its sensors' noise and once without; the difference of both v,
-moved by one sample as the certificate moves it. Integral: runs of an episode's length under stable gains; what K_i
-int e dt asks for, friction, leakage and lags in it.
+moved by one sample as the certificate moves it. Integral: runs of an episode's length under stable gains; what I asks
+for, friction, leakage and lags in it. The gains of a run stay, so that both forms of the integral give the same.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def noise_sizes(
 
 
 def integral_terms(loop: LoopModel, states: StateArray) -> FloatArray:
-    """K_i int e dt [N/s] at the samples of a run, shape (n,)."""
+    """I [N/s] of the force law at the samples of a run, shape (n,)."""
     out = np.empty(len(states))
     for k, record in enumerate(states):
         x = np.array([record[name] for name in PLANT_FIELDS])

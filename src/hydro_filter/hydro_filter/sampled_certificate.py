@@ -80,7 +80,7 @@ def half_line(bent, slope, level):
 
 @njit(cache=True)
 def unasked(term, allowance):
-    """What of the law's integral term K_i int e dt [N/s] is beyond `allowance` [N/s]."""
+    """What of the law's integral I [N/s] is beyond `allowance` [N/s]."""
     return term - min(max(term, -allowance), allowance)
 
 

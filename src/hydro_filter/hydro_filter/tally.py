@@ -62,7 +62,13 @@ class Tally:
 
 def sentence(news: Counter[CorrectionStatus]) -> str:
     """What happened in the last second, worst first."""
-    order = (CorrectionStatus.BYPASSED, *TROUBLE, CorrectionStatus.RELAXED, CorrectionStatus.MODIFIED)
+    order = (
+        CorrectionStatus.BYPASSED,
+        CorrectionStatus.MISMATCH,
+        *TROUBLE,
+        CorrectionStatus.RELAXED,
+        CorrectionStatus.MODIFIED,
+    )
     parts = [f"{news[status]} {status.name.lower()}" for status in order if news[status]]
     total = sum(news.values())
     return f"{total} corrections" + (f": {', '.join(parts)}" if parts else "")

@@ -16,22 +16,22 @@ from pathlib import Path
 from joblib import Parallel, delayed
 
 from hydro_bridge.console import Table, UserError, add_json_argument, command, progress, writable_folder
-from hydro_filter.learned_metric import LearnedMetric
+from hydro_filter.choice import LEARNED, Choice
 from hydro_filter.validation import COLUMNS, FILTERS, Outcome, Task, outcome, perform, row
 from hydro_filter.validation_cases import CASES
 from hydro_filter.validation_plants import PLANTS
 from hydro_filter.validation_plots import draw_tracking
 from hydro_sim.bench import Bench
 from hydro_sim.learned.weights import WeightsError
+from hydro_sim.pairing import refuse
 
 
 @command(WeightsError, ValueError)
 def main() -> None:
     """Entry point."""
     options = arguments(sys.argv[1:])
-    LearnedMetric.load(options.metric)  # refused before the work
-    if options.bench:
-        Bench.load(options.bench)
+    if set(options.filters) != {"projected"}:  # that is the constant metric's
+        refuse(_choice(options).trouble())  # before the work
     lines = list(product(options.plants, options.cases, options.filters))
     tasks = [task(options, *line, seed) for line in lines for seed in range(options.seeds)]
     table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
@@ -56,6 +56,13 @@ def task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: 
         plant=plant, case=case, filter=chosen, seed=seed, seconds=options.seconds, metric=options.metric,
         model=options.model, bench=options.bench, rate=options.contraction_rate,
     )  # fmt: skip
+
+
+def _choice(options: argparse.Namespace) -> Choice:
+    """The filter that the words ask for."""
+    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    file, model = (Path(name) if name else None for name in (options.bench, options.model))
+    return Choice(bench=bench, bench_file=file, metric=options.metric or LEARNED, model=model)
 
 
 def _draw(options: argparse.Namespace) -> None:

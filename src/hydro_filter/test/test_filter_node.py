@@ -4,13 +4,17 @@
 from __future__ import annotations
 
 import io
+import math
 import subprocess
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 pytestmark = pytest.mark.graph
 pytest.importorskip("hydro_msgs.msg", reason="source install/setup.bash")
@@ -20,6 +24,8 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
 from rclpy.executors import SingleThreadedExecutor  # noqa: E402
 
 from hydro_bridge.ros import (  # noqa: E402
+    BOX,
+    BOX_QOS,
     CORRECTION,
     CORRECTION_QOS,
     DIAGNOSTICS,
@@ -40,8 +46,10 @@ from hydro_bridge.signals import (  # noqa: E402
 )
 from hydro_filter.choice import Choice  # noqa: E402
 from hydro_filter.filter import ContractionFilter  # noqa: E402
+from hydro_filter.loop_filter import LoopFilterSettings  # noqa: E402
 from hydro_filter.sample import Sample  # noqa: E402
-from hydro_msgs.msg import Correction  # noqa: E402
+from hydro_filter.validation_plants import ChangingPlant, changed  # noqa: E402
+from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_sim.bench import Bench  # noqa: E402
 from hydro_sim.offline import Schedule, simulate  # noqa: E402
 from hydro_sim.plant import AnalyticPlant  # noqa: E402
@@ -227,8 +235,9 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
     started: Callable[..., Source],
 ) -> None:
     """A run of the emulated bench's analytic kin under gains that have to be corrected, ten samples of it left out."""
-    source, core = started("--metric", "learned", *PATIENT), Choice(bench=Bench.nominal())
-    contraction_filter = core.make(core.default_settings())
+    lenient = ("--innovation-limit", "10")  # the kin has no spool: not the learned bench
+    source, core = started("--metric", "learned", *lenient, *PATIENT), Choice(bench=Bench.nominal())
+    contraction_filter = core.make(LoopFilterSettings(innovation_limit=10.0))
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=4.0)
     schedule = Schedule(reference=signal, gains=(-5.0, 0.0), seconds=0.4)
     records = simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), schedule, seed=3)
@@ -240,7 +249,7 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
         source.publish(k, sample)
         source.wait(lambda wanted=k + 1 if k < 200 else k - 9: len(source.corrections) >= wanted, timeout=5.0)
         if k == 210:
-            contraction_filter.reset()
+            contraction_filter.skip()
         expected, message = contraction_filter.correct(sample), source.corrections[-1]
         assert (message.sequence, message.status) == (k, expected.status)
         assert message.delta_u == pytest.approx(expected.delta_u, abs=1e-9)
@@ -249,6 +258,80 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
     assert seen >= {CorrectionStatus.PASS, CorrectionStatus.MODIFIED}
     source.wait(lambda: any("sha256" in dict_of(status).get("metric", "") for status in source.diagnostics))
     assert "default_weights.safetensors, sha256" in dict_of(source.diagnostics[-1])["model"]
+
+
+def test_a_box_that_believes_another_bench_gets_no_correction_until_it_fits_again(
+    started: Callable[..., Source], still: FloatArray
+) -> None:
+    source = started(*CONSTANT)
+    told = source.node.create_publisher(BoxInfo, BOX, BOX_QOS)
+    bad = samples(still, 1)[0]._replace(proportional_gain=-40.0, reference_force=100.0, nominal_current=0.0)
+    digests = (Bench.nominal().digest, "0123456789ab", "", Bench.nominal().digest)
+    wanted = (
+        CorrectionStatus.MODIFIED,
+        CorrectionStatus.MISMATCH,
+        CorrectionStatus.MODIFIED,
+        CorrectionStatus.MODIFIED,
+    )
+    for turn, (digest, status) in enumerate(zip(digests, wanted, strict=True)):
+        told.publish(BoxInfo(plant="bridge", bench_digest=digest))
+        sequence = 1000 * turn
+
+        def answered(status: CorrectionStatus = status) -> bool:
+            nonlocal sequence
+            source.publish(sequence, bad)
+            sequence += 1
+            return bool(source.corrections) and source.corrections[-1].status == status
+
+        source.wait(answered, timeout=30.0)
+        last = source.corrections[-1]
+        if status == CorrectionStatus.MISMATCH:
+            assert last.delta_u == 0.0 and not last.active and math.isnan(last.certificate_after)
+            source.wait(lambda: "nothing is corrected: the filter was started for" in source.diagnostics[-1].message)
+            assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
+        else:
+            assert last.delta_u > 0.0 and last.certificate_before > 0.0
+    source.node.destroy_publisher(told)
+
+
+def test_a_filter_beside_a_simulation_of_another_bench_corrects_nothing(
+    started: Callable[..., Source], tmp_path: Path
+) -> None:
+    """Nothing but the sim says which bench it is."""
+    own = replace(Bench.nominal(), spring_stiffness=4e4)
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
+    source = started(*CONSTANT)
+    simulation = Companion("hydro_sim", "sim", ["--bench", str(tmp_path / "own.yaml")])
+    try:
+        source.wait(lambda: any(own.digest in status.message for status in source.diagnostics))
+        source.corrections.clear()
+        source.wait(lambda: len(source.corrections) > 300)
+        assert {message.delta_u for message in source.corrections} == {0.0}
+        assert {message.status for message in source.corrections} == {CorrectionStatus.MISMATCH}
+    finally:
+        simulation.stop()
+
+
+def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagnostics(
+    started: Callable[..., Source],
+) -> None:
+    """A stiffer spring from the beginning; each sample waits for its answer, so that the age is no matter."""
+    source = started("--metric", "learned", *PATIENT)
+    plant = ChangingPlant([changed({"bench": {"spring_stiffness": 3e4}})], [])
+    signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
+    records = simulate(plant, Bench.nominal(), Schedule(reference=signal, gains=(90.0, 15.0), seconds=1.0))
+    for k, record in enumerate(records):
+        source.publish(k, Sample.of(record))
+        source.wait(lambda wanted=k + 1: len(source.corrections) >= wanted, timeout=5.0)
+    statuses = [message.status for message in source.corrections]
+    first = statuses.index(CorrectionStatus.MISMATCH)
+    assert set(statuses[first:]) == {CorrectionStatus.MISMATCH}
+    assert all(message.delta_u == 0.0 and not message.active for message in source.corrections[first:])
+    source.wait(lambda: "MISMATCH" in source.diagnostics[-1].message)
+    assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
+    source.wait(lambda: dict_of(source.diagnostics[-1]).get("mismatch") == str(len(statuses) - first))
+    told = dict_of(source.diagnostics[-1])
+    assert "the model's load (the spring or its load cell) is off by" in told["fits"]
 
 
 def test_two_plants_are_an_error(started: Callable[..., Source]) -> None:

@@ -67,18 +67,18 @@ def test_input_vector_is_the_derivative_of_the_dynamics(bench: Bench, states: Fl
 class Law:
     """The force law at a state whose nominal current is the wanted one, thanks to the reference's rate."""
 
-    error, integral, gain, integral_gain = 110.0, 3.0, -35.0, 4.0
+    error, integral, gain = 110.0, 12.0, -35.0
 
     def __init__(self, bench: Bench, gain_floor: float, state: FloatArray, current: float) -> None:
         self.constants, self.gain_floor, self.reference = bench.constants()[0], gain_floor, state[2] + self.error
         h = hydraulics.velocity_term(self.constants, state[6], state[7])
         g = hydraulics.input_gain(self.constants, state[6], state[4], state[5], current)
         driven = max(g, gain_floor) * current
-        self.reference_rate = driven + h - self.gain * self.error - self.integral_gain * self.integral
+        self.reference_rate = driven + h - self.gain * self.error - self.integral
 
     def __call__(self, state: FloatArray) -> FloatArray:
         error = self.reference - state[2]
-        memory = (error, self.integral, self.reference_rate, self.gain, self.integral_gain, self.gain_floor)
+        memory = (error, self.integral, self.reference_rate, self.gain, self.gain_floor)
         return np.array(force_law.nominal_current(self.constants, state, *memory))
 
 

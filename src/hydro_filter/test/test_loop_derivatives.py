@@ -144,9 +144,7 @@ def test_k_is_the_derivative_of_the_boxs_law(
             moved[6] += change[5]
             moved[7] += change[7]
             force = x[2] + 110.0
-            return float(
-                force_law.nominal_current(bench, moved, force - moved[2], 0.0, wanted, -35.0, 0.0, loop.gain_floor)
-            )
+            return float(force_law.nominal_current(bench, moved, force - moved[2], 0.0, wanted, -35.0, loop.gain_floor))
 
         numeric, width = np.zeros(LOOP), 1e-4
         for k in range(LOOP):

@@ -54,7 +54,11 @@ def compare(problems: np.ndarray) -> QpFilter:
         assert (solved.status is CorrectionStatus.NAN) == unusable, (a, b, low, high)
         assert solved.delta_u == 0.0 if unusable else low <= solved.delta_u <= high
         seen.add(solved.status)
-    assert seen == set(CorrectionStatus) - {CorrectionStatus.STALE, CorrectionStatus.BYPASSED}
+    assert seen == set(CorrectionStatus) - {
+        CorrectionStatus.STALE,
+        CorrectionStatus.BYPASSED,
+        CorrectionStatus.MISMATCH,
+    }
     return qp
 
 
@@ -65,7 +69,7 @@ def test_osqp_agrees_with_the_closed_form() -> None:
     assert qp.counts.fallbacks == 0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_osqp_agrees_with_the_closed_form_a_hundred_thousand_times() -> None:
     qp = compare(spoiled(cases(110_000, seed=2), seed=2))  # of which some 100,000 are problems
     assert qp.counts.fallbacks <= 10  # near-degenerate: half-line and bound a hair apart

@@ -11,7 +11,11 @@ Pretraining: `fleet` (many benches, `fleet_plants`, `fleet_filter`, `fleet_runs`
 
 from pathlib import Path
 
+import hydro_bridge
+import hydro_filter
 import hydro_sim
 from hydro_sim.compiled import forget_stale
 
-forget_stale(Path(__file__).parent, Path(hydro_sim.__file__).parent)
+forget_stale(
+    *(Path(file).parent for file in (__file__, hydro_bridge.__file__, hydro_filter.__file__, hydro_sim.__file__))
+)

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 from hydro_policy.run import TrainingSettings
 from hydro_policy.sac import SacSettings
-from hydro_policy.task import GainRange, TaskSettings
+from hydro_policy.task import BASE, GainRange, TaskSettings
 
 WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)
 """K_p from 15 to 300, K_i from 5 to 100: as far as the box goes."""
@@ -21,8 +21,8 @@ WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, t
 CONFIGURATIONS = ("paper", "wide")
 
 
-def configuration(name: str, seed: int = 0) -> TrainingSettings:
-    """One of `CONFIGURATIONS`, for a run of 160 episodes.
+def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) -> TrainingSettings:
+    """One of `CONFIGURATIONS`, for a run of 160 episodes on a box with these base gains: K_p and K_i in all stay.
 
     Raises
     ------
@@ -30,17 +30,19 @@ def configuration(name: str, seed: int = 0) -> TrainingSettings:
         There is no such configuration.
     """
     if name == "paper":
-        return TrainingSettings(seed=seed, sac=SacSettings(seed=seed))
-    if name == "wide":
-        sac = SacSettings(seed=seed, reward_scale=0.2)
-        return TrainingSettings(seed=seed, sac=sac, task=WIDE_TASK)
-    raise ValueError(f"there is no configuration {name!r}; there are {', '.join(CONFIGURATIONS)}")
+        task, sac = TaskSettings(), SacSettings(seed=seed)
+    elif name == "wide":
+        task, sac = WIDE_TASK, SacSettings(seed=seed, reward_scale=0.2)
+    else:
+        raise ValueError(f"there is no configuration {name!r}; there are {', '.join(CONFIGURATIONS)}")
+    gains = task.gains.shifted(BASE[0] - base[0], BASE[1] - base[1])
+    return TrainingSettings(seed=seed, sac=sac, task=replace(task, gains=gains))
 
 
 def configuration_of(settings: TrainingSettings) -> str | None:
     """The name of the configuration that a run was begun with; None if its task is that of no name."""
     task, scale = settings.task, settings.sac.reward_scale
-    named = {name: configuration(name) for name in CONFIGURATIONS}
+    named = {name: configuration(name, base=settings.base_gains) for name in CONFIGURATIONS}
     return next(
         (
             name

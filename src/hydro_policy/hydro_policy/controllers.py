@@ -13,7 +13,7 @@ import numpy as np
 from hydro_bridge.signals import FloatArray
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
-from hydro_policy.task import ACTIONS, GainRange, observe
+from hydro_policy.task import ACTIONS, BASE, GainRange, observe
 
 
 class Controller(Protocol):
@@ -40,7 +40,7 @@ class FixedGains:
 
     proportional: float
     integral: float
-    base: tuple[float, float] = (15.0, 5.0)
+    base: tuple[float, float] = BASE
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.proportional) and math.isfinite(self.integral)):

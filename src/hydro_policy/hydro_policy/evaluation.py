@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hydro_bridge.readiness import Requirement
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Flag, FloatArray
 from hydro_policy.cases import Case, EvaluationSettings
 from hydro_policy.controllers import Controller
@@ -23,7 +24,7 @@ from hydro_policy.override import GainOverride
 from hydro_policy.scoring import Score, Trace, score
 from hydro_policy.steps import HELD, StepClock
 from hydro_policy.task import SAMPLES_PER_STEP
-from hydro_policy.watch import PlantWatch
+from hydro_policy.watch import FALLBACK, PlantWatch
 
 HELD_MAX = 0.01
 """Share of a run's samples for which the box may hold base gains."""
@@ -56,13 +57,15 @@ class EvaluationSession:
     watch, rearm
         Of a session that this one is part of; else one of its own, with `rearm` (see `watch.PlantWatch`).
     after
-        The watch of the session before this one: a calm that it asked for is waited for here.
+        The watch of the session before this one, whose plant is taken over as it is: see `PlantWatch.take_over`.
     override
         Gains that a person holds.
     monitor
         Stops a run that goes wrong before the box has to; None: only the box does.
     retries
         How often a run is repeated in which the box held base gains for too long (`HELD_MAX`).
+    requirements
+        What must be there before the plant is armed, besides plant and filter.
     """
 
     def __init__(
@@ -77,11 +80,12 @@ class EvaluationSession:
         override: GainOverride | None = None,
         monitor: SafetyMonitor | None = None,
         retries: int = 0,
+        requirements: Sequence[Requirement] = (),
     ) -> None:
         if not controllers:
             raise ValueError("an evaluation needs a controller")
-        self.settings, self.watch = settings, watch or PlantWatch(outputs, rearm)
-        self.override = override or GainOverride()
+        self.settings, self.override = settings, override or GainOverride()
+        self.watch = watch or PlantWatch(outputs, rearm, requirements, self.override)
         self.plan = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
@@ -91,8 +95,8 @@ class EvaluationSession:
         self._clock = StepClock()
         self._run: _Run | None = None
         self._steps = 0
-        if after is not None and after.calming:
-            self.watch.calm()
+        if after is not None:
+            self.watch.take_over(after)
 
     @property
     def finished(self) -> bool:
@@ -123,10 +127,15 @@ class EvaluationSession:
         if held is not None:
             self._run = None
             return self._publish(held) if sequence % SAMPLES_PER_STEP == 0 else False
+        if self.watch.mismatched and not self.watch.calming and not self.watch.unfit(now):
+            self._run = None  # begun anew once the filter fits
+            self.watch.acted(now)
+            return self._publish(FALLBACK) if sequence % SAMPLES_PER_STEP == 0 else False
         if self._run is None:
             if not self.watch.may_begin(now):
                 return self.watch.calming and sequence % SAMPLES_PER_STEP == 0 and self._publish((0.0, 0.0))
             self._run = self._begin(sequence)
+        self.watch.acted(now)
         return self._advance(self._run, sequence, sample, flags)
 
     def on_tick(self, now: float) -> None:
@@ -138,6 +147,7 @@ class EvaluationSession:
 
     def on_correction(self, after: float, status: int) -> None:
         """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
+        self.watch.on_correction(status)
         if self.monitor is not None:
             self.monitor.on_correction(after, status)
 

@@ -66,7 +66,7 @@ def examination(
     """The session that examines `policy`, and if asked the fixed gains that its score is relative to."""
     controllers: list[Controller] = [PolicyController(policy, gains, EXAMINED)]
     if reference_too:
-        controllers.append(FixedGains(settings.reference_kp, settings.reference_ki))
+        controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, around.override.base))
     return EvaluationSession(
         settings.evaluation,
         controllers,

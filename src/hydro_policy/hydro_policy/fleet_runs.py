@@ -15,7 +15,7 @@ from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray, StateArray
 from hydro_policy.cases import Case, EvaluationSettings
 from hydro_policy.fleet import Fleet, records
 from hydro_policy.policy import Policy
-from hydro_policy.task import ACTIONS, GainRange, observe
+from hydro_policy.task import ACTIONS, BASE, GainRange, observe
 from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 Chooser = Callable[[FloatArray], FloatArray]
@@ -38,7 +38,7 @@ class PolicyChooser:
         return self.gains.changes(self._previous)
 
 
-def fixed(gains: FloatArray, base: tuple[float, float] = (15.0, 5.0)) -> Chooser:
+def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
     """The same gains (K_p, K_i), shape (n, 2) or (2,), always."""
     return lambda samples: np.broadcast_to(np.asarray(gains) - base, (len(samples), ACTIONS))
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hydro_bridge.readiness import Requirement
 from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
 from hydro_policy.cases import EvaluationSettings
@@ -155,6 +156,8 @@ class GridSession:
         Gains that a person holds.
     monitor
         Stops a pair that the bench does not bear, before the box has to.
+    requirements
+        What must be there before the plant is armed, besides plant and filter.
     """
 
     def __init__(
@@ -166,9 +169,11 @@ class GridSession:
         rearm: bool = True,
         override: GainOverride | None = None,
         monitor: SafetyMonitor | None = None,
+        requirements: Sequence[Requirement] = (),
     ) -> None:
         self.search, self.evaluation = GridSearch(settings), evaluation
-        self.watch, self.override = PlantWatch(outputs, rearm), override or GainOverride()
+        self.override = override or GainOverride()
+        self.watch = PlantWatch(outputs, rearm, requirements, self.override)
         self._outputs, self._monitor = outputs, monitor or SafetyMonitor()
         self._pair: Gains | None = None
         self._next()
@@ -210,7 +215,7 @@ class GridSession:
         if self._pair is not None:
             self._running = EvaluationSession(
                 self.evaluation,
-                [FixedGains(*self._pair)],
+                [FixedGains(*self._pair, self.override.base)],
                 self._outputs,
                 watch=self.watch,
                 override=self.override,

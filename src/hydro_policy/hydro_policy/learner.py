@@ -36,6 +36,7 @@ from hydro_policy.sac import Sac, SacSettings
 from hydro_policy.shared import SharedBlob
 from hydro_policy.snapshot import actor_parameters, dump, restore
 from hydro_policy.task import ACTIONS, OBSERVATIONS
+from hydro_sim.stamping import stamped
 
 SNAPSHOT_PERIOD = 0.5  # s
 _CONTEXT = multiprocessing.get_context("spawn")
@@ -185,19 +186,19 @@ def write_run(
         The disk refuses; the checkpoint before is as it was.
     """
     run = RunDirectory(request.run)
-    save_checkpoint(run.latest, learner, replay, request.trainer)
+    save_checkpoint(run.latest, stamped(learner, settings.made), replay, request.trainer)
     if request.trainer and not run.config.exists():
         run.save_settings(settings)
     best = good if request.best else None
     if best is not None:
         run.best.mkdir(parents=True, exist_ok=True)
-        write_whole(run.best / "learner.safetensors", best)
+        write_whole(run.best / "learner.safetensors", stamped(best, settings.made))
     if best is None and (run.best / "learner.safetensors").exists():
         return
     policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
     policy.load_flat(actor_parameters(best or learner))
     notes = {key: request.trainer.get(key) for key in ("episode", "total_steps", "last_rmse")}
-    policy.save(run.policy, settings.task.gains, notes)
+    policy.save(run.policy, settings.task.gains, notes, settings.made)
 
 
 def compile_updates(settings: SacSettings) -> None:

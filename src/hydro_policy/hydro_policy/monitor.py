@@ -6,7 +6,8 @@ chatter       RMS of u' over a window: what wears valve and hoses, and the first
 violations    share of a window's samples whose certificate fails although the filter has corrected what it can
 NaN           a sample, or what the policy makes of it, is not finite
 
-It judges a policy, not a person: overridden steps do not reach it.
+It judges a policy, not a person: overridden steps do not reach it, and steps for which the box held other gains than
+the policy's (`Step.held`: late commands, no fresh correction, MISMATCH) count for nothing.
 """
 
 from __future__ import annotations
@@ -21,7 +22,9 @@ from hydro_bridge.signals import SAMPLE_PERIOD, CorrectionStatus
 from hydro_policy.steps import Step
 from hydro_policy.task import SAMPLES_PER_STEP
 
-_EVALUATED = frozenset(set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE})
+_EVALUATED = frozenset(
+    set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH}
+)
 _TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.trial.gammas`
 _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
@@ -86,6 +89,9 @@ class SafetyMonitor:
         """Take a policy step; returns why the policy must be stopped, or None."""
         if not np.isfinite(step.sample).all():
             return "a measurement is not finite"
+        if step.held:
+            self.reset()
+            return None
         slope = np.diff(step.current) / SAMPLE_PERIOD
         self._squares.append((float(slope @ slope), len(slope)))
         self._violated.append((self._failed, self._answered))

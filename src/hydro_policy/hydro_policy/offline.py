@@ -14,6 +14,9 @@ import numpy as np
 
 from hydro_bridge.guard import CommandGuard, GuardSettings
 from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal
+from hydro_filter.filter import Result
+from hydro_filter.sample import Sample
+from hydro_filter.trial import Corrector
 from hydro_policy.learner import CHUNK, Learner, LearnerMemory, SaveRequest
 from hydro_policy.outputs import Outputs
 from hydro_policy.run import RunDirectory, TrainingSettings
@@ -24,6 +27,9 @@ from hydro_sim.box import Box, BoxConfig
 from hydro_sim.plant import Plant
 
 SAMPLE = 1e-3  # s
+
+PASSED = Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
+"""What a filter says that has nothing to correct."""
 
 
 class InlineLearner:
@@ -96,6 +102,8 @@ class OfflineGraph(Outputs):
         Limits of what may be commanded.
     seed
         Of the plant's noise.
+    corrector
+        The filter; absent: every sample passes. What it says of a sample acts with the next one.
     """
 
     def __init__(
@@ -106,7 +114,9 @@ class OfflineGraph(Outputs):
         config: BoxConfig | None = None,
         guard: GuardSettings | None = None,
         seed: int = 0,
+        corrector: Corrector | None = None,
     ) -> None:
+        self.corrector, self.answer = corrector, PASSED
         self.box, self.plant, self.time = Box(bench, config), plant, 0.0
         self.guard = CommandGuard(settings=guard or GuardSettings())
         self.sentences: list[str] = []
@@ -135,9 +145,11 @@ class OfflineGraph(Outputs):
     def sample(self) -> np.void:
         """One millisecond: command down, sample up, plant on; returns the sample (`STATE_DTYPE`)."""
         sequence = int(self.box.state["sequence"][0])
-        self.guard.set_correction(0.0, CorrectionStatus.PASS, sequence, self.time)
+        self.guard.set_correction(self.answer.delta_u, self.answer.status, sequence, self.time)
         self.box.receive(self.guard.command(self.time), self.time)
         output = self.box.tick(self._measurement, self.time)
+        if self.corrector is not None:
+            self.answer = self.corrector.correct(Sample.of(output))
         self._measurement = self.plant.step(float(output["valve_current"]))
         self.time += SAMPLE
         return output
@@ -149,6 +161,7 @@ class OfflineGraph(Outputs):
         while self.time < end and not session.finished:
             record = self.sample()
             values = np.array([record[name] for name in STATE_FIELDS])
+            session.on_correction(self.answer.after, self.answer.status)
             if (
                 session.on_sample(int(record["sequence"]), values, int(record["flags"]), self.time)
                 and learner is not None

@@ -11,10 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from hydro_policy.task import GainRange
-
-BASE = (15.0, 5.0)
-"""K_p [1/s], K_i [1/s^2] that the box adds changes to (paper Table training_agent)."""
+from hydro_policy.task import BASE, GainRange
 
 
 @dataclass(frozen=True)
@@ -33,10 +30,17 @@ class GainOverride:
         Gain changes that may be asked for: what the plant's guard lets through.
     say
         Takes a sentence for each change.
+    base
+        K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's).
     """
 
-    def __init__(self, reach: GainRange | None = None, say: Callable[[str], None] = lambda _: None) -> None:
-        self.reach = reach or GainRange()
+    def __init__(
+        self,
+        reach: GainRange | None = None,
+        say: Callable[[str], None] = lambda _: None,
+        base: tuple[float, float] = BASE,
+    ) -> None:
+        self.reach, self.base = reach or GainRange(), base
         self.say = say
         self._held: _Held | None = None
 
@@ -48,15 +52,15 @@ class GainOverride:
         ValueError
             Not finite or out of reach; nothing has changed.
         """
-        change = (proportional - BASE[0], integral - BASE[1])
-        reach = self.reach
+        base, reach = self.base, self.reach
+        change = (proportional - base[0], integral - base[1])
         if not (math.isfinite(seconds) and seconds >= 0.0):
             raise ValueError(f"an override lasts 0 (until told otherwise) or more seconds, not {seconds:g}")
         inside = reach.delta_kp_min <= change[0] <= reach.delta_kp_max
         if not (inside and reach.delta_ki_min <= change[1] <= reach.delta_ki_max):  # NaN is outside
             allowed = (
-                f"K_p within [{BASE[0] + reach.delta_kp_min:g}, {BASE[0] + reach.delta_kp_max:g}], "
-                f"K_i within [{BASE[1] + reach.delta_ki_min:g}, {BASE[1] + reach.delta_ki_max:g}]"
+                f"K_p within [{base[0] + reach.delta_kp_min:g}, {base[0] + reach.delta_kp_max:g}], "
+                f"K_i within [{base[1] + reach.delta_ki_min:g}, {base[1] + reach.delta_ki_max:g}]"
             )
             raise ValueError(f"({proportional:g}, {integral:g}) cannot be held here: {allowed}")
         self._held = _Held(*change, now + seconds if seconds else math.inf)
@@ -85,8 +89,8 @@ class GainOverride:
     @property
     def description(self) -> str:
         """For /diagnostics: the gains held, or no."""
-        held = self._held
-        return "no" if held is None else f"K_p {BASE[0] + held.delta_kp:g}, K_i {BASE[1] + held.delta_ki:g}"
+        held, base = self._held, self.base
+        return "no" if held is None else f"K_p {base[0] + held.delta_kp:g}, K_i {base[1] + held.delta_ki:g}"
 
     def _tell(self, sentence: str) -> str:
         self.say(sentence)

@@ -2,7 +2,8 @@
 """The policy as it acts: the actor's perceptron in numpy (some ten microseconds a call, no torch), and its file.
 
 policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro"
-JSON with architecture, observation names, centers and scales, and the range of the gains: all that is needed to act.
+JSON with architecture, observation names, centers and scales, and the range of the gains: all that is needed to act;
+and what it was made for (`hydro_sim.pairing`).
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_bridge.tensors import check_numbers, check_shapes
 from hydro_bridge.whole_files import write_whole
 from hydro_policy.task import ACTIONS, OBSERVATION_CENTER, OBSERVATION_NAMES, OBSERVATION_SCALE, OBSERVATIONS, GainRange
+from hydro_sim.pairing import ENTRY, MadeFor
 
 FORMAT = 1
 _WIDEST = 1024  # units, as in `SacSettings`
@@ -71,8 +73,10 @@ class Policy:
             mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape)
         return np.tanh(mean)
 
-    def save(self, path: Path, gains: GainRange, notes: dict[str, object] | None = None) -> None:
-        """Write policy.safetensors; `notes` (run, episodes, updates, digests) go into the header."""
+    def save(
+        self, path: Path, gains: GainRange, notes: dict[str, object] | None = None, made: MadeFor | None = None
+    ) -> None:
+        """Write policy.safetensors; `notes` (run, episodes, updates) and what it was made for go into the header."""
         header = {
             "format": FORMAT,
             "architecture": {"sizes": self.sizes, "activation": "relu", "output": "tanh(mu), log sigma"},
@@ -86,6 +90,8 @@ class Policy:
             "gains": asdict(gains),
             "notes": notes or {},
         }
+        if made is not None:
+            header[ENTRY] = made.to_header()
         tensors: dict[str, NDArray[np.float32]] = {
             f"weight_{k}": w.astype(np.float32) for k, w in enumerate(self.weights)
         }

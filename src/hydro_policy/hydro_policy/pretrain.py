@@ -15,7 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from tqdm import tqdm
@@ -24,6 +24,7 @@ from hydro_bridge import endings
 from hydro_bridge.console import UserError, add_json_argument, command, progress, writable_folder
 from hydro_bridge.recording_run import code_version
 from hydro_bridge.resuming import NEW_ONLY, given, refuse_changes
+from hydro_bridge.whole_files import write_whole
 from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.configurations import CONFIGURATIONS, configuration, configuration_of
 from hydro_policy.environment import Transitions
@@ -34,7 +35,10 @@ from hydro_policy.pretrain_source import Source, load_source, source_of
 from hydro_policy.pretraining import Pretraining
 from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.snapshot import actor_parameters, dump
+from hydro_sim.box import Integral
 from hydro_sim.learned.weights import WeightsError
+from hydro_sim.pairing import refuse
+from hydro_sim.stamping import stamped
 
 AGENT = "learner.safetensors"
 
@@ -72,9 +76,15 @@ def parser() -> argparse.ArgumentParser:
         metavar="FILE",
         help="bench.yaml that the box believes in (default: the nominal bench)",
     )
+    what.add_argument(
+        "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box (default: 15 5, the paper's)"
+    )
     what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
     what.add_argument(
         "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"
+    )
+    what.add_argument(
+        "--integral", choices=get_args(Integral), default="bumpless", help="of the box's force law (default: bumpless)"
     )
     how = result.add_argument_group("how")
     how.add_argument("--configuration", choices=CONFIGURATIONS, default="paper", help="see docs/training.md")
@@ -96,10 +106,13 @@ def main() -> int:
     run = RunDirectory(options.resume or options.out)
     if options.resume:
         settings, source = resumed(run, sys.argv[1:])
+        refuse(source.trouble())
         pretraining = source.pretraining(settings)
         _resume(run, pretraining)
     else:
-        settings, source = training_settings(options), source_of(options)
+        source = source_of(options)
+        refuse(source.trouble())
+        settings = training_settings(options, source)
         pretraining = source.pretraining(settings)
         _create(run, settings, source)
     began = time.monotonic()
@@ -115,15 +128,17 @@ def main() -> int:
     return 0
 
 
-def training_settings(options: argparse.Namespace) -> TrainingSettings:
-    """What the command line asks for."""
-    settings = configuration(options.configuration, options.seed)
+def training_settings(options: argparse.Namespace, source: Source) -> TrainingSettings:
+    """What the command line asks for; K_p and K_i in all are the configuration's, whatever the box's base gains."""
+    box = source.box_config()
+    settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki))
     episodes = settings.episodes if options.episodes is None else options.episodes
     hidden = settings.sac.hidden_size if options.hidden is None else options.hidden
     steps = settings.task.steps_per_episode if options.steps is None else options.steps
     updates = settings.updates_per_step if options.updates_per_step is None else options.updates_per_step
     return replace(
         settings,
+        made=source.made_for(),
         episodes=episodes,
         updates_per_step=updates,
         replay_capacity=max(settings.replay_capacity, min(episodes * steps, REPLAY_MAX)),
@@ -134,7 +149,8 @@ def training_settings(options: argparse.Namespace) -> TrainingSettings:
 
 def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, Source]:
     """What a run that goes on was begun with; raises UserError where `words` say otherwise. Only --episodes may."""
-    settings, source = run.load_settings(), load_source(run.path)
+    source = load_source(run.path)
+    settings = replace(run.load_settings(), made=source.made_for())
     begun = {
         **asdict(source), "configuration": configuration_of(settings) or NEW_ONLY, "hidden": settings.sac.hidden_size,
         "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
@@ -203,9 +219,8 @@ class _StopRequest:
 def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
     """Checkpoint; the best agent so far and its policy; the learning curve."""
     best = pretraining.best or dump(pretraining.sac)
-    (run.path / (AGENT + ".partial")).write_bytes(best)
-    (run.path / (AGENT + ".partial")).replace(run.path / AGENT)
     training = pretraining.settings.training
+    write_whole(run.path / AGENT, stamped(best, training.made))
     policy = Policy(training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max))
     policy.load_flat(actor_parameters(best))
     notes = {
@@ -213,8 +228,8 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
         "episodes": pretraining.episode, "score": pretraining.best_score, "task": asdict(training.task),
         "code": code_version(),
     }  # fmt: skip
-    policy.save(run.policy, training.task.gains, notes)
-    save_checkpoint(run.latest, dump(pretraining.sac), pretraining.replay, pretraining.state())
+    policy.save(run.policy, training.task.gains, notes, training.made)
+    save_checkpoint(run.latest, stamped(dump(pretraining.sac), training.made), pretraining.replay, pretraining.state())
     cases = pretraining.settings.evaluation.cases
     draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / "curve.png")
 

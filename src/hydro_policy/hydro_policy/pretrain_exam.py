@@ -20,6 +20,7 @@ from hydro_policy.cases import Case, EvaluationSettings
 from hydro_policy.fleet import Fleet
 from hydro_policy.fleet_runs import Chooser
 from hydro_policy.randomisation import Drawn
+from hydro_policy.task import BASE
 from hydro_sim.bench import Bench
 
 REFERENCE_GAINS = (90.0, 15.0)
@@ -67,6 +68,8 @@ class Examination:
         The drawn bench of a number; None: the known one alone.
     drawn
         How many are drawn: the first ones on which the reference gains do not trip.
+    base
+        K_p [1/s], K_i [1/s^2] of the boxes.
 
     Raises
     ------
@@ -81,10 +84,11 @@ class Examination:
         evaluation: EvaluationSettings,
         draw: Callable[[int], Drawn] | None = None,
         drawn: int = 0,
+        base: tuple[float, float] = BASE,
     ) -> None:
         self._make, self._believed, self._evaluation = fleet, believed, evaluation
         self._benches: list[Drawn] = []
-        reference = fleet_runs.fixed(np.array(REFERENCE_GAINS))
+        reference = fleet_runs.fixed(np.array(REFERENCE_GAINS), base)
         known = self._rmse(reference, [None])
         self.reference: FloatArray = np.where(np.isnan(known), evaluation.amplitude / math.sqrt(2.0), known)
         """N, RMSE of the reference gains, shape (benches, cases); where they trip, that of no tracking at all."""

@@ -5,17 +5,22 @@ from __future__ import annotations
 
 import argparse
 import os
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from hydro_bridge.console import UserError
+from hydro_filter.choice import Choice
 from hydro_policy.pretraining import Pretraining, PretrainSettings
 from hydro_policy.randomisation import Randomisation
 from hydro_policy.run import TrainingSettings
 from hydro_sim.bench import Bench
+from hydro_sim.box import BoxConfig, Integral, with_base_gains
+from hydro_sim.learned import weights
 from hydro_sim.learned.model import Learned
+from hydro_sim.pairing import Believed, MadeFor, unfit
 
 SOURCE = "pretrain.yaml"
 """In a run's folder, beside config.yaml."""
@@ -31,10 +36,14 @@ class Source:
     """bench.yaml or corrected.yaml that is simulated by the analytic model; None: the nominal bench."""
     box: str | None = None
     """bench.yaml that the box believes in; None: the nominal bench."""
+    base_gains: list[float] | None = None
+    """K_p [1/s], K_i [1/s^2] of the box; None: the paper's."""
     randomise: bool = False
     filter: str = "none"
     """A name of `fleet_filter.FILTERS`."""
     benches: int = 8
+    integral: Integral = "bumpless"
+    """Form of the force law's integral, `BoxConfig.integral`."""
 
     def simulated(self) -> Bench | Learned:
         """The analytic bench or the learned model."""
@@ -46,12 +55,43 @@ class Source:
         """What the box's force law takes for true."""
         return Bench.load(self.box) if self.box else Bench.nominal()
 
+    def box_config(self) -> BoxConfig:
+        """Base gains and limits of the box."""
+        box = BoxConfig() if self.base_gains is None else with_base_gains(*self.base_gains)
+        return replace(box, integral=self.integral)
+
+    def made_for(self) -> MadeFor:
+        """Which box its policies are for: the one that is simulated around whatever plant."""
+        box, learned = self.box_config(), self.weights
+        return MadeFor(
+            box=self.believed().digest, model=weights.digest(learned) if learned else "", base_kp=box.base_kp,
+            base_ki=box.base_ki, integral=box.integral, any_bench=self.randomise,
+        )  # fmt: skip
+
+    @property
+    def weights(self) -> Path | None:
+        """File of the learned model; None: the analytic one is simulated."""
+        if self.model == "analytic":
+            return None
+        return weights.shipped() if self.model == "shipped" else Path(self.model)
+
+    def trouble(self) -> str:
+        """Why what is simulated does not belong together, in one sentence; empty where it does."""
+        box, learned = Believed.of_file(self.box), self.weights
+        remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --bench FILE --box FILE"
+        made = None if learned is None else Learned.load(learned).made
+        wrong = "" if learned is None else unfit(f"the model {learned.name}", made, box, remedy)
+        if wrong or self.filter != "learned":
+            return wrong
+        return Choice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()
+
     def pretraining(self, training: TrainingSettings) -> Pretraining:
         """A pretraining at its beginning."""
         randomisation = Randomisation() if self.randomise else None
         settings = PretrainSettings(
-            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter
-        )
+            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter,
+            box=self.box_config(),
+        )  # fmt: skip
         return Pretraining(settings, self.simulated(), self.believed())
 
     def save(self, folder: Path) -> None:
@@ -66,7 +106,13 @@ def source_of(options: argparse.Namespace) -> Source:
         raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
     files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
     model = model if model in ("analytic", "shipped") else os.path.abspath(model)
-    chosen = {"randomise": options.randomise, "filter": options.filter, "benches": options.benches}
+    chosen: dict[str, Any] = {
+        "base_gains": options.base_gains,
+        "integral": options.integral,
+        "randomise": options.randomise,
+        "filter": options.filter,
+        "benches": options.benches,
+    }
     return Source(model=model, **chosen, **files)
 
 
@@ -79,6 +125,6 @@ def load_source(folder: Path) -> Source:
         The folder holds no pretraining.
     """
     try:
-        return Source(**yaml.safe_load((folder / SOURCE).read_text()))
+        return Source(**{"integral": "paper", **yaml.safe_load((folder / SOURCE).read_text())})  # what older runs had
     except (OSError, TypeError, yaml.YAMLError) as error:
         raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error

@@ -38,6 +38,7 @@ from hydro_policy.sac import Sac
 from hydro_policy.snapshot import dump, restore
 from hydro_policy.task import ACTIONS, OBSERVATIONS
 from hydro_sim.bench import Bench
+from hydro_sim.box import BoxConfig
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.plant import AnalyticPlant, Plant
@@ -58,6 +59,8 @@ class PretrainSettings:
     """Drawn benches that a policy is examined on besides the known one, if benches are drawn. [0, 256]."""
     filter: str = "none"
     """The filter between policy and box: none, constant, learned (`fleet_filter`)."""
+    box: BoxConfig = field(default_factory=BoxConfig)
+    """Base gains, limits and form of the integral of the boxes."""
     evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
 
     def __post_init__(self) -> None:
@@ -95,7 +98,14 @@ class Pretraining:
         """The agent (`snapshot.dump`) with the best score so far; not part of `state`."""
         self._take_weights()
         drawn = None if settings.randomisation is None else lambda number: self._draw(self._seed(number, 3))
-        self._exam = Examination(self._fleet, believed, settings.evaluation, drawn, settings.examined)
+        self._exam = Examination(
+            self._fleet,
+            believed,
+            settings.evaluation,
+            drawn,
+            settings.examined,
+            (settings.box.base_kp, settings.box.base_ki),
+        )
         self.reference_rmse = self._exam.reference[0]
         """N, RMSE of the reference gains on the known bench, shape (cases,)."""
 
@@ -172,7 +182,8 @@ class Pretraining:
 
     def _fleet(self, count: int) -> Fleet:
         filters = fleet_filter(self.settings.filter, self._believed, count)
-        return Fleet([self._believed] * count, [self._plant() for _ in range(count)], filters=filters)
+        plants = [self._plant() for _ in range(count)]
+        return Fleet([self._believed] * count, plants, self.settings.box, filters)
 
     def _plant(self) -> Plant:
         if isinstance(self._source, Learned):

@@ -26,7 +26,8 @@ from hydro_bridge.whole_files import write_whole
 from hydro_policy.cases import ExamSettings
 from hydro_policy.monitor import MonitorSettings
 from hydro_policy.sac import SacSettings
-from hydro_policy.task import GainRange, TaskSettings
+from hydro_policy.task import BASE, GainRange, TaskSettings
+from hydro_sim.pairing import MadeFor
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,6 +48,16 @@ class TrainingSettings:
     task: TaskSettings = field(default_factory=TaskSettings)
     exam: ExamSettings = field(default_factory=ExamSettings)
     monitor: MonitorSettings = field(default_factory=MonitorSettings)
+    made: MadeFor | None = None
+    """Which box its policies are for: what `--resume` is held to, and what goes into every file; None: not known."""
+
+    @property
+    def base_gains(self) -> tuple[float, float]:
+        """K_p [1/s] and K_i [1/s^2] of the box, to which its actions are changes."""
+        made = self.made
+        if made is None or made.base_kp is None or made.base_ki is None:
+            return BASE
+        return made.base_kp, made.base_ki
 
     def __post_init__(self) -> None:
         for part in (self, self.sac, self.task, self.task.gains, self.exam, self.monitor):
@@ -77,13 +88,17 @@ class RunDirectory:
         FileExistsError
             There is a run here already.
         """
+        self.refuse_existing()
+        for folder in (self.latest, self.best):
+            folder.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def refuse_existing(self) -> None:
+        """Raise FileExistsError if there is a run here already."""
         if self.config.exists():
             raise FileExistsError(
                 f"{self.path} holds a run already: continue it with --resume {self.path}, or name another"
             )
-        for folder in (self.latest, self.best):
-            folder.mkdir(parents=True, exist_ok=True)
-        return self
 
     def save_settings(self, settings: TrainingSettings, plant: Mapping[str, Any] | None = None) -> None:
         """Write config.yaml; `plant`: the words about the plant that the run was begun with, if they are known."""
@@ -112,7 +127,9 @@ class RunDirectory:
             values.pop("plant", None)
             task, sac = values.pop("task"), values.pop("sac")
             gains = GainRange(**_numbers(task.pop("gains")))
+            made = values.pop("made", None)
             parts: dict[str, Any] = {
+                "made": MadeFor(**made) if made else None,
                 "sac": SacSettings(**_numbers(sac)),
                 "task": TaskSettings(**_numbers(task), gains=gains),
                 "exam": ExamSettings(**_numbers(values.pop("exam", {}))),  # runs of the first version had neither

@@ -13,6 +13,8 @@ from hydro_policy.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import SacSettings
 from hydro_policy.snapshot import as_beginning, settings_of
 from hydro_policy.task import GainRange
+from hydro_sim.pairing import MadeFor
+from hydro_sim.stamping import stamp_of
 
 AGENT = "learner.safetensors"
 
@@ -36,6 +38,8 @@ class Start:
     reward: dict[str, Any]
     """What it was rewarded for, fields of `TaskSettings`: its critics know no other reward."""
     source: Path
+    made: MadeFor | None = None
+    """Which box it was made for; None: its files do not say."""
 
     def adopted(self, settings: TrainingSettings) -> TrainingSettings:
         """The settings, with what this agent needs: the networks' size, the range of gains, the reward.
@@ -82,4 +86,4 @@ def load_start(path: Path) -> Start:
     _, gains, notes = load_policy(run.policy)
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
-    return Start(agent, sac, gains, reward, path)
+    return Start(agent, sac, gains, reward, path, stamp_of(found) or stamp_of(run.policy))

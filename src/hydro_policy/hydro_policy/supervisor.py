@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 import multiprocessing
 import signal
 import time
@@ -33,8 +32,6 @@ from hydro_policy.learner import (
 from hydro_policy.run import RunDirectory, TrainingSettings
 
 RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds, and it is not bad luck
-HINT_AFTER = 8.0  # s
-AWAITING_LEARNER = "waiting for the learner: where it starts for the first time it compiles, up to a minute"
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
@@ -81,7 +78,6 @@ class LearnerSupervisor:
         if start is not None:
             self._snapshot.publish(start)
         self._deaths: deque[float] = deque()
-        self._hint_at = math.inf
         self.restarts = 0
         self._start()
 
@@ -126,7 +122,7 @@ class LearnerSupervisor:
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
     def revive(self) -> str | None:
-        """If the learner died, start another from its last snapshot; what to tell the user of that or of a long start.
+        """If the learner died, start another from its last snapshot; what to tell the user of that.
 
         Raises
         ------
@@ -135,7 +131,7 @@ class LearnerSupervisor:
         """
         self._hear()
         if self.alive:
-            return self._hint()
+            return None
         if self._said and not self.ready:
             raise LearnerError(f"the learner cannot begin: {self._said}")
         now, code = time.monotonic(), self._process.exitcode
@@ -224,17 +220,9 @@ class LearnerSupervisor:
             return f"killed by signal {-code}"
         return self._said or f"exit code {code}"
 
-    def _hint(self) -> str | None:
-        """Why nothing begins yet; once."""
-        if self.ready or time.monotonic() < self._hint_at:
-            return None
-        self._hint_at = math.inf
-        return AWAITING_LEARNER
-
     def _start(self) -> None:
         self._status[READY] = 0.0
         self._said = ""  # by a learner that ends
-        self._hint_at = time.monotonic() + HINT_AFTER
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
         arguments = (self._memory, self._settings, theirs)  # small: what does not fit the pipe would wait for the child

@@ -20,6 +20,9 @@ SAMPLES_PER_STEP = 10
 
 ACTIONS = 2
 
+BASE = (15.0, 5.0)
+"""K_p [1/s], K_i [1/s^2] of the paper's box (Table training_agent): what changes are added to. A box says its own."""
+
 _SPREAD: FloatArray = np.array((0.7548776662466927, 0.5698402909980532))  # 1 / p, 1 / p^2 with p^3 = p + 1
 
 _NORMALIZATION: tuple[tuple[str, float, float], ...] = (  # name, center, scale: the middle and the reach of normal runs
@@ -59,6 +62,13 @@ class GainRange:
     """1/s^2. [-100, 100]."""
     delta_ki_max: float = 10.0
     """1/s^2, above delta_ki_min, [-100, 100]."""
+
+    def shifted(self, kp: float, ki: float) -> GainRange:
+        """The range with so much added to its ends: the same gains in all on a box with that much lower base gains."""
+        return GainRange(
+            delta_kp_min=self.delta_kp_min + kp, delta_kp_max=self.delta_kp_max + kp,
+            delta_ki_min=self.delta_ki_min + ki, delta_ki_max=self.delta_ki_max + ki,
+        )  # fmt: skip
 
     def gains(self, action: FloatArray) -> tuple[float, float]:
         """(delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""

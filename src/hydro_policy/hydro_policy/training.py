@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """A training session: episodes, examinations, stops and pauses, driven by samples and ticks; knows no ROS.
 
-    WAITING ──armed, learner ready──> EVALUATING ──good──> TRAINING ──────episodes─────> EVALUATING ──last──> FINISHED
+    WAITING ────ready, then armed───> EVALUATING ──good──> TRAINING ──────episodes─────> EVALUATING ──last──> FINISHED
                                                               │  ^
              plant lost, disarmed, tripped; stopped by the    v  │  armed again, calm again: what was interrupted
              monitor: back to the last good policy          PAUSED  begins anew
@@ -12,9 +12,11 @@ monitor is a termination.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
+from hydro_bridge.readiness import Requirement
 from hydro_bridge.signals import Flag, FloatArray
 from hydro_policy import exam
 from hydro_policy.episode import EpisodeRecord, Phase, Progress
@@ -25,10 +27,11 @@ from hydro_policy.outputs import Outputs
 from hydro_policy.override import GainOverride
 from hydro_policy.policy import Policy
 from hydro_policy.record import RunRecord
+from hydro_policy.requirements import learner as learner_ready
 from hydro_policy.run import TrainingSettings
 from hydro_policy.steps import Step, StepClock
 from hydro_policy.training_episode import EpisodePlayer
-from hydro_policy.watch import PlantWatch
+from hydro_policy.watch import FALLBACK, PlantWatch
 
 FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
 UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
@@ -53,6 +56,8 @@ class TrainingSession:
         Gains that a person holds.
     record
         Takes down what happens.
+    requirements
+        What must be there before the plant is armed, besides plant, filter and learner.
     """
 
     def __init__(
@@ -66,10 +71,12 @@ class TrainingSession:
         best: bytes | None = None,
         override: GainOverride | None = None,
         record: RunRecord | None = None,
+        requirements: Sequence[Requirement] = (),
     ) -> None:
         self.settings, self.learner = settings, learner
-        self.watch, self.clock = PlantWatch(outputs, rearm), StepClock()
         self.override, self.record = override or GainOverride(), record or RunRecord()
+        self.watch = PlantWatch(outputs, rearm, (learner_ready(learner), *requirements), self.override)
+        self.clock = StepClock()
         self.progress = Progress() if state is None else Progress(**state["progress"])
         self.ledger = Ledger(settings, learner, self.progress, best, self.record)
         self.keeper = self.ledger.keeper
@@ -125,6 +132,7 @@ class TrainingSession:
     def on_correction(self, after: float, status: int) -> None:
         """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
         self.monitor.on_correction(after, status)
+        self.watch.on_correction(status)
 
     def on_tick(self, now: float) -> None:
         """Some twenty times a second: arming, loss of the plant, death of the learner."""
@@ -144,10 +152,17 @@ class TrainingSession:
         if self.watch.calming:
             self.explorer.hold((0.0, 0.0))
             return True
+        if self.watch.mismatched and not self.watch.unfit(now):
+            self.watch.acted(now)
+            self.player.hold(FALLBACK, step, episode=self.phase is Phase.TRAINING)
+            return True
         if self.phase is not Phase.TRAINING:
-            if not self.learner.ready or not self.watch.may_begin(now):
+            if not self.watch.may_begin(now):
                 return False
             self._begin()
+        elif self.watch.unfit(now):  # a person has held the gains: the watch disarms, and the episode begins anew
+            return False
+        self.watch.acted(now)
         if self.phase is Phase.TRAINING:
             self._step(step)
         return True

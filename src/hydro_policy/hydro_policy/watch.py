@@ -1,34 +1,51 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the plant is there and armed, and the asking for both: shared by training and evaluation.
+"""Whether the plant is there, armed, and fit to begin on; shared by training and evaluation.
 
 no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
-disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else the user is told how
-no corrections           armed only when they come: base gains meanwhile would wind up an integral that then kicks
+something is missing     nothing is armed (`hydro_bridge.readiness`); found armed, or armed too early: disarmed
+disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else a person is asked to
+armed and idle           no controller has acted for `IDLE`: disarmed, and armed anew as above. Base gains wind up the
+                         law's integral against dry friction, which is a jump of the current with the next gains
+MISMATCH                 the filter's model is not this bench's: nothing is armed or begun until the filter decides
+                         again, and what has begun goes on under `FALLBACK`
 stopped                  a second of calm, armed, base gains, no reference, before anything begins: the force is still
-                         where what was stopped has left it, and would be held against whatever comes next
+                         where what was stopped has left it, and would be held against whatever comes next. Where no
+                         person is needed for it the plant is then armed anew, too
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from hydro_bridge.signals import Flag, ReferenceSignal
+from hydro_bridge.guard_limits import NARROW
+from hydro_bridge.readiness import Readiness, Requirement
+from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
+from hydro_policy import requirements as needs
+from hydro_policy.arming import Arming
 from hydro_policy.outputs import Outputs
+from hydro_policy.override import GainOverride
+
+FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)
+"""Changes of K_p, K_i that are held while the filter says MISMATCH: the upper end of what the guard then lets pass, the
+paper's fixed (90, 15). A policy clamped to that range asks for less and tracks worse."""
 
 CALM = 1.0
 """s, armed, between a stop and what follows it."""
 
+IDLE = 2.0
+"""s armed without a controller after which none may begin (decision 0056 has the measurements)."""
+
 LOST_AFTER = 0.1  # s without a sample
-_SETTLE = 0.1  # s between disarming and arming, a hundred commands of the bridge
-_RETRY = 1.0  # s
 
-_HINT_AFTER = 8.0  # s
-_FILTER_HINT, _FILTER_WITHIN = 8.0, 90.0  # s without corrections: to say so; to go on (its first start compiles)
-
-HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
-AWAITING_FILTER = "waiting for the filter to answer: where it starts for the first time it compiles, up to a minute"
-NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
-HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
+TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
+UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law begins anew"
+MISMATCH = (
+    "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
+    "range, nothing is learned or begun; start it with model and metric of this bench, or with --metric constant"
+)
+FITS = "the filter's model fits again: going on"
+CALM_AGAIN = "calm again: disarmed and armed anew, so that the force law begins anew"
 
 
 class PlantWatch:
@@ -40,19 +57,34 @@ class PlantWatch:
         Where to ask.
     rearm
         Whether a disarmed or tripped box may be armed without the user (simulation: yes; bench: on purpose only).
+    requirements
+        What must be there before the plant is armed, besides plant and filter.
+    override
+        Gains that a person holds: under them a plant is not idle.
     """
 
-    def __init__(self, outputs: Outputs, rearm: bool) -> None:
-        self._outputs, self._rearm = outputs, rearm
+    def __init__(
+        self,
+        outputs: Outputs,
+        rearm: bool,
+        requirements: Sequence[Requirement] = (),
+        override: GainOverride | None = None,
+    ) -> None:
+        self._outputs, self._override = outputs, override or GainOverride()
+        self._arming = Arming(outputs, rearm)
+        samples = needs.plant(lambda: not self.lost)
+        answers = needs.corrections(lambda: self.mismatched or not self._flags & Flag.FILTER_STALE)
+        fitting = needs.fitting_filter(lambda: not self.mismatched)
+        needed = (samples, *requirements, answers, fitting)  # the filter's answers after what takes longer
+        self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
         self._seen = -math.inf
-        self._flags = 0
-        self._arm_after = math.inf  # when to follow a disarm with an arm
-        self._asked = -math.inf
+        self._acted = -math.inf  # when a controller acted last, or the plant was armed
+        self._spoilt = TOO_EARLY  # why nothing may act on it as it is armed: nobody knows for how long it has been
+        self._flags = int(Flag.FILTER_STALE)
         self._told: str | None = None
-        self._hint_at = math.inf  # when to say that nobody publishes
-        self._stale_since = math.inf  # since when no corrections reach the box
         self._calm_until: float | None = None  # math.inf: asked for, but not armed yet
-        self._hints: set[str] = set()  # given already, each once
+        self.mismatched = False
+        """Whether the filter's last word was that its model is not this bench's."""
 
     @property
     def lost(self) -> bool:
@@ -76,18 +108,43 @@ class PlantWatch:
             f" ({', '.join(faults).lower()})" if faults else ""
         )
 
+    @property
+    def standing(self) -> str:
+        """For people: the condition, and what is waited for."""
+        return self.condition + ("" if self.readiness.complete else f", waiting for {self.readiness.awaited}")
+
     def on_sample(self, flags: int, now: float) -> None:
         """Take a sample's flags."""
+        if flags & Flag.ARMED and not (self.armed or self.lost):
+            wanted = self.readiness.complete or self._arming.under_way(now)
+            self._acted, self._spoilt = now, "" if wanted else TOO_EARLY
         self._seen, self._flags = now, flags
-        self._stale_since = min(self._stale_since, now) if flags & Flag.FILTER_STALE else math.inf
         if self._calm_until is not None:
             self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
             if now >= self._calm_until:
                 self._calm_until = None
+                self._spoilt = CALM_AGAIN if self._arming.alone else self._spoilt
+
+    def on_correction(self, status: int) -> None:
+        """Take the status of a correction."""
+        if (status == CorrectionStatus.MISMATCH) != self.mismatched:
+            self.mismatched = not self.mismatched
+            self._outputs.say(MISMATCH if self.mismatched else FITS, warning=self.mismatched)
 
     def may_begin(self, now: float) -> bool:
-        """Whether an episode or a run may begin: armed and calm, and the filter answers or has been waited for."""
-        return self.armed and not self.calming and not self._awaits_filter(now)
+        """Whether an episode or a run may begin: armed, calm and fit for it, with all there that must be."""
+        return self.armed and self.readiness.complete and not self.calming and not self.unfit(now)
+
+    def acted(self, now: float) -> None:
+        """A controller has chosen gains."""
+        self._acted = now
+
+    def unfit(self, now: float) -> str:
+        """Why no controller may act on the plant as it is armed; empty if one may."""
+        if not self._spoilt and now - self._acted > IDLE:
+            waited = f"armed for {now - self._acted:.1f} s while no controller acted"
+            return f"{waited}: it is disarmed, so that the force law begins anew"
+        return self._spoilt
 
     @property
     def calming(self) -> bool:
@@ -99,48 +156,48 @@ class PlantWatch:
         self._calm_until = math.inf
         self._outputs.reference(ReferenceSignal())
 
+    def take_over(self, before: PlantWatch) -> None:
+        """Go on where another session's watch ends: what that has left armed is no find, its calm is waited for."""
+        self._acted, self._spoilt = before._acted, before._spoilt
+        if before.calming:
+            self.calm()
+
     def on_tick(self, now: float) -> None:
-        """Call some twenty times a second: notices a loss, asks for arming."""
+        """Call some twenty times a second: notices a loss, asks for arming.
+
+        Raises
+        ------
+        NotReadyError
+            Something without which nothing may be armed has not come within its time.
+        """
         if not self.lost and now - self._seen > LOST_AFTER:
-            self._seen = -math.inf
+            self._seen, self._spoilt = -math.inf, UNSEEN
+            self._flags = int(Flag.FILTER_STALE)
             self._outputs.arm(False)
-        if not self.lost and not self.armed:
-            self._seek_arming(now)
+        self.readiness.look(now)
         if self.armed:
-            self._arm_after, self._asked = math.inf, -math.inf
+            self._arming.rest()
+            why = self.unfit(now)
+            if why and not (self.calming or self._override.active):
+                self._arming.lower(now, why)
+        elif not self.lost:
+            self._arming.seek(self.readiness.complete, now)
         self._tell(now)
 
     def arm_now(self, now: float) -> None:
-        """The user wants it armed."""
-        self._outputs.arm(False)
-        self._arm_after, self._asked = now + _SETTLE, now
-
-    def _seek_arming(self, now: float) -> None:
-        if self._awaits_filter(now):
-            return
-        if now >= self._arm_after:
-            self._arm_after = math.inf
-            self._outputs.arm(True)
-        elif self._rearm and now - self._asked > _RETRY:
-            self.arm_now(now)
-
-    def _awaits_filter(self, now: float) -> bool:
-        waited = now - self._stale_since if self._flags & Flag.FILTER_STALE else -math.inf
-        for after, sentence in ((_FILTER_HINT, AWAITING_FILTER), (_FILTER_WITHIN, NO_FILTER)):
-            if waited > after and sentence not in self._hints:
-                self._hints.add(sentence)
-                self._outputs.say(sentence, warning=True)
-        return 0 <= waited <= _FILTER_WITHIN
+        """A person wants it armed: done where all is ready, answered where it is not."""
+        if self.armed:
+            self._outputs.say("the plant is armed already", warning=True)
+        elif self.readiness.complete:
+            self._arming.arm(now)
+        else:
+            self._arming.prompt_anew()
+            sentence = f"not armed, still waiting for {self.readiness.awaited}: you are asked once all is ready"
+            self._outputs.say(sentence, warning=True)
 
     def _tell(self, now: float) -> None:
-        if self._hint_at == math.inf and self._told is None:
-            self._hint_at = now + _HINT_AFTER
-        if self.lost and now > self._hint_at:
-            self._hint_at = math.inf
-            self._outputs.say(HOW_TO_GET_A_PLANT, warning=True)
-        condition = self.condition
-        if condition != self._told:
-            hint = f": {HOW_TO_ARM}" if not self._rearm and not self.armed and not self.lost else ""
-            if self._told is not None or hint:
-                self._outputs.say(f"plant: {condition}{hint}", warning=not self.armed)
-            self._told = condition
+        condition, ready = self.condition, self.readiness.complete
+        hint = "" if self.armed or self.lost else self._arming.prompt(condition, ready, now)
+        if hint or self._told not in (None, condition):
+            self._outputs.say(f"plant: {condition}" + (f": {hint}" if hint else ""), warning=not self.armed)
+        self._told = condition

@@ -22,7 +22,7 @@ from hydro_policy.offline import OfflineGraph
 from hydro_policy.steps import StepClock
 from hydro_policy.task import GainRange, TaskSettings, observe
 from hydro_sim.bench import Bench
-from hydro_sim.box import Box
+from hydro_sim.box import Box, BoxConfig, Integral
 from hydro_sim.learned.mlp import initial
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.network import INPUTS, STATES
@@ -56,13 +56,16 @@ PLANTS = {
 }
 
 
-@pytest.mark.parametrize("kind", PLANTS)
-def test_every_bench_of_a_fleet_is_the_offline_simulation_to_the_bit(kind: str) -> None:
+@pytest.mark.parametrize(("kind", "form"), [*((kind, "bumpless") for kind in PLANTS), ("analytic", "paper")])
+def test_every_bench_of_a_fleet_is_the_offline_simulation_to_the_bit(kind: str, form: Integral) -> None:
     """Gains change every step; bench 1 is compared while its neighbors run something else."""
+    config = BoxConfig(integral=form)
     steps, rng = 60, np.random.default_rng(3)
     gains = np.column_stack((rng.uniform(15, 90, steps + 1), rng.uniform(5, 15, steps + 1)))
-    want = simulate(PLANTS[kind](), BENCH, Schedule(reference=SINE, gains=gains, seconds=0.01 * steps), seed=7)
-    fleet = Fleet([BENCH] * 3, [PLANTS[kind]() for _ in range(3)])
+    want = simulate(
+        PLANTS[kind](), BENCH, Schedule(reference=SINE, gains=gains, seconds=0.01 * steps), config=config, seed=7
+    )
+    fleet = Fleet([BENCH] * 3, [PLANTS[kind]() for _ in range(3)], config)
     fleet.links["gain_delay"] = 10  # the offline schedule changes gains with the step's own sample
     changes = gains - (15.0, 5.0)
     for index in range(3):

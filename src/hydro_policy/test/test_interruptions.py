@@ -59,12 +59,15 @@ def test_a_run_that_is_begun_anew_is_not_judged_by_what_was_before_it() -> None:
     monitor = SafetyMonitor(MonitorSettings())
     session = EvaluationSession(EvaluationSettings(), [FixedGains(90.0, 15.0)], Still(), monitor=monitor)
     sample, armed = np.zeros(14), int(Flag.ARMED)
-    for sequence in range(400):
+    session.on_sample(0, sample, 0, 0.0)
+    session.on_tick(0.0)
+    for sequence in range(1, 400):
         held = 105 <= sequence < 205
         if sequence in (105, 205):
             session.override.hold(60.0, 10.0, 0.0, 0.0) if held else session.override.release()
         sample[STATE_FIELDS.index("load_force")] = 500.0 if 100 < sequence < 205 else 0.0
         session.on_sample(sequence, sample.copy(), armed, 1e-3 * sequence)
+    assert session._run is not None and session._run.first == 205
     assert session.scores == [] and 0.0 <= monitor.peak < 1.0
 
 

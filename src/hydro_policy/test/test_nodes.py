@@ -7,10 +7,14 @@ import json
 import os
 import subprocess
 import time
+from collections.abc import Iterator
+from dataclasses import replace
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
 import pytest
+import yaml
 
 pytest.importorskip("rclpy")
 
@@ -18,21 +22,26 @@ import rclpy
 
 from hydro_bridge.console import UserError
 from hydro_bridge.recording import read_bag
-from hydro_bridge.ros import GAINS, GAINS_QOS, STATE, STATE_QOS, executable_path
+from hydro_bridge.ros import BOX, BOX_QOS, GAINS, GAINS_QOS, STATE, STATE_QOS, CompanionError, executable_path
 from hydro_bridge.signals import Flag
 from hydro_filter.choice import DEFAULT
-from hydro_msgs.msg import BenchState, Gains
+from hydro_msgs.msg import BenchState, BoxInfo, Gains
 from hydro_policy.checkpoint import load_checkpoint
+from hydro_policy.nodes import graph
 from hydro_policy.nodes.companions import PlantOptions, commands
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import uncovered
 from hydro_policy.nodes.options import plant_options
+from hydro_policy.nodes.planned import surprise
 from hydro_policy.nodes.trainer import DEMO, asked
 from hydro_policy.nodes.trainer import parser as trainer_parser
 from hydro_policy.policy import Policy, load_policy
 from hydro_policy.run import RunDirectory
-from hydro_policy.task import GainRange
+from hydro_policy.start import shipped_start
+from hydro_policy.task import BASE, GainRange
+from hydro_sim.bench import Bench
 from hydro_sim.learned.weights import shipped
+from hydro_sim.pairing import Believed, MadeFor
 
 pytestmark = pytest.mark.graph
 
@@ -85,7 +94,8 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
 
 def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     policy = tmp_path / "policy.safetensors"
-    Policy(32).save(policy, GainRange())  # all zero: the middle of the range, K_p = 52.5, K_i = 10
+    made = MadeFor(box=Bench.nominal().digest, base_kp=15.0, base_ki=5.0)
+    Policy(32).save(policy, GainRange(), made=made)  # all zero: the middle of the range, K_p = 52.5, K_i = 10
     words = ["--plant", "sim", "--policy", str(policy), "--fixed", "52.5", "10", "--fixed", "100", "15"]
     figures, plot = tmp_path / "evaluation.json", tmp_path / "tracking.png"
     done = run("evaluate", *words, "--frequencies", "2", "--json", str(figures), "--plot", str(plot))
@@ -229,3 +239,75 @@ def test_a_run_that_is_refused_leaves_no_folder(tmp_path: Path) -> None:
     done = run("trainer", "--runs", str(tmp_path), "--plant", "sim", "--truth", "t.yaml")
     assert done.returncode == 2 and "of no use" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> Iterator[str]:
+    """A simulation whose box believes another bench and has other base gains; gives its digest."""
+    own = replace(Bench.nominal(), spring_stiffness=2.5e4)
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
+    words = [str(executable_path("hydro_sim", "sim")), "--bench", str(tmp_path / "own.yaml")]
+    free = ["--ros-args", "-p", "guard.require_filter:=false", "-p", "box.base_kp:=30.0", "-p", "box.base_ki:=8.0"]
+    with subprocess.Popen([*words, *free], env=os.environ | ENVIRONMENT, stderr=subprocess.DEVNULL) as simulation:
+        yield own.digest
+        simulation.terminate()
+
+
+def test_companions_get_the_bench_and_the_base_gains_of_the_run() -> None:
+    own = PlantOptions(plant="sim", bench=Path("own.yaml"), base_gains=(30.0, 8.0), filter=("--metric", "constant"))
+    started = {executable: words for _, executable, words in commands(own, GainRange(delta_kp_max=270.0), Path("run"))}
+    assert started["sim"][:2] == started["filter"][:2] == ["--bench", "own.yaml"]
+    assert started["sim"].count("--ros-args") == 1 and "box.base_kp:=30.0" in started["sim"]
+    bench = {
+        executable: words for _, executable, words in commands(replace(own, plant="bench"), GainRange(), Path("run"))
+    }
+    assert "own.yaml" in bench["bridge"] and "own.yaml" in bench["filter"]
+
+
+def test_on_a_plant_that_runs_policies_of_another_box_are_refused_and_fixed_gains_are_its_own(
+    foreign: str, tmp_path: Path
+) -> None:
+    shipped = str(shipped_start("paper").source)  # type: ignore[union-attr]
+    refused = run("trainer", "--runs", str(tmp_path / "runs"))
+    assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
+    assert not (tmp_path / "runs").exists()
+    refused = run("evaluate", "--policy", shipped)
+    assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
+    figures = str(tmp_path / "figures.json")
+    done = run("evaluate", "--rearm", "auto", "--fixed", "70", "20", "--frequencies", "2", "--json", figures)
+    assert done.returncode == 0, done.stderr
+    (score,) = json.loads(Path(figures).read_text())["runs"]
+    assert score["proportional_gain"] == pytest.approx(70.0, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("told", "sentence"),
+    [
+        (BoxInfo(plant="bridge", base_kp=30.0, base_ki=8.0), "say --base-gains 30 8"),
+        (
+            BoxInfo(plant="bridge", base_kp=15.0, base_ki=5.0, bench_digest="0123456789ab"),
+            "the box believes 0123456789ab",
+        ),
+        (None, "no node says on /hydro/box"),
+    ],
+)
+def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything_is_sent(
+    told: BoxInfo | None, sentence: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(graph, "BOX_WITHIN", 0.5)
+    rclpy.init()
+    other, node = rclpy.create_node("plant"), GraphNode("newcomer", realtime=False)
+    node.unfit = partial(surprise, Believed.of_file(None, BASE))
+    try:
+        state = other.create_publisher(BenchState, STATE, STATE_QOS)
+        if told is not None:
+            other.create_publisher(BoxInfo, BOX, BOX_QOS).publish(told)
+        ticking = node.create_timer(0.05, lambda: state.publish(BenchState()))
+        with pytest.raises(CompanionError, match=sentence):
+            node.meet()
+        node.destroy_timer(ticking)
+        assert node.response.count == 0
+    finally:
+        node.destroy_node()
+        other.destroy_node()
+        rclpy.shutdown()

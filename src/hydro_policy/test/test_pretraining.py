@@ -195,12 +195,14 @@ def test_many_gains_are_those_of_one_action_each() -> None:
 def test_the_command_line_says_how_long_how_large_and_on_what() -> None:
     words = ["--configuration", "wide", "--randomise", "--episodes", "320", "--hidden", "64", "--steps", "900"]
     options = parser().parse_args(["--out", "run", *words])
-    settings = training_settings(options)
+    settings = training_settings(options, source_of(options))
     assert source_of(options).randomise
     assert (settings.episodes, settings.sac.hidden_size, settings.task.steps_per_episode) == (320, 64, 900)
     assert settings.replay_capacity == 288_000 and settings.task.gains.delta_kp_max == 285.0
     options.steps = 1800
-    assert training_settings(options).replay_capacity == 576_000, "as much as is played is remembered"
+    assert training_settings(options, source_of(options)).replay_capacity == 576_000, (
+        "as much as is played is remembered"
+    )
 
 
 def pretrain(*words: str) -> subprocess.CompletedProcess[str]:
@@ -231,7 +233,7 @@ def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(tmp_path: Path
     begun = ["--configuration", "wide", "--seed", "3", "--steps", "60", "--bench", str(bench), "--randomise"]
     options = parser().parse_args(["--out", str(tmp_path / "run"), *begun])
     run = RunDirectory(tmp_path / "run").create()
-    run.save_settings(training_settings(options))
+    run.save_settings(training_settings(options, source_of(options)))
     source_of(options).save(run.path)
     going_on = ["--resume", str(run.path)]
     settings, source = resumed(run, going_on)

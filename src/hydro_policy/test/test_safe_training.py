@@ -11,13 +11,15 @@ import numpy as np
 import pytest
 
 from hydro_bridge.guard import GuardSettings
-from hydro_bridge.signals import Waveform
+from hydro_bridge.signals import CorrectionStatus, Flag, Waveform
+from hydro_filter.filter import Result
+from hydro_filter.sample import Sample
 from hydro_policy.cases import EvaluationSettings, ExamSettings
 from hydro_policy.controllers import FixedGains, PolicyController
 from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession
 from hydro_policy.monitor import MonitorSettings, SafetyMonitor
-from hydro_policy.offline import InlineLearner, OfflineGraph
+from hydro_policy.offline import PASSED, InlineLearner, OfflineGraph
 from hydro_policy.override import GainOverride
 from hydro_policy.policy import Policy
 from hydro_policy.record import RunRecord
@@ -27,6 +29,7 @@ from hydro_policy.snapshot import actor_parameters
 from hydro_policy.steps import Step
 from hydro_policy.task import GainRange, TaskSettings
 from hydro_policy.training import TrainingSession
+from hydro_policy.watch import FALLBACK, FITS, MISMATCH
 from hydro_sim.bench import Bench
 from hydro_sim.plant import AnalyticPlant
 
@@ -235,3 +238,43 @@ def test_a_run_under_base_gains_is_repeated_where_a_verdict_depends_on_it(retrie
     )
     graph.run(session, 8.0)
     assert session.finished and (session.scores[0].held > 0) == held and bool(session.warnings) == held
+
+
+class Doubting:
+    """A filter that says of one stretch of time that its model is not this bench's."""
+
+    def __init__(self, begin: int, end: int) -> None:
+        self.begin, self.end, self.samples = begin, end, 0
+
+    def reset(self) -> None:
+        self.samples = 0
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        self.samples += 1
+        return DOUBT if self.begin <= self.samples < self.end else PASSED
+
+
+DOUBT = Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
+
+
+def test_while_the_filters_model_does_not_fit_fixed_gains_are_held_and_nothing_is_learned_or_charged() -> None:
+    chosen = settings(episodes=1, exam=ExamSettings(every=0))
+    graph, learner, session = start(chosen)
+    graph.corrector = Doubting(802, 1302)
+    graph.run(session, 0.8, learner)
+    assert session.phase is Phase.TRAINING
+    before, said = learner.replay.produced, len(graph.sentences)
+    graph.run(session, 0.1, learner)
+    held = [gains[:2] for gains in graph.gains_published[-8:]]
+    assert held == [FALLBACK] * 8 and learner.replay.produced <= before + 1
+    assert graph.sentences[said] == MISMATCH
+    graph.run(session, 3.0, learner)
+    assert session.finished and FITS in graph.sentences and session.progress.rollbacks == 0
+    assert session.current.overridden_steps == pytest.approx(50, abs=2)
+
+
+def test_steps_for_which_the_box_held_other_gains_are_not_charged_to_the_policy() -> None:
+    monitor = SafetyMonitor()
+    wild = replace(step(400.0, np.tile((0.0, 0.05), 5)), held=int(Flag.FILTER_STALE))
+    assert all(monitor.add(wild) is None for _ in range(60))
+    assert monitor.add(replace(wild, held=0)) is not None

@@ -1,10 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a plant is armed: not before the filter's corrections reach it. When something begins: not before it is calm."""
+"""When a plant is armed: not before all is ready. When something begins on it: not before it is calm, nor once idle."""
 
 from __future__ import annotations
 
-from hydro_bridge.signals import Flag, ReferenceSignal
-from hydro_policy.watch import AWAITING_FILTER, NO_FILTER, PlantWatch
+import pytest
+
+from hydro_bridge.readiness import NotReadyError, Requirement
+from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
+from hydro_policy.arming import HOW_TO_ARM
+from hydro_policy.override import GainOverride
+from hydro_policy.requirements import COMPILES, NO_FILTER
+from hydro_policy.watch import FITS, IDLE, MISMATCH, TOO_EARLY, PlantWatch
+
+ARMED, STALE = int(Flag.ARMED), int(Flag.FILTER_STALE)
 
 
 class Heard:
@@ -28,56 +36,238 @@ class Heard:
         self.said.append(sentence)
 
 
+class Slow:
+    """Something that is ready when it says so."""
+
+    def __init__(self) -> None:
+        self.ready = False
+        self.requirement = Requirement(
+            name="the learner", ready=lambda: self.ready, hint="", within=300.0, missing="the learner never came"
+        )
+
+
 def run(watch: PlantWatch, flags: int, start: float, end: float) -> None:
     for tick in range(round(20 * start), round(20 * end)):
         watch.on_sample(flags, tick / 20)
         watch.on_tick(tick / 20)
 
 
+def armed_watch(heard: Heard, *, rearm: bool, override: GainOverride | None = None) -> PlantWatch:
+    """Armed at 1 s, with all ready before."""
+    watch = PlantWatch(heard, rearm, override=override)
+    run(watch, 0, 0.0, 1.0)
+    run(watch, ARMED, 1.0, 1.1)
+    heard.armings.clear()
+    heard.said.clear()
+    return watch
+
+
 def test_arming_waits_for_the_filter() -> None:
     heard = Heard()
     watch = PlantWatch(heard, rearm=True)
-    run(watch, int(Flag.FILTER_STALE), 0.0, 20.0)
+    run(watch, STALE, 0.0, 20.0)
     assert heard.armings == []
-    assert AWAITING_FILTER in heard.said
+    assert heard.said == [f"waiting for the filter, 90 s at most: {COMPILES}"]
     run(watch, 0, 20.0, 20.5)
     assert heard.armings == [False, True]
-    run(watch, int(Flag.ARMED), 20.5, 20.6)
+    run(watch, ARMED, 20.5, 20.6)
     assert watch.may_begin(20.6)
 
 
 def test_without_a_filter_it_is_armed_in_the_end_and_said() -> None:
     heard = Heard()
     watch = PlantWatch(heard, rearm=True)
-    run(watch, int(Flag.FILTER_STALE), 0.0, 92.0)
+    run(watch, STALE, 0.0, 92.0)
     assert heard.armings[:2] == [False, True]
     assert heard.said.count(NO_FILTER) == 1
-    run(watch, int(Flag.FILTER_STALE | Flag.ARMED), 92.0, 92.1)
+    run(watch, STALE | ARMED, 92.0, 92.1)
     assert watch.may_begin(92.1)
 
 
-def test_a_person_who_arms_waits_as_well() -> None:
+@pytest.mark.parametrize("rearm", [True, False])
+def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None:
+    heard, learner = Heard(), Slow()
+    watch = PlantWatch(heard, rearm, [learner.requirement])
+    run(watch, 0, 0.0, 60.0)
+    assert heard.armings == [] and not any(HOW_TO_ARM in sentence for sentence in heard.said)
+    assert watch.standing == "disarmed, waiting for the learner"
+    learner.ready = True
+    run(watch, 0, 60.0, 60.2)
+    assert heard.armings == ([False, True] if rearm else [])
+    assert [HOW_TO_ARM in sentence for sentence in heard.said[1:]] == ([] if rearm else [True])
+
+
+def test_enter_before_all_is_ready_is_answered_and_not_kept() -> None:
+    heard, learner = Heard(), Slow()
+    watch = PlantWatch(heard, False, [learner.requirement])
+    run(watch, STALE, 0.0, 1.0)
+    watch.arm_now(1.0)
+    assert heard.said[-1] == (
+        "not armed, still waiting for the learner and the filter: you are asked once all is ready"
+    )
+    learner.ready = True
+    run(watch, 0, 1.0, 5.0)
+    assert heard.armings == [] and HOW_TO_ARM in heard.said[-1]
+    watch.arm_now(5.0)
+    run(watch, 0, 5.0, 5.5)
+    assert heard.armings == [False, True]
+    run(watch, ARMED, 5.5, 5.6)
+    watch.arm_now(5.6)
+    assert heard.armings == [False, True] and heard.said[-1] == "the plant is armed already"
+
+
+def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out() -> None:
     heard = Heard()
     watch = PlantWatch(heard, rearm=False)
-    run(watch, int(Flag.FILTER_STALE), 0.0, 1.0)
+    run(watch, 0, 0.0, 1.0)
     watch.arm_now(1.0)
-    run(watch, int(Flag.FILTER_STALE), 1.0, 5.0)
+    run(watch, STALE, 1.0, 5.0)
+    run(watch, 0, 5.0, 9.0)
     assert heard.armings == [False]
-    run(watch, 0, 5.0, 5.1)
-    assert heard.armings == [False, True]
+    assert sum(HOW_TO_ARM in sentence for sentence in heard.said) == 2, "asked anew"
 
 
-def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_disarmed_meanwhile() -> None:
-    heard, armed = Heard(), int(Flag.ARMED)
+def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_it() -> None:
+    heard = Heard()
+    watch = PlantWatch(heard, rearm=False)
+    run(watch, 0, 0.0, 1.0)
+    watch.arm_now(1.0)
+    run(watch, 0, 1.0, 1.15)
+    run(watch, STALE, 1.15, 1.2)
+    run(watch, STALE | ARMED, 1.2, 1.3)
+    assert heard.armings == [False, True] and not watch.may_begin(1.3)
+    run(watch, ARMED, 1.3, 1.4)
+    assert heard.armings == [False, True] and watch.may_begin(1.4)
+
+
+@pytest.mark.parametrize("rearm", [True, False])
+def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: bool) -> None:
+    heard = Heard()
+    watch = PlantWatch(heard, rearm)
+    run(watch, ARMED, 0.0, 0.5)
+    assert heard.armings == [False] and heard.references == [ReferenceSignal()] and heard.said == [TOO_EARLY]
+    assert not watch.may_begin(0.5)
+    run(watch, 0, 0.5, 1.0)
+    assert heard.armings[1:] == ([False, True] if rearm else [])
+    assert rearm or HOW_TO_ARM in heard.said[-1]
+    run(watch, ARMED, 1.0, 1.1)
+    assert watch.may_begin(1.1)
+
+
+def test_a_plant_that_is_armed_by_hand_before_all_is_ready_is_disarmed_again_and_again() -> None:
+    heard, learner = Heard(), Slow()
+    watch = PlantWatch(heard, False, [learner.requirement])
+    for second in range(3):
+        run(watch, 0, second, second + 0.5)
+        run(watch, ARMED, second + 0.5, second + 1.0)
+    assert heard.armings == [False] * 3 and heard.said.count(TOO_EARLY) == 3
+
+
+def test_what_stays_armed_is_asked_to_disarm_each_second_and_told_once() -> None:
+    heard = Heard()
     watch = PlantWatch(heard, rearm=True)
-    run(watch, armed, 0.0, 1.0)
-    assert watch.may_begin(1.0) and heard.references == []
+    run(watch, ARMED, 0.0, 3.5)
+    assert heard.armings == [False] * 4 and heard.said == [TOO_EARLY]
+
+
+def test_an_armed_plant_on_which_nothing_has_acted_for_a_while_is_disarmed_and_armed_anew() -> None:
+    heard = Heard()
+    watch = armed_watch(heard, rearm=True)
+    run(watch, ARMED, 1.1, 1.0 + IDLE)
+    assert heard.armings == [] and watch.may_begin(1.0 + IDLE)
+    run(watch, ARMED, 1.0 + IDLE, 1.3 + IDLE)
+    assert heard.armings == [False] and not watch.may_begin(1.3 + IDLE)
+    assert "while no controller acted: it is disarmed" in heard.said[0]
+    run(watch, 0, 1.3 + IDLE, 1.6 + IDLE)
+    assert heard.armings == [False, False, True]
+
+
+def test_a_controller_that_acts_keeps_the_plant_armed_whatever_is_missing() -> None:
+    heard, learner = Heard(), Slow()
+    learner.ready = True
+    watch = PlantWatch(heard, True, [learner.requirement])
+    run(watch, 0, 0.0, 0.5)
+    heard.armings.clear()
+    run(watch, ARMED, 0.5, 0.6)
+    learner.ready = False
+    for tick in range(12, 200):
+        watch.acted(tick / 20)
+        run(watch, ARMED | (STALE if tick % 3 else 0), tick / 20, (tick + 1) / 20)
+    assert heard.armings == []
+
+
+def test_under_gains_that_a_person_holds_a_plant_is_not_idle_but_after_them_it_is() -> None:
+    heard, override = Heard(), GainOverride()
+    watch = armed_watch(heard, rearm=True, override=override)
+    override.hold(60.0, 10.0, 0.0, 1.1)
+    run(watch, ARMED, 1.1, 9.0)
+    assert heard.armings == []
+    override.release()
+    assert watch.unfit(9.0), "nothing acts between the release and the next tick"
+    run(watch, ARMED, 9.0, 9.1)
+    assert heard.armings == [False]
+
+
+@pytest.mark.parametrize(
+    ("flags", "seconds", "sentence"),
+    [(None, 601.0, "no samples on /hydro/state"), (0, 301.0, "the learner never came")],
+)
+def test_every_wait_ends(flags: int | None, seconds: float, sentence: str) -> None:
+    watch = PlantWatch(Heard(), True, [Slow().requirement])
+    with pytest.raises(NotReadyError, match=sentence):
+        for tick in range(round(20 * seconds)):
+            if flags is not None:
+                watch.on_sample(flags, tick / 20)
+            watch.on_tick(tick / 20)
+
+
+def test_a_watch_goes_on_where_another_sessions_ends() -> None:
+    heard = Heard()
+    before = armed_watch(heard, rearm=False)
+    before.acted(2.0)
+    watch = PlantWatch(heard, False)
+    watch.take_over(before)
+    run(watch, ARMED, 2.5, 2.7)
+    assert watch.may_begin(2.7) and heard.armings == []
+    late = PlantWatch(heard, False)
+    late.take_over(before)
+    run(late, ARMED, 9.0, 9.1)
+    assert heard.armings == [False], "it has waited too long in between"
+
+
+@pytest.mark.parametrize("rearm", [True, False])
+def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_disarmed_meanwhile(rearm: bool) -> None:
+    heard = Heard()
+    watch = armed_watch(heard, rearm=rearm)
+    assert watch.may_begin(1.1) and heard.references == []
     watch.calm()
     assert watch.calming and heard.references == [ReferenceSignal()]
-    run(watch, armed, 1.0, 1.8)
+    run(watch, ARMED, 1.1, 1.8)
     run(watch, int(Flag.TRIPPED), 1.8, 2.5)
-    assert heard.armings == [False, True], "calm is waited for armed"
-    run(watch, armed, 2.5, 3.4)
+    assert heard.armings == ([False, True] if rearm else []), "calm is waited for armed"
+    run(watch, ARMED, 2.5, 3.4)
     assert watch.calming and not watch.may_begin(3.4), "0.9 s armed in a row, whatever was before"
-    run(watch, armed, 3.4, 3.6)
-    assert not watch.calming and watch.may_begin(3.6)
+    run(watch, ARMED, 3.4, 3.6)
+    assert not watch.calming
+    assert watch.may_begin(3.6) != rearm, "armed anew where no person is needed for it"
+    assert heard.armings == ([False, True, False] if rearm else [])
+
+
+def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once() -> None:
+    heard = Heard()
+    watch = PlantWatch(heard, rearm=True)
+    for _ in range(3):
+        watch.on_correction(CorrectionStatus.MISMATCH)
+    run(watch, STALE, 0.0, 200.0)
+    assert heard.armings == [] and NO_FILTER not in heard.said, "it has answered"
+    watch.on_correction(CorrectionStatus.PASS)
+    run(watch, 0, 200.0, 200.5)
+    assert heard.armings == [False, True]
+    run(watch, ARMED, 200.5, 201.0)
+    assert watch.may_begin(201.0)
+    watch.on_correction(CorrectionStatus.MISMATCH)
+    run(watch, ARMED | STALE, 201.0, 201.1)
+    assert not watch.may_begin(201.1)
+    assert [said for said in heard.said if said in (MISMATCH, FITS)] == [MISMATCH, FITS, MISMATCH]
+    with pytest.raises(NotReadyError, match="says MISMATCH for 300 s"):
+        run(watch, ARMED | STALE, 201.1, 503.0)

@@ -8,6 +8,9 @@ without a graph; `plotting` draws what came out; `emulator` is a MicroLabBox beh
 
 from pathlib import Path
 
+import hydro_bridge
+from hydro_sim.compilations import record_compilations
 from hydro_sim.compiled import forget_stale
 
-forget_stale(Path(__file__).parent)
+record_compilations()
+forget_stale(*(Path(file).parent for file in (__file__, hydro_bridge.__file__)))

@@ -7,8 +7,6 @@ compiled code reads) is derived from them. Values: docs/physics.md, "The nominal
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from importlib import resources
@@ -20,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import yaml
 
+from hydro_bridge import bench_file
 from hydro_sim.effects import program
 from hydro_sim.effects.record import EFFECTS_DTYPE
 
@@ -146,8 +145,7 @@ class Bench:
     @property
     def digest(self) -> str:
         """SHA-256 of keys and values, its first 12 digits: what models, metrics and policies are made for."""
-        written = json.dumps(self.to_mapping(), sort_keys=True)
-        return hashlib.sha256(written.encode()).hexdigest()[:12]
+        return bench_file.digest(self.to_mapping())
 
     def constants(self) -> npt.NDArray[np.void]:
         """What compiled code reads: one record of `BENCH_DTYPE`, shape (1,)."""

@@ -18,11 +18,12 @@ person or the trainer must arm anew. Outcomes: the failure table of docs/archite
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.frames import INTEGRAL_FORMS, BoxInfo
 from hydro_bridge.settings import SettingsError, check
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim import box_kernel, hydraulics
@@ -33,6 +34,9 @@ RATE_RANGE = 1e8
 
 VELOCITY_RANGE = 10.0
 """m/s, magnitude that a differentiated position can have."""
+
+Integral = Literal["bumpless", "paper"]
+"""Forms of the force law's integral (`hydro_sim.force_law`)."""
 
 EMULATED_BOX = "hydro emulator"
 """What the emulator's box calls itself on the line: no person stands beside that one."""
@@ -74,9 +78,13 @@ class BoxConfig:
     """m, how far outside the stroke the encoder can stand, [0, 1]."""
     feedback: Literal["load", "hydraulic"] = "load"
     """Force in the tracking error; the paper writes `hydraulic` once, its objective is `load`."""
+    integral: Integral = "bumpless"
+    """What the law's integrator carries: `bumpless` K_i e, so that new gains change its slope, `paper` e alone."""
 
     def __post_init__(self) -> None:
         check(self)
+        if self.integral not in get_args(Integral):
+            raise SettingsError(f"integral is {self.integral!r}, allowed are 'bumpless' and 'paper'")
         if self.feedback not in ("load", "hydraulic"):
             raise SettingsError(f"feedback is {self.feedback!r}, allowed are 'load' and 'hydraulic'")
         if self.hold_timeout > self.trip_timeout:
@@ -87,6 +95,7 @@ class BoxConfig:
         record = np.zeros(1, box_kernel.SETTINGS_DTYPE)
         for name in set(record.dtype.names or ()) & {entry.name for entry in fields(self)}:
             record[name] = getattr(self, name)
+        record["integral_form"] = INTEGRAL_FORMS.index(self.integral)
         rest = hydraulics.rest_state(bench.constants()[0])
         still = hydraulics.input_gain(bench.constants()[0], rest[2], rest[0], rest[1], 1.0)
         record["gain_floor"] = self.gain_floor_share * still
@@ -133,6 +142,28 @@ class Box:
     def refused(self) -> int:
         """Values in commands that were not finite or out of range, since the reset."""
         return int(self.state["refused"][0])
+
+
+def with_base_gains(kp: float, ki: float) -> BoxConfig:
+    """A box with these base gains [1/s], [1/s^2] and the default's limits of the gains in all.
+
+    Raises
+    ------
+    SettingsError
+        They are outside of these limits.
+    """
+    usual = BoxConfig()
+    kp_shift, ki_shift = usual.base_kp - kp, usual.base_ki - ki
+    return BoxConfig(
+        base_kp=kp, base_ki=ki, delta_kp_min=usual.delta_kp_min + kp_shift, delta_kp_max=usual.delta_kp_max + kp_shift,
+        delta_ki_min=usual.delta_ki_min + ki_shift, delta_ki_max=usual.delta_ki_max + ki_shift,
+    )  # fmt: skip
+
+
+def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
+    """What a box of these settings says of itself, under this name."""
+    settings = {entry.name: getattr(config, entry.name) for entry in fields(BoxInfo) if hasattr(config, entry.name)}
+    return BoxInfo(name=name, valve_current_max=bench.valve_current_max, **settings)
 
 
 def fill_command(record: npt.NDArray[np.void], command: Command) -> None:

@@ -24,9 +24,11 @@ _LIMITS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min",
 _TIMES = ("load_force_limit", "hold_timeout", "trip_timeout", "gain_floor")
 SETTINGS_DTYPE = np.dtype(
     [(name, np.float64) for name in _LIMITS + _TIMES]
-    + [("feedback_channel", np.int64), ("low", np.float64, (8,)), ("high", np.float64, (8,))]
+    + [("feedback_channel", np.int64), ("integral_form", np.int64)]
+    + [("low", np.float64, (8,)), ("high", np.float64, (8,))]
 )
-"""`BoxConfig` for compiled code; `low` and `high` bound each entry of the measurement."""
+"""`BoxConfig` for compiled code; `integral_form` is its number in `hydro_bridge.frames.INTEGRAL_FORMS`, `low` and
+`high` bound each entry of the measurement."""
 
 _COMMANDED = [("delta_kp", np.float64), ("delta_ki", np.float64), ("delta_u", np.float64)]
 COMMAND_DTYPE = np.dtype(
@@ -39,8 +41,8 @@ STATE_DTYPE = np.dtype(
     + [("armed_at", np.float64), ("excess", np.float64)],
     align=True,
 )
-"""All that the box remembers; `faults` are the flags of the faults that tripped it, `excess` [N] is by how much the
-load force stood beyond its limit when the box was armed."""
+"""All that the box remembers; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
+faults that tripped it, `excess` [N] is by how much the load force stood beyond its limit when the box was armed."""
 
 RECOVERY = 1.0
 """s after arming within which a load force that began beyond its limit must come back."""
@@ -186,15 +188,14 @@ def _control(bench, limits, state, measurement, late, time, output):
     wanted, wanted_rate = reference.advance(state.reference, time)
     error = wanted - force
     k_p, k_i = output.proportional_gain, output.integral_gain
-    nominal = force_law.nominal_current(
-        bench, measurement, error, state.integral, wanted_rate, k_p, k_i, limits.gain_floor
-    )
+    action = force_law.integral_action(limits.integral_form, state.integral, k_i)
+    nominal = force_law.nominal_current(bench, measurement, error, action, wanted_rate, k_p, limits.gain_floor)
     if not math.isfinite(nominal):  # nothing that was admitted leads here; the valve must not depend on that
         state.armed, state.tripped = False, True
         return False
     unlimited = nominal if late else nominal + state.delta_u
     current = min(max(unlimited, -bench.valve_current_max), bench.valve_current_max)
-    state.integral = force_law.integrate(state.integral, error, k_i, unlimited, current, SAMPLE)
+    state.integral = force_law.integrate(limits.integral_form, state.integral, error, k_i, unlimited, current, SAMPLE)
     output.valve_current, output.nominal_valve_current = current, nominal
     output.reference_force, output.reference_force_rate = wanted, wanted_rate
     return current != unlimited

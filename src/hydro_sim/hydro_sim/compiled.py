@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps numba's caches honest when several modules are compiled into one another.
+"""Keep numba's file caches honest.
 
 numba recompiles a cached function when the function's own file changes, not when a function it calls does: after an
-edit of `hydraulics.py` the cached `plant.advance` would go on with the old equations. `forget_stale` empties a
-package's caches whenever any of its sources, or of the packages it calls into, has changed.
+edit of `hydraulics.py` the cached `plant.advance` would go on with the old equations. `forget_stale` empties the cache
+of every module that imports a changed source, directly or through others.
 
 A function with fastmath must not call a cached one without: numba compiles that one with the caller's fastmath if it
 comes first, and caches it so, for every other caller.
@@ -11,37 +11,118 @@ comes first, and caches it so, for every other caller.
 
 from __future__ import annotations
 
+import ast
 import contextlib
 import fcntl
+import json
+from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 STAMP = "sources.stamp"
 
+Stats = dict[str, list[int]]
+"""Source file -> time of its last change [ns] and size [bytes]."""
+
 
 def forget_stale(*packages: Path) -> bool:
-    """Delete the cached compilations under the first folder if a source under any of the folders changed since.
+    """Delete the cached compilations under the first folder that a changed source has made stale.
 
     Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps
     its caches elsewhere, and nothing is done: sources that cannot be written do not change.
 
+    Parameters
+    ----------
+    *packages
+        Folder of the package, and those of the packages that it imports.
+
     Returns
     -------
-    Whether anything was deleted.
+    Whether any source had changed.
     """
+    packages = tuple(package.resolve() for package in packages)  # a built package is a link to its sources
     stamp = packages[0] / "__pycache__" / STAMP
-    sources = [path.stat() for package in packages for path in sorted(package.rglob("*.py"))]
-    present = repr([(source.st_mtime_ns, source.st_size) for source in sources])
+    present = stats(path for package in packages for path in package.rglob("*.py"))
     with contextlib.suppress(OSError):
         stamp.parent.mkdir(exist_ok=True)
         with stamp.open("a+") as file:
             # A graph starts its nodes at once: the second must not delete what the first has just compiled.
             fcntl.flock(file, fcntl.LOCK_EX)
             file.seek(0)
-            if file.read() == present:
+            before = _read(file.read())
+            if before["all"] == present:
                 return False
-            for index in packages[0].rglob("*.nbi"):
-                index.unlink(missing_ok=True)
-            file.truncate(0)
-            file.write(present)
+            for kept in (_imports, _source):  # from before the change
+                kept.cache_clear()
+            modules = {str(module): stats(imported([module], packages)) for module in _compiled_modules(packages[0])}
+            file.truncate(0)  # first: cut short anywhere after this, everything counts as stale
+            for module, sources in modules.items():
+                if before["modules"].get(module) != sources:
+                    _forget(Path(module))
+            json.dump({"all": present, "modules": modules}, file)
             return True
     return False
+
+
+def stats(paths: Iterable[Path]) -> Stats:
+    """What tells whether files have changed."""
+    found = {str(path): path.stat() for path in sorted(paths)}
+    return {path: [stat.st_mtime_ns, stat.st_size] for path, stat in found.items()}
+
+
+def imported(modules: Iterable[Path], packages: tuple[Path, ...]) -> set[Path]:
+    """Sources of `packages` that the modules import from, directly or through others, and themselves.
+
+    A package's `__init__` counts where something is imported from it, not where it only stands around a module.
+    """
+    found: set[Path] = set()
+    coming = list(modules)
+    while coming:
+        module = coming.pop()
+        if module not in found:
+            found.add(module)
+            coming += [path for names in _imports(module) if (path := _source(names, packages))]
+    return found
+
+
+@cache
+def _imports(module: Path) -> set[tuple[str, ...]]:
+    """Dotted names that a source imports, each with what else it may be: of `from a import b` it is a.b, or a."""
+    names: set[tuple[str, ...]] = set()
+    for node in ast.walk(ast.parse(module.read_bytes())):
+        if isinstance(node, ast.Import):
+            names |= {(alias.name,) for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            names |= {(f"{node.module}.{alias.name}", node.module) for alias in node.names}
+    return names
+
+
+@cache
+def _source(names: tuple[str, ...], packages: tuple[Path, ...]) -> Path | None:
+    """The source of ours that the first of the names is which is one."""
+    for name in names:
+        words = name.split(".")
+        for package in packages:
+            place = package.parent.joinpath(*words)
+            for file in (place.with_suffix(".py"), place / "__init__.py"):
+                if words[0] == package.name and file.is_file():
+                    return file
+    return None
+
+
+def _compiled_modules(package: Path) -> list[Path]:
+    return [path for path in sorted(package.rglob("*.py")) if b"numba" in path.read_bytes()]
+
+
+def _forget(module: Path) -> None:
+    for index in (module.parent / "__pycache__").glob(f"{module.stem}.*.nbi"):
+        index.unlink(missing_ok=True)
+
+
+def _read(text: str) -> dict[str, dict[str, object]]:
+    """A stamp's content; of another form, or none: as if nothing had ever been compiled."""
+    with contextlib.suppress(ValueError):
+        found = json.loads(text)
+        if isinstance(found, dict) and {"all", "modules"} <= set(found):
+            return found
+    return {"all": {}, "modules": {}}

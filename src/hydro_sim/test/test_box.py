@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
+from copy import deepcopy
 from dataclasses import replace
 from math import inf, nan
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -14,8 +16,9 @@ from hypothesis import strategies as st
 from hydro_bridge.guard import CommandGuard, GuardSettings
 from hydro_bridge.protocol import CommandFrame, decode, encode_command
 from hydro_bridge.signals import Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_sim import hydraulics
 from hydro_sim.bench import Bench
-from hydro_sim.box import Box, BoxConfig
+from hydro_sim.box import Box, BoxConfig, Integral
 from hydro_sim.plant import AnalyticPlant
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
@@ -304,7 +307,52 @@ def test_feedback_channel_is_a_setting(bench: Bench) -> None:
         assert first["reference_force"] == first[field]
 
 
-@pytest.mark.parametrize("bad", [{"base_kp": nan}, {"feedback": "both"}, {"hold_timeout": 0.3}])
+def currents_after(rig: Rig, *delta_ki: float) -> list[float]:
+    """u_nom [A] of the same sample under changes of K_i, each on a copy of the box."""
+    boxes = [deepcopy(rig.box) for _ in delta_ki]
+    for box, change in zip(boxes, delta_ki, strict=True):
+        box.receive(replace(RUN, delta_ki=change), rig.time)
+    return [float(box.tick(rig.x, rig.time)["nominal_valve_current"]) for box in boxes]
+
+
+def test_a_new_integral_gain_does_not_move_the_valve(bench: Bench) -> None:
+    rig = Rig(bench).armed(1.1)
+    assert abs(rig.box.state["integral"][0]) > 10.0  # N/s
+    assert len(set(currents_after(rig, -10.0, 0.0, 10.0, 95.0))) == 1
+
+
+def test_a_new_integral_gain_kicks_the_valve_in_the_papers_form(bench: Bench) -> None:
+    """By the change of K_i times what was integrated, over g."""
+    rig = Rig(bench, BoxConfig(integral="paper")).armed(1.1)
+    less, more = currents_after(rig, 10.0, 95.0)
+    x, error_sum = rig.x, float(rig.box.state["integral"][0])
+    g = hydraulics.input_gain(bench.constants()[0], x[6], x[4], x[5], less)
+    assert more - less == pytest.approx(85.0 * error_sum / g, rel=1e-9)
+    assert abs(more - less) > 1e-5
+
+
+def test_both_forms_of_the_integral_are_one_for_gains_that_stay(bench: Bench) -> None:
+    rigs = [Rig(bench, BoxConfig(integral=form)) for form in get_args(Integral)]
+    runs = [rig.armed(0.5).go(2000, RUN) for rig in rigs]
+    np.testing.assert_allclose(*(run["nominal_valve_current"] for run in runs), rtol=0.0, atol=1e-15)
+
+
+def test_late_commands_and_their_return_leave_the_integral_where_it_is(bench: Bench) -> None:
+    """K_i e goes on to be integrated, with the base gain: no sample moves it by more than that."""
+    rig = Rig(bench).armed(1.1)
+    carried, slopes, gains = [float(rig.box.state["integral"][0])], [], []
+    for command in [None] * 60 + [RUN] * 5:
+        sample = rig.go(1, command)[0]
+        carried.append(float(rig.box.state["integral"][0]))
+        gains.append(float(sample["integral_gain"]))
+        slopes.append(gains[-1] * (sample["reference_force"] - sample["load_force"]) * 1e-3)
+    assert set(gains) == {5.0, 15.0}
+    np.testing.assert_allclose(np.diff(carried), slopes, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"base_kp": nan}, {"feedback": "both"}, {"hold_timeout": 0.3}, {"integral": "velocity"}]
+)
 def test_impossible_settings_are_refused(bad: dict[str, object]) -> None:
     with pytest.raises(ValueError, match=next(iter(bad))):
         BoxConfig(**bad)  # type: ignore[arg-type]

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -20,7 +23,7 @@ from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executab
 from hydro_bridge.signals import Flag  # noqa: E402
 from hydro_sim.bench import Bench  # noqa: E402
 from hydro_sim.learned.playback import Playback  # noqa: E402
-from hydro_sim.nodes.arming import HOW_TO_ARM  # noqa: E402
+from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY  # noqa: E402
 from hydro_sim.nodes.collect import main  # noqa: E402
 from hydro_sim.schedules import Segment  # noqa: E402
 
@@ -223,6 +226,26 @@ def test_a_bench_is_armed_by_a_person_only(plant: Callable[..., None], listener:
 
 
 @pytest.mark.graph
+def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a_person_is_asked(
+    plant: Callable[..., None], listener: Listener, tmp_path: Path
+) -> None:
+    plant("-r", "__node:=bench")
+    arm = [str(executable_path("hydro_bridge", "arm"))]
+    assert not listener.fresh() & Flag.ARMED
+    subprocess.run(arm, timeout=60, check=True)
+    output = io.StringIO()
+    collect = Companion("hydro_sim", "collect", _collect(tmp_path, [HOLD]), output=output)
+    listener.wait(lambda: HOW_TO_ARM[False] in collect.last_words)
+    assert TOO_EARLY in output.getvalue() and not listener.fresh() & Flag.ARMED
+    subprocess.run(arm, timeout=30, check=True)
+    listener.wait(lambda: not collect.running)
+    assert collect.stop() == 0
+    armed = (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED) != 0
+    begun = np.flatnonzero(np.diff(armed.astype(int)) == 1)[-1] + 1
+    assert armed[begun:].sum() > 900 and not armed[begun - 900 : begun].any()
+
+
+@pytest.mark.graph
 def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
     plant("-p", "box.load_force_limit:=100.0")
     words = _collect(tmp_path, [{**HOLD, "seconds": 20.0}])
@@ -250,3 +273,34 @@ def test_beside_another_source_of_gains_it_refuses_to_start(
     assert said.startswith(f"error: 2 nodes publish {GAINS} (")
     assert "): end all but one" in said
     assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.graph
+def test_gains_in_all_are_played_whatever_the_boxs_base_gains(plant: Callable[..., None], tmp_path: Path) -> None:
+    plant("-p", "box.base_kp:=60.0", "-p", "box.base_ki:=8.0")
+    words = _collect(tmp_path, [{**HOLD, "offset": 100.0, "kp": 80.0, "ki": 12.0}])
+    ended = subprocess.run([str(executable_path("hydro_sim", "collect")), *words], timeout=60, check=False)
+    assert ended.returncode == 0
+    states = read_bag(tmp_path / "bag").state
+    played = states[(states["flags"] & Flag.ARMED) != 0][200:-200]  # arming fades in
+    gains = {(round(float(s["proportional_gain"]), 6), round(float(s["integral_gain"]), 6)) for s in played}
+    assert gains == {(80.0, 12.0)}
+
+
+@pytest.mark.graph
+def test_a_bench_file_that_is_not_the_boxs_is_refused_and_its_own_is_kept_without_one(
+    plant: Callable[..., None], tmp_path: Path
+) -> None:
+    own = replace(Bench.nominal(), spring_stiffness=2.5e4)
+    (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
+    (tmp_path / "nominal.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
+    plant("--", "--bench", str(tmp_path / "own.yaml"))
+    collect = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
+    refused = subprocess.run(
+        [*collect, "--bench", str(tmp_path / "nominal.yaml")], timeout=60, check=False, capture_output=True, text=True
+    )
+    assert refused.returncode == 2
+    assert f"the box believes {own.digest}" in refused.stderr.splitlines()[-1]
+    assert not (tmp_path / "bag").exists()
+    assert subprocess.run(collect, timeout=60, check=False).returncode == 0
+    assert yaml.safe_load(read_bag(tmp_path / "bag").attachments["bench.yaml"]) == own.to_mapping()

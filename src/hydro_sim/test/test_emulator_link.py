@@ -21,8 +21,7 @@ from hydro_bridge.protocol import Hello, State, encode_command, encode_hello
 from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
 from hydro_bridge.stream import Decoder, SequenceTracker
 from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
-from hydro_sim.emulator.command import box_info
+from hydro_sim.box import EMULATED_BOX, BoxConfig, Integral, box_info
 from hydro_sim.emulator.control import ControlPipe, obey
 from hydro_sim.emulator.faults import FaultyLine, LinkFaults
 from hydro_sim.emulator.link import BoxLink
@@ -96,7 +95,7 @@ def test_a_long_stall_forgets_what_its_buffer_cannot_hold() -> None:
 
 @pytest.fixture
 def link(tmp_path: Path) -> Iterator[BoxLink]:
-    made = BoxLink(Terminal(tmp_path / "port"), box_info(Bench.nominal(), BoxConfig()), LinkFaults())
+    made = BoxLink(Terminal(tmp_path / "port"), box_info(Bench.nominal(), BoxConfig(), EMULATED_BOX), LinkFaults())
     yield made
     made.terminal.unplug()
 
@@ -213,6 +212,11 @@ def test_a_line_that_repeats_itself_trips_the_armed_box_like_a_silent_one(link: 
     assert link.report.refused == 400
     assert all(flag & Flag.TRIPPED and not flag & Flag.ARMED for flag in flags[310:])
     port.close()
+
+
+@pytest.mark.parametrize("form", ["bumpless", "paper"])
+def test_the_box_tells_the_form_of_its_integral(form: Integral) -> None:
+    assert box_info(Bench.nominal(), BoxConfig(integral=form), EMULATED_BOX).integral == form
 
 
 def test_unplugging_hangs_up_and_replugging_comes_back_behind_the_same_name(link: BoxLink, machine: Machine) -> None:

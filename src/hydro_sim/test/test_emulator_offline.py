@@ -144,6 +144,19 @@ def test_batch_records_many_jobs_with_one_command(tmp_path: Path) -> None:
     assert not np.array_equal(first["load_force"], second["load_force"])
 
 
+def test_the_form_of_the_integral_is_an_option_and_bumpless_the_default(tmp_path: Path) -> None:
+    schedule = tmp_path / "schedule.yaml"
+    segment = "- {{seconds: 0.4, amplitude: 100, frequency: 2.0, kp: 60, ki: {0}}}\n"
+    schedule.write_text("segments:\n" + segment.format(15) + segment.format(90))
+    words = ["--offline", "--schedule", str(schedule), "--out"]
+    for name, option in (("a", []), ("b", ["--integral", "bumpless"]), ("c", ["--integral", "paper"])):
+        assert main([*words, str(tmp_path / name), *option]) == 0
+    default, bumpless, paper = (read_bag(tmp_path / name).state["nominal_valve_current"] for name in "abc")
+    np.testing.assert_array_equal(default, bumpless)
+    np.testing.assert_allclose(paper[:400], bumpless[:400], atol=1e-12)
+    assert np.abs(paper[400:] - bumpless[400:]).max() > 1e-5
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

@@ -1,45 +1,52 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hydro_bridge.frames import INTEGRAL_FORMS
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_sim import force_law, hydraulics
 from hydro_sim.bench import Bench
 from hydro_sim.offline import Schedule, simulate
 from hydro_sim.plant import AnalyticPlant
 
+PAPER = INTEGRAL_FORMS.index("paper")
+FORMS = (PAPER, force_law.BUMPLESS)
+
 
 @given(
     error=st.floats(-500.0, 500.0),
-    integral=st.floats(-50.0, 50.0),
+    action=st.floats(-1000.0, 1000.0),
     rate=st.floats(-4000.0, 4000.0),
     pressures=st.tuples(*[st.floats(3e6, 14e6)] * 2),
     velocity=st.floats(-0.3, 0.3),
-    gains=st.tuples(st.floats(-40.0, 300.0), st.floats(0.0, 20.0)),
+    gain=st.floats(-40.0, 300.0),
 )
 @settings(max_examples=200, deadline=None)
 def test_put_into_the_model_the_law_gives_the_wanted_force_rate(
     error: float,
-    integral: float,
+    action: float,
     rate: float,
     pressures: tuple[float, float],
     velocity: float,
-    gains: tuple[float, float],
+    gain: float,
 ) -> None:
     record = Bench.nominal().constants()[0]
     x = np.array([0.0, 0.0, 0.0, 0.0, *pressures, 0.03, velocity])
-    u = force_law.nominal_current(record, x, error, integral, rate, *gains, 1.0)
+    u = force_law.nominal_current(record, x, error, action, rate, gain, 1.0)
     h = hydraulics.velocity_term(record, 0.03, velocity)
     g = hydraulics.input_gain(record, 0.03, *pressures, u)
-    wanted = rate + gains[0] * error + gains[1] * integral
+    wanted = rate + gain * error + action
     assert h + g * u == pytest.approx(wanted, rel=1e-9, abs=1e-6)
 
 
-def test_error_dies_out_as_equation_q25_says(bench: Bench) -> None:
+@pytest.mark.parametrize("form", FORMS)
+def test_error_dies_out_as_equation_q25_says(bench: Bench, form: int) -> None:
     """Fed with the true state at 100 kHz, on the hydraulic force: e' = -K_p e - K_i int e, from e = 50 N."""
     record, step, k_p, k_i = bench.constants()[0], 1e-5, 30.0, 200.0
     y, integral, errors = hydraulics.rest_state(record), 0.0, []
@@ -47,8 +54,9 @@ def test_error_dies_out_as_equation_q25_says(bench: Bench) -> None:
         x = np.array([0.0, 0.0, 0.0, 0.0, y[0], y[1], y[2], y[3]])
         error = 50.0 - hydraulics.hydraulic_force(record, y[0], y[1])
         errors.append(error)
-        u = force_law.nominal_current(record, x, error, integral, 0.0, k_p, k_i, 1.0)
-        integral = force_law.integrate(integral, error, k_i, u, u, step)
+        action = force_law.integral_action(form, integral, k_i)
+        u = force_law.nominal_current(record, x, error, action, 0.0, k_p, 1.0)
+        integral = force_law.integrate(form, integral, error, k_i, u, u, step)
         hydraulics.advance(record, y, u, step, 1)
     times = step * np.arange(20000)
     slow, fast = np.roots([1.0, k_p, k_i])[::-1]
@@ -86,11 +94,42 @@ def test_a_vanishing_gain_is_not_believed(bench: Bench) -> None:
     record = bench.constants()[0]
     x = np.array([0.0, 0.0, 0.0, 0.0, 16e6, 0.0, 0.04, 0.0])
     assert hydraulics.input_gain(record, 0.04, 16e6, 0.0, 1.0) == 0.0
-    assert force_law.nominal_current(record, x, 100.0, 0.0, 0.0, 90.0, 15.0, 1e6) == pytest.approx(9e-3)
+    assert force_law.nominal_current(record, x, 100.0, 0.0, 0.0, 90.0, 1e6) == pytest.approx(9e-3)
 
 
-def test_integral_stands_still_only_while_it_would_saturate_further() -> None:
-    assert force_law.integrate(1.0, 10.0, 15.0, 0.07, 0.05, 1e-3) == 1.0
-    assert force_law.integrate(1.0, -10.0, 15.0, 0.07, 0.05, 1e-3) == pytest.approx(0.99)
-    assert force_law.integrate(1.0, -10.0, 15.0, -0.07, -0.05, 1e-3) == 1.0
-    assert force_law.integrate(1.0, 10.0, 15.0, 0.02, 0.02, 1e-3) == pytest.approx(1.01)
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("k_i", [15.0, -15.0])
+def test_integral_stands_still_only_while_it_would_saturate_further(form: int, k_i: float) -> None:
+    """K_i e is what pushes: with a negative K_i an error of the other sign."""
+
+    def after(error: float, unlimited: float, current: float) -> float:
+        return float(force_law.integrate(form, 1.0, error, k_i, unlimited, current, 1e-3))
+
+    grown = 0.01 * (k_i if form == force_law.BUMPLESS else 1.0)
+    push = math.copysign(10.0, k_i)
+    assert after(push, 0.07, 0.05) == 1.0
+    assert after(-push, 0.07, 0.05) == pytest.approx(1.0 - math.copysign(grown, grown * push))
+    assert after(-push, -0.07, -0.05) == 1.0
+    assert after(push, 0.02, 0.02) == pytest.approx(1.0 + math.copysign(grown, grown * push))
+
+
+def test_a_new_integral_gain_leaves_the_bumpless_current_and_changes_its_slope() -> None:
+    carried, error, period = 40.0, 8.0, 1e-3
+    actions = {k_i: force_law.integral_action(force_law.BUMPLESS, carried, k_i) for k_i in (-25.0, 0.0, 5.0, 100.0)}
+    assert set(actions.values()) == {carried}
+    for k_i in actions:
+        after = force_law.integrate(force_law.BUMPLESS, carried, error, k_i, 0.0, 0.0, period)
+        assert after - carried == pytest.approx(k_i * error * period, abs=1e-12)
+
+
+def test_a_new_integral_gain_is_a_step_of_the_papers_action() -> None:
+    carried, error = 2.0, 8.0  # N s, N
+    assert force_law.integral_action(PAPER, carried, 5.0) == 10.0
+    assert force_law.integral_action(PAPER, carried, 100.0) == 200.0
+    assert force_law.integrate(PAPER, carried, error, 100.0, 0.0, 0.0, 1e-3) == pytest.approx(2.008)
+
+
+def test_an_integral_gain_of_zero_holds_the_bumpless_action_and_drops_the_papers() -> None:
+    assert force_law.integrate(force_law.BUMPLESS, 40.0, 8.0, 0.0, 0.07, 0.05, 1e-3) == 40.0
+    assert force_law.integral_action(force_law.BUMPLESS, 40.0, 0.0) == 40.0
+    assert force_law.integral_action(PAPER, 2.0, 0.0) == 0.0

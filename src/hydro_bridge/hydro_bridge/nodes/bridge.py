@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The box on the serial line as a plant of the graph.
 
-ros2 run hydro_bridge bridge --port /dev/ttyUSB0 [--baud 2000000] [--ros-args ...]
+ros2 run hydro_bridge bridge --port /dev/ttyUSB0 [--baud 2000000] [--bench FILE] [--ros-args ...]
 """
 
 from __future__ import annotations
@@ -9,11 +9,16 @@ from __future__ import annotations
 import argparse
 import threading
 import time
-from collections.abc import Sequence
-from dataclasses import asdict, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
 
+from hydro_bridge import bench_file
 from hydro_bridge.console import UserError, command
+from hydro_bridge.frames import BoxInfo
 from hydro_bridge.guard import CommandGuard, GuardSettings
+from hydro_bridge.known_box import differences, known_box
 from hydro_bridge.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import PlantNode
 from hydro_bridge.port import Port, PortLostError, PortSettings, PortTakenError, no_port
@@ -26,6 +31,9 @@ from hydro_bridge.signals import Flag, flag_names
 class BridgeSide(Link):
     """A link that can say on /diagnostics how it is doing."""
 
+    foreign = ""
+    """How the box differs from its bench file, if it does."""
+
     def status(self) -> Status:
         """See `hydro_bridge.nodes.plant_node.PlantSide`."""
         report, flags = self.report, self.flags
@@ -34,6 +42,7 @@ class BridgeSide(Link):
         values = {
             "port": self.port.settings.path,
             "box": self.box.name if self.box else "",
+            "box differs": self.foreign or "no",
             "flags": flag_names(flags),
             "require filter": self.guard.settings.require_filter,
             **asdict(self.counts),
@@ -52,26 +61,29 @@ class BridgeSide(Link):
         if self.state is not LinkState.CONNECTED:
             return Level.ERROR
         troubled = Flag.TRIPPED | Flag.SENSOR_FAULT | Flag.FORCE_LIMIT | Flag.WATCHDOG
-        return Level.WARN if self.flags & troubled or not self.guard.settings.require_filter else Level.OK
+        if self.flags & troubled or self.foreign or not self.guard.settings.require_filter:
+            return Level.WARN
+        return Level.OK
 
     def _sentence(self) -> str:
         if self.state is not LinkState.CONNECTED:
             return f"no box: the port is {self.state.value}"
         name = "tripped" if self.flags & Flag.TRIPPED else "armed" if self.flags & Flag.ARMED else "disarmed"
+        name += f", the box differs: {self.foreign}" if self.foreign else ""
         return name if self.guard.settings.require_filter else f"{name}, FILTER NOT REQUIRED"
 
 
 class BridgeNode(PlantNode):
-    """Plant node over a serial line."""
+    """Plant node over a serial line; `bench` are the numbers of the bench file that belongs to the box, if known."""
 
-    def __init__(self, settings: PortSettings, *, realtime: bool) -> None:
+    def __init__(self, settings: PortSettings, bench: Mapping[str, Any] | None = None, *, realtime: bool) -> None:
         super().__init__("bridge")
         guard = CommandGuard(settings=declare_parameters(self, GuardSettings(), "guard."))
         port = Port(declare_parameters(self, settings))
         if not guard.settings.require_filter:
             self.get_logger().warning("guard.require_filter is false: gains reach the valve UNFILTERED")
-        logger = self.get_logger()
-        self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning)
+        logger, self._bench = self.get_logger(), bench
+        self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box)
         self.connect(self.link)
         self.get_logger().info(be_prompt(realtime=realtime))
         self._thread = threading.Thread(target=self.link.run, name="serial", daemon=True)
@@ -89,9 +101,28 @@ class BridgeNode(PlantNode):
     def _publish(self, sample: State, stamp_ns: int, flags: int) -> None:
         self.publish_state(stamp_ns, sample.sequence, sample.values, flags)
 
+    def _on_box(self, info: BoxInfo) -> None:
+        """At each connection: another box may be there now."""
+        self.link.foreign = differences(info, self._bench)
+        if self.link.foreign:
+            self.get_logger().warning(
+                f"this box is not what was expected: {self.link.foreign}: give the bridge its own bench.yaml by --bench"
+            )
+        self.publish_box(known_box(info, self._bench, "bridge"))
 
-def arguments(own: Sequence[str]) -> tuple[PortSettings, bool]:
-    """Settings and whether to ask for real-time scheduling, from the command line."""
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What the command line asks for."""
+
+    port: PortSettings
+    bench: Path | None
+    """bench.yaml that belongs to the box; None: none was given, and none is installed."""
+    realtime: bool
+
+
+def arguments(own: Sequence[str]) -> Asked:
+    """Parse the command line."""
     parser = argparse.ArgumentParser(
         prog="bridge",
         description="The box on a serial line as topics: /hydro/state; gains, correction, reference, /hydro/arm.",
@@ -101,9 +132,13 @@ def arguments(own: Sequence[str]) -> tuple[PortSettings, bool]:
     texts, defaults = describe(PortSettings), PortSettings()
     parser.add_argument("--port", default=defaults.path, help=f"{texts['path'].text} Default %(default)s.")
     parser.add_argument("--baud", type=int, default=defaults.baud, help=f"{texts['baud'].text} Default %(default)s.")
+    parser.add_argument(
+        "--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: the nominal bench"
+    )
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
     options = parser.parse_args(own)
-    return replace(defaults, path=options.port, baud=options.baud), options.realtime
+    port = replace(defaults, path=options.port, baud=options.baud)
+    return Asked(port=port, bench=options.bench or bench_file.shipped(), realtime=options.realtime)
 
 
 def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:
@@ -132,6 +167,7 @@ def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    settings, realtime = arguments(own)
-    refuse_unusable_port(settings)
-    run_node(lambda: BridgeNode(settings, realtime=realtime), ros)
+    asked = arguments(own)
+    bench = bench_file.read_numbers(asked.bench) if asked.bench else None
+    refuse_unusable_port(asked.port)
+    run_node(lambda: BridgeNode(asked.port, bench, realtime=asked.realtime), ros)

@@ -5,7 +5,7 @@
 
     /hydro/gains, /hydro/correction, /hydro/reference ──> guard ─┐
     /hydro/arm ───────────────────────────────────────> arm      ├─ PlantSide (a serial line, a simulation)
-    /hydro/state <────────────────────────────────── publish_state ┘
+    /hydro/state, /hydro/box <────── publish_state, publish_box ──┘
 
 Gains from two nodes would alternate, and so would states of two plants: neither is armed, both are an ERROR, and what
 was armed already is disarmed.
@@ -24,8 +24,11 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from hydro_bridge.guard import CommandGuard
+from hydro_bridge.known_box import KnownBox
 from hydro_bridge.ros import (
     ARM_SERVICE,
+    BOX,
+    BOX_QOS,
     CORRECTION,
     CORRECTION_QOS,
     GAINS,
@@ -39,12 +42,13 @@ from hydro_bridge.ros import (
     RivalWatch,
     StateMessage,
     Status,
+    box_to_message,
     reference_from_message,
     rivals,
     with_rivals,
 )
 from hydro_bridge.signals import Flag, flag_names
-from hydro_msgs.msg import BenchState, Correction, Gains, ReferenceSignal
+from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, ReferenceSignal
 
 
 class PlantSide(Protocol):
@@ -67,7 +71,7 @@ class PlantSide(Protocol):
 
 
 class PlantNode(Node):
-    """Publishes /hydro/state, takes gains, corrections, reference and arming.
+    """Publishes /hydro/state and /hydro/box, takes gains, corrections, reference and arming.
 
     Call `connect` once the plant's side exists; nothing is subscribed before.
     """
@@ -76,6 +80,7 @@ class PlantNode(Node):
         super().__init__(name)
         self._publisher = self.create_publisher(BenchState, STATE, STATE_QOS)
         self._state = StateMessage()
+        self._box_publisher = self.create_publisher(BoxInfo, BOX, BOX_QOS)
         self._flags, self._tripped, self._refusal = 0, False, ""
 
     def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
@@ -105,6 +110,10 @@ class PlantNode(Node):
         """Publish one sample; `values` in STATE_FIELDS order. Called from one thread only, the plant's."""
         self._flags = flags
         self._publisher.publish(self._state.fill(stamp_ns, sequence, values, flags))
+
+    def publish_box(self, box: KnownBox) -> None:
+        """Say which box this is and what it believes: at the start, and anew when another may have come."""
+        self._box_publisher.publish(box_to_message(box, self.get_clock().now().to_msg()))
 
     def _on_gains(self, message: Gains) -> None:
         with self.side.lock:

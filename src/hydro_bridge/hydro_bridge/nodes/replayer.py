@@ -20,7 +20,17 @@ from hydro_bridge.bag_types import RecordingError
 from hydro_bridge.console import command
 from hydro_bridge.recording import read_bag
 from hydro_bridge.replaying import Replay
-from hydro_bridge.ros import ARM_SERVICE, GRAPH, STATE, DiagnosticsPublisher, Status, be_prompt, ros_arguments, run_node
+from hydro_bridge.ros import (
+    ARM_SERVICE,
+    BOX,
+    GRAPH,
+    STATE,
+    DiagnosticsPublisher,
+    Status,
+    be_prompt,
+    ros_arguments,
+    run_node,
+)
 
 
 class ReplayerNode(Node):
@@ -87,7 +97,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--speed", type=float, default=1.0, help="recorded seconds per second (default: %(default)s)")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     parser.add_argument("--keep-stamps", action="store_true", help="leave the stamps as they were recorded")
-    parser.add_argument("--topics", nargs="+", default=[STATE], metavar="TOPIC", help=f"default: {STATE}")
+    parser.add_argument("--topics", nargs="+", default=[STATE, BOX], metavar="TOPIC", help=f"default: {STATE} {BOX}")
     return parser
 
 

@@ -4,16 +4,20 @@
 from __future__ import annotations
 
 from hydro_bridge.realtime import be_ordinary
+from hydro_bridge.ros.boxes import listen_to_box
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.messages import (
     StateMessage,
+    box_from_message,
+    box_to_message,
     reference_from_message,
     reference_to_message,
     seconds,
     state_from_message,
 )
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
+from hydro_bridge.ros.recorder_watch import RecorderWatch
 from hydro_bridge.ros.rivals import RivalWatch, rivals, with_rivals
 from hydro_bridge.ros.scheduling import be_prompt
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
@@ -59,13 +63,17 @@ __all__ = [
     "CompanionError",
     "DiagnosticsPublisher",
     "Level",
+    "RecorderWatch",
     "RivalWatch",
     "StateMessage",
     "Status",
     "be_ordinary",
     "be_prompt",
+    "box_from_message",
+    "box_to_message",
     "declare_parameters",
     "executable_path",
+    "listen_to_box",
     "reference_from_message",
     "reference_to_message",
     "refuse_unknown_parameters",

@@ -4,10 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import fields
 from typing import Any
 
+from hydro_bridge.frames import BoxInfo
+from hydro_bridge.known_box import KnownBox
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_msgs.msg import BenchState
+from hydro_msgs.msg import BoxInfo as BoxMessage
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 
 
@@ -65,3 +69,23 @@ def reference_to_message(signal: ReferenceSignal) -> ReferenceMessage:
         frequency=float(signal.frequency),
         phase=float(signal.phase),
     )
+
+
+_NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.default, float))
+
+
+def box_to_message(box: KnownBox, stamp: Any) -> BoxMessage:
+    """Message of what is known of a box; `stamp` is a builtin_interfaces/Time."""
+    numbers = {name: float(getattr(box.info, name)) for name in _NUMBERS}
+    texts = {name: getattr(box, name) for name in ("plant", "bench_digest", "bench", "integral")}
+    message = BoxMessage(firmware=box.info.name, **texts, **numbers)
+    message.header.stamp = stamp
+    return message
+
+
+def box_from_message(message: BoxMessage) -> KnownBox:
+    """What a message says of a box."""
+    numbers = {name: getattr(message, name) for name in _NUMBERS}
+    info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
+    texts = {name: getattr(message, name) for name in ("plant", "bench_digest", "bench")}
+    return KnownBox(info=info, **texts)

@@ -7,6 +7,10 @@ States are answered in order, each once. After a hold-up those older than `state
 being acted upon. The filter with the learned metric follows the valve's spool from sample to sample: where samples are
 missing it begins anew.
 
+Where the model is not this bench's every answer is MISMATCH: nothing is corrected, and the plant narrows the gains.
+Reasons come from the filter, which watches its own predictions, or from the box, which believes another bench than
+the filter was started for (/hydro/box).
+
 Ages are by the machine's clock, or by /clock where a simulation off real time stamps its states by that.
 """
 
@@ -17,6 +21,7 @@ import signal
 import threading
 import time
 from dataclasses import replace
+from math import nan
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +30,7 @@ from rclpy.parameter import Parameter
 
 from hydro_bridge import endings
 from hydro_bridge.console import command
+from hydro_bridge.known_box import KnownBox
 from hydro_bridge.ros import (
     CORRECTION,
     CORRECTION_QOS,
@@ -35,6 +41,7 @@ from hydro_bridge.ros import (
     Status,
     be_prompt,
     declare_parameters,
+    listen_to_box,
     rivals,
     ros_arguments,
     run_node,
@@ -50,8 +57,9 @@ from hydro_filter.sample import Sample
 from hydro_filter.tally import TROUBLE, Tally, sentence
 from hydro_msgs.msg import BenchState, Correction
 from hydro_sim.bench import Bench
+from hydro_sim.pairing import refuse
 
-NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "noise_floor", "state_age_max")
+NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "noise_floor", "state_age_max")
 """Settings that are options, too; each metric has some of them."""
 
 PATIENCE = 2.0
@@ -59,6 +67,10 @@ PATIENCE = 2.0
 
 FOREIGN = 1.0
 """s between a stamp and now that no hold-up explains: the states are stamped by another clock."""
+
+MISMATCHED = Result(0.0, nan, nan, CorrectionStatus.MISMATCH)
+
+REMEDY = "start it with --model and --metric of this bench (`learn`, `learn_metric`), or with --metric constant"
 
 
 class FilterNode(Node):
@@ -82,7 +94,11 @@ class FilterNode(Node):
         self.settings = declare_parameters(self, settings)
         self.filter = self._compiled(choice)
         self.tally = Tally()
+        self.foreign = ""
+        """Why its files are not this bench's, by what the plant says of itself; empty: they are."""
+        self._mismatch = ""
         self._every, self._age = every, 0.0
+        self._choice = choice
         self._message = Correction()
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
         self._told = choice.describe()
@@ -92,6 +108,7 @@ class FilterNode(Node):
         self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
+        listen_to_box(self, self._on_box)
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)  # last: states wait from now on
 
     def _compiled(self, choice: Choice) -> Filter:
@@ -115,14 +132,34 @@ class FilterNode(Node):
     def _on_state(self, message: BenchState) -> None:
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
-            self.filter.reset()
+            self.filter.skip()
         stamp = seconds(message.header.stamp)
         self._age = self._now() - stamp
-        result = self.filter.correct(sample_of(message), self._age)
+        result = self._fitting(self.filter.correct(sample_of(message), self._age))
         if message.sequence % self._every:
             return
         self._publish(message, result)
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
+
+    def _on_box(self, box: KnownBox) -> None:
+        """Whose box it is: from now on, or from its next connection on, another bench may be believed there."""
+        self.foreign = self._choice.foreign(box)
+
+    def _fitting(self, result: Result) -> Result:
+        """The result, or that nothing should rest on it; a change of which is told at once."""
+        if self.foreign and result.status not in (CorrectionStatus.NAN, CorrectionStatus.BYPASSED):
+            result = MISMATCHED
+        if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
+            seen = self.filter.mismatch
+            self._tell_mismatch(self.foreign or (f"{seen}; {REMEDY}" if seen else ""))
+        return result
+
+    def _tell_mismatch(self, reason: str) -> None:
+        if reason and not self._mismatch:
+            self.get_logger().error(f"MISMATCH, nothing is corrected and the gains are narrow: {reason}")
+        elif not reason and self._mismatch:
+            self.get_logger().warning(f"the model is this bench's again; it was not: {self._mismatch}")
+        self._mismatch = reason
 
     def _publish(self, state: BenchState, result: Result) -> None:
         message = self._message
@@ -157,7 +194,10 @@ class FilterNode(Node):
         if self.settings.bypass:
             level, told = Level.ERROR, f"BYPASSED, nothing is corrected; {told}"
             self.get_logger().error(told, throttle_duration_sec=10.0)
+        if self._mismatch:
+            level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
         values = {**self._told, **self.tally.values(self.filter.qp.counts)}
+        values["fits"] = f"no: {self._mismatch}" if self._mismatch else "yes"
         return with_rivals(Status(level=level, message=told, values=values), rivals(self, STATE))
 
 
@@ -202,7 +242,13 @@ def parser() -> argparse.ArgumentParser:
 
 
 def arguments(given: list[str]) -> tuple[Choice, Settings, argparse.Namespace]:
-    """Parse the command line: which filter, its settings, and the rest."""
+    """Parse the command line: which filter, its settings, and the rest.
+
+    Raises
+    ------
+    PairingError
+        Metric, model and bench do not belong together.
+    """
     asked = parser().parse_args(given)
     if asked.every < 1:
         parser().error("--every needs 1 or more")
@@ -213,12 +259,13 @@ def arguments(given: list[str]) -> tuple[Choice, Settings, argparse.Namespace]:
     if asked.metric == CONSTANT and asked.model:
         parser().error("the constant metric is solved for the bench file; --model needs a learned one")
     bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
-    choice = Choice(bench=bench, metric=asked.metric, model=asked.model)
+    choice = Choice(bench=bench, bench_file=asked.bench, metric=asked.metric, model=asked.model)
     settings = choice.default_settings()
     numbers = {name: value for name in NUMBERS if (value := getattr(asked, name)) is not None}
     for name in numbers:
         if name not in describe(type(settings)):
             parser().error(f"--{name.replace('_', '-')} is no setting of this metric")
+    refuse(choice.trouble())
     return choice, replace(settings, bypass=asked.bypass, **numbers), asked
 
 

@@ -10,7 +10,7 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -39,6 +39,8 @@ class PlantOptions:
     """Link faults of the emulator, a file or a preset."""
     bench: Path | None = None
     """bench.yaml for box, simulation and filter; None: the nominal bench."""
+    base_gains: Sequence[float] | None = None
+    """K_p [1/s], K_i [1/s^2] of the box; None: the paper's. A simulated box gets them."""
     recording: Path | None = None
     """Folder for the recording; None: none."""
     metadata: tuple[str, ...] = ()
@@ -122,7 +124,8 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
     started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
     if options.plant == "sim":
-        started.append(("hydro_sim", "sim", [*bench, "--realtime", "--seed", str(options.seed), *guard]))
+        words = ["--realtime", "--seed", str(options.seed), *_with_base_gains(guard, options.base_gains)]
+        started.append(("hydro_sim", "sim", [*bench, *words]))
         return started
     port = options.port
     if options.plant == "emulator":
@@ -132,13 +135,22 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
         arguments += ["--truth", str(options.truth)] if options.truth else []
         arguments += ["--faults", options.faults] if options.faults else []
         started.append(("hydro_sim", "emulator", arguments))
-    started.append(("hydro_bridge", "bridge", ["--realtime", *(["--port", port] if port else []), *guard]))
+    words = [*(["--port", port] if port else []), *bench, *guard]
+    started.append(("hydro_bridge", "bridge", ["--realtime", *words]))
     return started
+
+
+def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) -> list[str]:
+    """ROS parameters of a simulation, with its box's base gains where they are given."""
+    if base_gains is None:
+        return parameters
+    kp, ki = base_gains
+    return [*(parameters or ["--ros-args"]), "-p", f"box.base_kp:={float(kp)}", "-p", f"box.base_ki:={float(ki)}"]
 
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     digests = provenance.weights(options.plant, options.bench, options.policies)
-    digests += provenance.of_filter(asked_filter(options.filter)[0])
+    digests += provenance.of_filter(asked_filter(options.filter, options.bench)[0])
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [provenance.bench_file(options.bench), *options.attachments]
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

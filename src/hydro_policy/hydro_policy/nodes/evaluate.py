@@ -12,6 +12,7 @@ import sys
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -19,19 +20,23 @@ import rclpy
 
 from hydro_bridge.console import command, writable, writable_folder
 from hydro_bridge.endings import undisturbed
+from hydro_bridge.readiness import NotReadyError
 from hydro_bridge.recording_run import code_version
 from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_parameters, ros_arguments, start_ros
 from hydro_policy import report
 from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
 from hydro_policy.grid import GridSession, GridSettings
-from hydro_policy.nodes.companions import CompanionWatch, start_companions
+from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import guard_range, uncovered
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
+from hydro_policy.nodes.planned import planned, refuse_policy, surprise
 from hydro_policy.nodes.progress import EvaluationProgress
-from hydro_policy.task import GainRange
+from hydro_policy.override import GainOverride
+from hydro_policy.task import BASE, GainRange
 from hydro_policy.watch import PlantWatch
+from hydro_sim.pairing import Believed
 
 
 def parser() -> argparse.ArgumentParser:
@@ -77,7 +82,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-@command(ValueError, CompanionError)
+@command(ValueError, CompanionError, NotReadyError)
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
@@ -91,33 +96,36 @@ def main() -> int:
 
 def evaluate(options: argparse.Namespace) -> int:
     """Start what is asked for, run the plan, show the results."""
-    controllers: list[Controller] = [policy_controller(path) for path in options.policy]
-    controllers += [FixedGains(kp, ki) for kp, ki in options.fixed or [(90.0, 15.0), (15.0, 5.0)]]
+    box = planned(options)
     settings = evaluation_settings(options)
-    grid = GridSettings(kp_max=options.kp_max)
+    grid = GridSettings(kp_max=options.kp_max) if options.grid else None
+    wanted = guard_range(reach(compared(options, box), grid, box.base_gains))
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("evaluate")
         stack.callback(node.destroy_node)
         settings = declare_parameters(node, settings)
         refuse_unknown_parameters(node)
-        folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
-        policies = tuple(map(policy_file, options.policy))
-        plant = plant_options(options, recording=options.record, seed=options.seed, policies=policies)
-        node.override.reach = guard_range(reach(controllers, grid if options.grid else None))
-        if options.plant != "external" and (sentence := uncovered(node.override.reach, plant.filter)):
-            node.say(sentence, warning=True)
-        node.companions = CompanionWatch(start_companions(stack, plant, node.override.reach, folder, node.sayings.keep))
-        if not rearms(options):
-            node.listen_for_enter()
+        if options.plant != "external":
+            start_plant(stack, node, options, box, wanted)
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())
+        if not node.meet() or node.box is None:
+            return 130
+        box = Believed.of_box(node.box)
+        controllers = compared(options, box)
+        node.unfit = partial(surprise, box)
+        node.override = GainOverride(
+            guard_range(reach(controllers, grid, box.base_gains)), node.override.say, box.base_gains or BASE
+        )
+        if not rearms(options):
+            node.listen_for_enter()
         before: GridSession | None = None
-        if options.grid:
+        if grid is not None:
             before = search_on(node, grid, settings, rearm=rearms(options))
             if not before.finished:
                 return 130
             if before.search.found:
-                controllers.append(FixedGains(*before.search.best))
+                controllers.append(FixedGains(*before.search.best, box.base_gains or BASE))
             else:
                 node.say("the grid found no gains: even the lowest were stopped (above)", warning=True)
         results = evaluate_on(
@@ -126,6 +134,36 @@ def evaluate(options: argparse.Namespace) -> int:
     json, plot = (Path(name) if name else None for name in (options.json, options.plot))
     show_results(results, json, plot, {"plant": options.plant, "seed": options.seed})
     return 0 if results.finished else 130
+
+
+def compared(options: argparse.Namespace, box: Believed) -> list[Controller]:
+    """The controllers that the words name, on this box.
+
+    Raises
+    ------
+    ValueError
+        One cannot be used.
+    PairingError
+        A policy was made for another box.
+    """
+    for path in options.policy:
+        refuse_policy(path, box)
+    controllers: list[Controller] = [policy_controller(path) for path in options.policy]
+    gains = options.fixed or [(90.0, 15.0), (15.0, 5.0)]
+    return controllers + [FixedGains(kp, ki, box.base_gains or BASE) for kp, ki in gains]
+
+
+def start_plant(
+    stack: ExitStack, node: GraphNode, options: argparse.Namespace, box: Believed, wanted: GainRange
+) -> None:
+    """Start the plant and what runs beside it; PairingError, and nothing runs, if its filter is not this box's."""
+    folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
+    policies = tuple(map(policy_file, options.policy))
+    plant = plant_options(options, recording=options.record, seed=options.seed, policies=policies)
+    if sentence := uncovered(wanted, plant.filter, plant.bench):
+        node.say(sentence, warning=True)
+    node.unfit = partial(surprise, box)
+    node.follow(start_companions(stack, plant, wanted, folder, node.sayings.keep), options.record)
 
 
 def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
@@ -139,7 +177,7 @@ def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
 def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, *, rearm: bool) -> GridSession:
     """Look for the best fixed gains on the plant, by short runs; not `finished` if a signal came before."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
-    session = GridSession(grid, short, node, rearm=rearm, override=node.override)
+    session = GridSession(grid, short, node, rearm=rearm, override=node.override, requirements=node.requirements)
     told = 0
 
     def tick() -> None:
@@ -169,7 +207,13 @@ def evaluate_on(
     `after` is the watch of the session before, if there was one.
     """
     session = EvaluationSession(
-        settings or EvaluationSettings(), controllers, node, rearm=rearm, after=after, override=node.override
+        settings or EvaluationSettings(),
+        controllers,
+        node,
+        rearm=rearm,
+        after=after,
+        override=node.override,
+        requirements=node.requirements,
     )
     bar = EvaluationProgress(session)
     try:
@@ -192,11 +236,14 @@ def show_results(results: EvaluationSession, json: Path | None, plot: Path | Non
         print(f"plot: {plot}", file=sys.stderr)
 
 
-def reach(controllers: Sequence[Controller], grid: GridSettings | None = None) -> GainRange:
-    """The gain changes that the plant's guard must let through."""
+def reach(
+    controllers: Sequence[Controller], grid: GridSettings | None = None, base: tuple[float, float] | None = None
+) -> GainRange:
+    """The gain changes that the plant's guard must let through, on a box with these base gains."""
     ranges = [controller.reach for controller in controllers]
     if grid is not None:
-        ranges += [FixedGains(*pair).reach for pair in ((grid.kp_min, grid.ki_min), (grid.kp_max, grid.ki_max))]
+        corners = ((grid.kp_min, grid.ki_min), (grid.kp_max, grid.ki_max))
+        ranges += [FixedGains(*pair, base or BASE).reach for pair in corners]
     return GainRange(
         delta_kp_min=min(r.delta_kp_min for r in ranges),
         delta_kp_max=max(r.delta_kp_max for r in ranges),

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 
 import numpy as np
 from rclpy.clock import Clock, ClockType
@@ -18,7 +19,9 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
+from hydro_bridge.known_box import KnownBox, told
 from hydro_bridge.latency import Latency
+from hydro_bridge.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.ros import (
     ARM_SERVICE,
     CORRECTION,
@@ -30,9 +33,12 @@ from hydro_bridge.ros import (
     REFERENCE_QOS,
     STATE,
     STATE_QOS,
+    Companion,
     CompanionError,
+    RecorderWatch,
     be_ordinary,
     be_prompt,
+    listen_to_box,
     reference_to_message,
     rivals,
     seconds,
@@ -43,6 +49,7 @@ from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import BenchState, Correction, Gains
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import OverrideGains
+from hydro_policy import requirements as needs
 from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.nodes.sayings import Sayings
 from hydro_policy.override import GainOverride
@@ -54,6 +61,7 @@ PRIORITY = 10
 DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 _PERIOD = 0.01  # s, of a policy step
 _LOOK = 0.5  # s from the first sample on, in which others who publish gains are found
+_ALONE_WITHIN = 600.0  # s that a newcomer waits for the others to go
 
 
 class GraphNode(Node):
@@ -74,15 +82,23 @@ class GraphNode(Node):
         self.sayings = Sayings()
         self._realtime = realtime
         self.companions = CompanionWatch([])
+        self.requirements: list[Requirement] = []
+        """What must be there before a session of this node arms, besides what every session needs."""
         self.response = Latency()  # state taken -> gains published, in this process
         self.age = Latency()  # state's stamp -> gains published, the whole way
         self.jitter = Latency()  # |interval between gains - 10 ms|
         self.override = GainOverride(say=lambda sentence: self.say(sentence, warning=True))
+        self.box: KnownBox | None = None
+        """What the plant says of its box, once it was met."""
+        self.unfit: Callable[[KnownBox], str] = lambda box: ""
+        """Why a box is not the one that this run is for, in a sentence, or nothing; asked whenever a box is told of."""
+        self._foreign, self._sampled = "", math.inf
+        self._meeting: Readiness | None = None  # while a plant is waited for that says what its box is
         self._session: Session | None = None
-        self._failure: Exception | None = None  # of the session; raised in a callback rclpy would print it, too
+        self._failure: Exception | None = None  # in a callback; raised there rclpy would print it, too
         self._alone, self._heard = False, math.inf  # nobody else publishes gains; when the first sample came, s
         self._each_tick: Callable[[], None] = lambda: None
-        self._crowded = False
+        self._crowded, self._crowded_since = False, math.inf
         self._done = Future()
         self._gains_out = self._published = 0.0
         self._gains = Gains()
@@ -91,8 +107,39 @@ class GraphNode(Node):
         self._arm_client = self.create_client(SetBool, ARM_SERVICE)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+        listen_to_box(self, self._on_box)
         self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+    def follow(self, companions: list[Companion], recording: Path | None) -> None:
+        """From now on tell which of them end, and arm nothing before the one that writes `recording` has samples."""
+        self.companions = CompanionWatch(companions)
+        for companion in companions:
+            if recording is not None and companion.name == "recorder":
+                self.requirements.append(RecorderWatch(self, recording, companion).requirement)
+
+    def meet(self) -> bool:
+        """Wait for a plant that says what its box is, and see that it is the right one; False if a signal ended it.
+
+        Nothing is published and nothing is armed meanwhile.
+
+        Raises
+        ------
+        CompanionError
+            It is not the right one, or a companion cannot use what it was given, or has ended.
+        NotReadyError
+            No plant came within its time, or nobody says what it is.
+        """
+        needed = (needs.plant(lambda: self._sampled < math.inf), told(lambda: self.box is not None))
+        self._meeting, self._done = Readiness(needed, lambda sentence: self.say(sentence, warning=True)), Future()
+        if self.box is not None:
+            self._on_box(self.box)
+        try:
+            broken = spin(self, self._done)
+        finally:
+            self._meeting = None
+        self._refuse()
+        return not broken
 
     def drive(self, session: Session, each_tick: Callable[[], None]) -> bool:
         """Carry `session` until it is finished (True) or a signal ends it (False); `each_tick` runs every 50 ms.
@@ -100,17 +147,17 @@ class GraphNode(Node):
         Raises
         ------
         CompanionError
-            A companion cannot use what it was given, or has ended that nothing can go on without.
+            A companion cannot use what it was given, or has ended that nothing can go on without; or another box has come.
+        NotReadyError
+            Something without which nothing may be armed did not come within its time.
         """
-        self._session, self._each_tick, self._done, self._failure = session, each_tick, Future(), None
+        self._refuse()
+        self._session, self._each_tick, self._done = session, each_tick, Future()
         scheduling = be_prompt(realtime=self._realtime, priority=PRIORITY, inherited=False)
         self.say(f"gains leave by {scheduling}")
         try:
             broken = spin(self, self._done)
-            if self._failure is not None:
-                raise self._failure
-            if self.companions.refused or self.companions.lost:
-                raise CompanionError(self.companions.refused or self.companions.lost)
+            self._refuse()
             return not broken
         finally:
             self._session = None
@@ -160,10 +207,29 @@ class GraphNode(Node):
         """See `hydro_policy.outputs.Outputs`."""
         self.sayings.say(sentence, warning)
 
+    @property
+    def refused(self) -> str:
+        """Why this run cannot be on this plant: a companion cannot use what it was given, or the box is another one."""
+        return self.companions.refused or self._foreign
+
+    def _refuse(self) -> None:
+        """Raise what a session failed of, or what it cannot go on with."""
+        failure, self._failure = self._failure, None
+        if failure is not None:
+            raise failure
+        if trouble := self.refused or self.companions.lost:
+            raise CompanionError(trouble)
+
+    def _on_box(self, box: KnownBox) -> None:
+        self.box, self._foreign = box, self.unfit(box)
+        if self._meeting is not None or self._foreign:
+            self._finish()
+
     def _on_state(self, message: BenchState) -> None:
+        begin = time.monotonic()
+        self._sampled = min(self._sampled, begin)
         if self._session is None:
             return
-        begin = time.monotonic()
         if not self._alone:
             self._heard = min(self._heard, begin)
             return
@@ -194,32 +260,45 @@ class GraphNode(Node):
         return answer
 
     def _on_tick(self) -> None:
-        if self._session is None:
+        try:
+            self._tick(time.monotonic())
+        except Exception as error:
+            self._fail(error)
+
+    def _tick(self, now: float) -> None:
+        if self._session is None and self._meeting is None:
             return
-        now = time.monotonic()
-        if not self._alone:
-            self._look_around(now)
-        if self._alone:
-            with suppress(queue.Empty):
-                self._keys.get_nowait()
-                self._session.watch.arm_now(now)
-        if self._alone or self._heard == math.inf:
-            try:
-                self._session.on_tick(now)
-            except Exception as error:
-                self._fail(error)
         for sentence in self.companions.ended():
             self.say(sentence, warning=True)
+        if self.refused or self.companions.lost:
+            self._finish()
+        elif self._session is not None:
+            self._carry_on(self._session, now)
+        elif self._meeting is not None:
+            self._meeting.look(now)
+
+    def _carry_on(self, session: Session, now: float) -> None:
+        if not self._alone:
+            self._look_around(now)
+        with suppress(queue.Empty):
+            self._keys.get_nowait()
+            session.watch.arm_now(now)
+        if self._alone or self._heard == math.inf:
+            session.on_tick(now)
         self._each_tick()
-        if self._session.finished or self.companions.refused or self.companions.lost:
+        if session.finished:
             self._finish()
 
     def _look_around(self, now: float) -> None:
         trouble = rivals(self, GAINS)
         looked = now - self._heard > _LOOK
         if trouble and looked and not self._crowded:
-            self.say(f"{trouble}; {self.get_name()} waits until it is alone", warning=True)
+            how = f"{self.get_name()} waits until it is alone, {_ALONE_WITHIN:g} s at most"
+            self.say(f"{trouble}; {how}", warning=True)
+            self._crowded_since = now
         self._crowded = bool(trouble) and looked
+        if self._crowded and now - self._crowded_since > _ALONE_WITHIN:
+            raise NotReadyError(f"{trouble}, still after {_ALONE_WITHIN:g} s")
         self._alone = looked and not trouble
 
     def _fail(self, error: Exception) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict
+from pathlib import Path
 
 from hydro_bridge.guard import GuardSettings
 from hydro_filter.choice import DEFAULT, Choice, Settings
@@ -12,9 +13,15 @@ from hydro_filter.nodes.filter import arguments
 from hydro_policy.task import GainRange
 
 
-def asked_filter(words: Sequence[str]) -> tuple[Choice, Settings]:
-    """The filter that these words of its command line ask for; words that it does not take end the program there."""
-    choice, settings, _ = arguments(list(words))
+def asked_filter(words: Sequence[str], bench: Path | None = None) -> tuple[Choice, Settings]:
+    """The filter that these words of its command line ask for, on this bench; words that it does not take end here.
+
+    Raises
+    ------
+    PairingError
+        Its metric and model are not this bench's: nothing is started, and no guard is opened on its word.
+    """
+    choice, settings, _ = arguments([*(["--bench", str(bench)] if bench else []), *words])
     return choice, settings
 
 
@@ -46,9 +53,9 @@ def relied_on(words: Sequence[str]) -> str:
     return " ".join(words if named else (f"--metric {DEFAULT}", *words))
 
 
-def uncovered(gains: GainRange, words: Sequence[str]) -> str:
+def uncovered(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
     """Why this filter does not protect from the whole range of gains; empty where it does (docs/safety.md)."""
-    choice, settings = asked_filter(words)
+    choice, settings = asked_filter(words, bench)
     if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
         return ""
     if settings.bypass:

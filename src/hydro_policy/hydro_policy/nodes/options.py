@@ -18,12 +18,13 @@ from hydro_bridge.ros import declare_parameters
 from hydro_policy.nodes.companions import PLANTS, PlantOptions
 from hydro_policy.run import TrainingSettings
 
-_PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "filter", "rearm")
+_PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "base_gains", "filter", "rearm")
 _NEEDS = {
     "truth": ("emulator",),
     "faults": ("emulator",),
     "port": ("bench", "emulator"),
     "bench": ("sim", "emulator", "bench"),
+    "base_gains": ("sim", "bench"),
     "filter": ("sim", "emulator", "bench"),
 }
 
@@ -42,6 +43,13 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
     group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
+    group.add_argument(
+        "--base-gains",
+        nargs=2,
+        type=float,
+        metavar=("KP", "KI"),
+        help="of the box (default: 15 5, the paper's); those of a plant that runs already are asked for",
+    )
     group.add_argument(
         "--filter",
         default="",
@@ -69,7 +77,9 @@ def as_begun(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mappi
     result.set_defaults(**{n: Path(v) if n in ("truth", "bench") else v for n, v in words.items()})
 
 
-def _absolute(value: str | Path) -> str:
+def _absolute(value: str | Path | list[float]) -> str | list[float]:
+    if isinstance(value, list):  # gains
+        return value
     return str(Path(value).absolute()) if os.path.exists(value) else str(value)
 
 
@@ -88,8 +98,9 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
     """
     for name, plants in _NEEDS.items():
         if getattr(options, name) and options.plant not in plants:
-            raise UserError(f"--{name} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
-    names = ("plant", "port", "truth", "faults", "bench")
+            word = "--" + name.replace("_", "-")
+            raise UserError(f"{word} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
+    names = ("plant", "port", "truth", "faults", "bench", "base_gains")
     words = tuple(shlex.split(options.filter))
     return PlantOptions(**{name: getattr(options, name) for name in names}, filter=words, **more)
 

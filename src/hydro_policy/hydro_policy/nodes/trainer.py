@@ -14,6 +14,7 @@ import rclpy
 import torch
 
 from hydro_bridge.console import command
+from hydro_bridge.readiness import NotReadyError
 from hydro_bridge.resuming import NEW_ONLY, given, refuse_changes
 from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
 from hydro_policy.configurations import CONFIGURATIONS, configuration_of
@@ -113,7 +114,7 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
     return options
 
 
-@command(ValueError, FileExistsError, CompanionError, LearnerError)
+@command(ValueError, FileExistsError, CompanionError, LearnerError, NotReadyError)
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()

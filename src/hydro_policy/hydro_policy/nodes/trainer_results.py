@@ -26,8 +26,9 @@ def compared(session: TrainingSession, start: Start | None) -> list[Controller]:
         before = Policy(start.sac.hidden_size)
         before.load_flat(actor_parameters(start.agent))
         controllers.append(PolicyController(before, gains, "II: policy it started from"))
-    controllers.append(FixedGains(90.0, 15.0))
-    return controllers if start is not None else [*controllers, FixedGains(15.0, 5.0)]
+    base = session.settings.base_gains
+    controllers.append(FixedGains(90.0, 15.0, base))
+    return controllers if start is not None else [*controllers, FixedGains(15.0, 5.0, base)]
 
 
 def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:

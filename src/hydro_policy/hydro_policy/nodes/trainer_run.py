@@ -9,9 +9,10 @@ import time
 from contextlib import ExitStack
 
 from hydro_bridge.endings import undisturbed
+from hydro_bridge.readiness import Readiness
+from hydro_policy import requirements
 from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession
-from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import rearms
@@ -37,8 +38,7 @@ def train(options: argparse.Namespace) -> int:
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
         record = begin_record(node, prepared, options)
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
-        recording, companions = start_plant(stack, options, prepared, node.sayings.keep)
-        node.companions = CompanionWatch(companions)
+        recording = start_plant(stack, options, prepared, node)
         session = begin_session(node, prepared, learner, record, rearm=rearms(options))
         stack.callback(lambda: learner.stop(session.state()))
         stack.callback(node.disarm)
@@ -68,6 +68,7 @@ def begin_session(
         best=prepared.best,
         override=node.override,
         record=record,
+        requirements=node.requirements,
     )
     node.listen_to_corrections()
     return session
@@ -83,6 +84,8 @@ def drive(
     """Train, then evaluate if asked for: (whether all came to its end, the evaluation or None)."""
     if not rearms(options):
         node.listen_for_enter()
+    if not node.meet():
+        return False, None
     bar = TrainingProgress(node, session, learner)
     try:
         finished = session.ledger.trained or node.drive(session, bar.tick)
@@ -92,12 +95,27 @@ def drive(
     node.say(f"gains at 100 Hz: jitter {node.jitter.sentence()}; of which inference {inference}")
     if not finished or session.gave_up or not options.evaluate:
         return finished and not session.gave_up, None
-    while not learner.ready and learner.alive:  # a finished run that was resumed: nobody has waited for it yet
-        time.sleep(0.05)
+    wait_for(learner, node)  # a finished run that was resumed: nobody has yet
     session.keeper.start()
     bar.phase = lambda: Phase.EVALUATING
-    results = evaluate_on(node, compared(session, start), rearm=rearms(options))
+    results = evaluate_on(node, compared(session, start), rearm=rearms(options), after=session.watch)
     node.disarm()  # now, not after the plots
     bar.phase = lambda: Phase.FINISHED
     bar.publish()
     return results.finished, results
+
+
+def wait_for(learner: LearnerSupervisor, node: GraphNode) -> None:
+    """Wait until the learner is ready, and not for ever.
+
+    Raises
+    ------
+    NotReadyError
+        It takes too long.
+    """
+    readiness = Readiness([requirements.learner(learner)], node.say)
+    while not readiness.complete:
+        if (sentence := learner.revive()) is not None:
+            node.say(sentence, warning=True)
+        readiness.look(time.monotonic())
+        time.sleep(0.05)

@@ -6,15 +6,16 @@ from __future__ import annotations
 import argparse
 import shlex
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from hydro_bridge.console import writable_folder
-from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters
+from hydro_bridge.ros import CompanionError, refuse_unknown_parameters
 from hydro_policy.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.configurations import configuration
 from hydro_policy.episode import Progress
@@ -23,6 +24,7 @@ from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import asked_filter, guard_range, uncovered
 from hydro_policy.nodes.options import declare_settings, plant_options, plant_words
+from hydro_policy.nodes.planned import made_on, planned, refuse_resumed, refuse_start, surprise
 from hydro_policy.override import GainOverride
 from hydro_policy.record import RunRecord
 from hydro_policy.replay import ReplayBuffer
@@ -30,8 +32,8 @@ from hydro_policy.run import RunDirectory, TrainingSettings, new_run
 from hydro_policy.sac import Sac
 from hydro_policy.snapshot import check_agent, dump
 from hydro_policy.start import AGENT, Start, load_start, shipped_start
-from hydro_policy.task import ACTIONS, OBSERVATIONS
-from hydro_sim.bench import Bench
+from hydro_policy.task import ACTIONS, BASE, OBSERVATIONS
+from hydro_sim.pairing import Believed
 
 SCRATCH = "scratch"
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
@@ -67,17 +69,18 @@ def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
     try:
         yield
     except CompanionError:
-        if node.companions.refused and prepared.made and node.response.count == 0:  # no gains have ever gone out
+        lost = node.companions.lost and not node.refused  # by itself: the run may go on with --resume
+        if prepared.made and not lost and node.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(prepared.run.path)
         raise
 
 
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     """A new run with its folder and first checkpoint, or one to continue; none where something cannot be used."""
-    start = None
-    asked_filter(plant_options(options).filter)
-    if options.bench is not None:
-        Bench.load(options.bench)
+    start, box = None, planned(options)
+    if options.plant != "external":
+        asked_filter(plant_options(options).filter, options.bench)
+        node.unfit = partial(surprise, box)
     if options.resume is not None:
         run = RunDirectory(options.resume)
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
@@ -85,9 +88,12 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     else:
         run, checkpoint = new_run(options.runs, options.name), None
         writable_folder(run.path)
+        run.refuse_existing()
         start = find_start(options)
+        refuse_start(start, box)
         updates = UPDATES_PER_STEP["agent" if start else "scratch"]
-        settings = replace(configuration(options.configuration), updates_per_step=updates)
+        configured = configuration(options.configuration, base=box.base_gains or BASE)
+        settings = replace(configured, updates_per_step=updates)
         settings = start.adopted(settings) if start else settings
     given = {name: getattr(options, name) for name in ("episodes", "updates_per_step", "seed")}
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
@@ -97,6 +103,14 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         settings = replace(settings, exam=replace(settings.exam, every=options.exam_every))
     settings = declare_settings(node, settings)
     refuse_unknown_parameters(node)
+    if options.plant == "external":
+        box = met(node)
+        refuse_start(start, box)
+        if start is None and options.resume is None:
+            settings = on_this_box(settings, box, node)
+    if options.resume is not None:
+        refuse_resumed(run.path, settings.made, box)
+    settings = replace(settings, made=made_on(box))
     made = not run.path.exists()
     if options.resume is None:
         run.create()
@@ -132,6 +146,32 @@ def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Start
     write_run(SaveRequest(run.path, {}, best=False), agent, None, nothing, settings)
 
 
+def met(node: GraphNode) -> Believed:
+    """What the box of a plant that runs believes.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        A signal came before there was one.
+    CompanionError
+        Nobody says what the box is.
+    """
+    if not node.meet() or node.box is None:
+        raise KeyboardInterrupt
+    box = Believed.of_box(node.box)
+    node.unfit = partial(surprise, box)
+    return box
+
+
+def on_this_box(settings: TrainingSettings, box: Believed, node: GraphNode) -> TrainingSettings:
+    """The configuration's range of gains in all as changes to this box's base gains; what a parameter says stays."""
+    base, gains = box.base_gains or BASE, settings.task.gains
+    shifted = asdict(gains.shifted(BASE[0] - base[0], BASE[1] - base[1]))
+    said = {name for name in shifted if f"task.gains.{name}" in node._parameter_overrides}  # rclpy: no public way
+    kept = {name: value for name, value in shifted.items() if name not in said}
+    return replace(settings, task=replace(settings.task, gains=replace(gains, **kept)))
+
+
 def find_start(options: argparse.Namespace) -> Start | None:
     """The agent named by --from; without it the one that is shipped for this authority, if there is one."""
     if options.start is not None:
@@ -147,26 +187,26 @@ def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespac
         node.say(sentence, warning=True)
         record.add("override", sentence)
 
-    node.override = GainOverride(guard_range(prepared.settings.task.gains), tell)
+    node.override = GainOverride(guard_range(prepared.settings.task.gains), tell, prepared.settings.base_gains)
     source = str(prepared.start.source) if prepared.start else None
     record.add("start", plant=options.plant, start=source, resumed=prepared.checkpoint is not None)
     words = shlex.split(options.filter)
-    if options.plant != "external" and (sentence := uncovered(prepared.settings.task.gains, words)):
+    if options.plant != "external" and (sentence := uncovered(prepared.settings.task.gains, words, options.bench)):
         node.say(sentence, warning=True)
         record.add("uncovered", sentence)
     return record
 
 
-def start_plant(
-    stack: ExitStack, options: argparse.Namespace, prepared: Prepared, keep: Callable[[str], None]
-) -> tuple[Path | None, list[Companion]]:
-    """Start the companions, whose lines `keep` takes; returns where the recording goes, and them."""
+def start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepared, node: GraphNode) -> Path | None:
+    """Start what runs beside the node, which follows it from now on; returns where the recording goes."""
     run = prepared.run
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
     kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}
     plant = plant_options(options, recording=recording, seed=prepared.settings.seed, **kept)
-    return recording, start_companions(stack, plant, prepared.settings.task.gains, run.path, keep)
+    companions = start_companions(stack, plant, prepared.settings.task.gains, run.path, node.sayings.keep)
+    node.follow(companions, recording)
+    return recording
 
 
 def _free(folder: Path) -> Path:

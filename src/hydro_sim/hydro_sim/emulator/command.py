@@ -8,16 +8,16 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 from types import FrameType
+from typing import get_args
 
 import yaml
 
 from hydro_bridge import endings
 from hydro_bridge.console import writable, writable_folder
-from hydro_bridge.protocol import BoxInfo
 from hydro_bridge.recording import RecordingError
 from hydro_bridge.user_errors import explained
 from hydro_sim.bench import Bench
-from hydro_sim.box import EMULATED_BOX, BoxConfig
+from hydro_sim.box import EMULATED_BOX, BoxConfig, Integral, box_info
 from hydro_sim.emulator import jobs
 from hydro_sim.emulator.control import ControlPipe
 from hydro_sim.emulator.faults import PRESETS, load_faults
@@ -64,6 +64,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--noise-free", type=writable, metavar="FILE.npz", help="also write the run without noise, for scoring only"
     )
+    parser.add_argument(
+        "--integral", choices=get_args(Integral), default="bumpless", help="of the force law (default: bumpless)"
+    )
     parser.add_argument("--print-truth", action="store_true", help="print the whole truth as YAML and stop")
     line = parser.add_argument_group("on a serial line, in real time")
     line.add_argument("--link", type=Path, metavar="PATH", help=f"where the port appears (default: {default_link()})")
@@ -86,7 +89,7 @@ def _jobs(options: argparse.Namespace) -> list[jobs.Job]:
         return [from_mapping(jobs.Job, entry, f"jobs[{index}]") for index, entry in enumerate(entries)]
     if not options.out:
         raise ConfigError("--offline needs --out, the folder of the recording")
-    keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed")
+    keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed", "integral")
     return [
         from_mapping(jobs.Job, {**{key: getattr(options, key) for key in keys}, "out": str(options.out)}, "emulator")
     ]
@@ -100,12 +103,12 @@ def _serve(options: argparse.Namespace) -> None:
     if options.seed < 0:
         raise ConfigError(f"--seed {options.seed}: 0 or more is meant")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    box = BoxConfig()
+    box = BoxConfig(integral=options.integral)
     machine = Machine(jobs.truth(options.truth), bench, box, options.seed)
     machine.warm_up()
     faults = load_faults(options.faults)
     terminal = Terminal(options.link or default_link())
-    link = BoxLink(terminal, box_info(bench, box), faults, options.seed)
+    link = BoxLink(terminal, box_info(bench, box, EMULATED_BOX), faults, options.seed)
     control = ControlPipe(options.control) if options.control else None
     log = Log() if options.noise_free else None
     status = _show if sys.stderr.isatty() else None
@@ -129,21 +132,6 @@ def _serve(options: argparse.Namespace) -> None:
     )
     refused = int(machine.box["refused"][0])
     print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)
-
-
-def box_info(bench: Bench, box: BoxConfig) -> BoxInfo:
-    """What the emulated box says about itself."""
-    return BoxInfo(
-        name=EMULATED_BOX,
-        valve_current_max=bench.valve_current_max,
-        base_kp=box.base_kp,
-        base_ki=box.base_ki,
-        delta_kp_min=box.delta_kp_min,
-        delta_kp_max=box.delta_kp_max,
-        delta_ki_min=box.delta_ki_min,
-        delta_ki_max=box.delta_ki_max,
-        delta_u_max=box.delta_u_max,
-    )
 
 
 def _stopper() -> list[int]:

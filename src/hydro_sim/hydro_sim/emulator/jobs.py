@@ -12,11 +12,12 @@ import yaml
 
 from hydro_bridge.recording import BagWriter
 from hydro_sim.bench import Bench
-from hydro_sim.emulator.offline import Recording, record_offline
+from hydro_sim.box import BoxConfig
+from hydro_sim.emulator.offline import Recording, record_offline, roomy
 from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, fit_to
 from hydro_sim.emulator.truth_config import TruthConfig, load_truth, profile
 from hydro_sim.schedules import Segment, load_schedule
-from hydro_sim.yaml_settings import quantity
+from hydro_sim.yaml_settings import choice, quantity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +31,7 @@ class Job:
     noise_free: str | None = None  # .npz for scoring; absent: none
     seconds: float | None = quantity(None, unit="s", low=1e-3, high=36000.0)  # absent: the schedule once
     seed: int = quantity(0, low=0, high=2**62)
+    integral: str = choice("bumpless", "bumpless", "paper")  # form of the force law's integral
 
 
 def run(job: Job) -> Recording:
@@ -40,7 +42,8 @@ def run(job: Job) -> Recording:
     segments: Sequence[Segment] = load_schedule(job.schedule) if job.schedule else DEFAULT_SCHEDULE
     if job.seconds is not None:
         segments = fit_to(segments, job.seconds)
-    recording = record_offline(config, segments, bench=bench, seed=job.seed)
+    box = roomy(segments, BoxConfig(integral=job.integral))  # type: ignore[arg-type]
+    recording = record_offline(config, segments, bench=bench, box=box, seed=job.seed)
     write_bag(job.out, recording, bench)
     if job.noise_free:
         recording.save_noise_free(job.noise_free)

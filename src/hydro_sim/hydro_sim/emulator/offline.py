@@ -64,7 +64,7 @@ def record_offline(
     seed
         Of noise and random force.
     """
-    settings = box or _roomy(segments)
+    settings = box or roomy(segments)
     machine = Machine(config, bench, settings, seed)
     commands, which = _schedule(segments, settings)
     states, clean, physical = machine.run(commands, which)
@@ -79,8 +79,9 @@ def noise_free_states(states: StateArray, clean: FloatArray) -> StateArray:
     return result
 
 
-def _roomy(segments: Sequence[Segment]) -> BoxConfig:
-    base = BoxConfig()
+def roomy(segments: Sequence[Segment], base: BoxConfig | None = None) -> BoxConfig:
+    """`base` (absent: the defaults) with gain limits wide enough for the segments."""
+    base = base or BoxConfig()
     kp = [segment.kp - base.base_kp for segment in segments]
     ki = [segment.ki - base.base_ki for segment in segments]
     return replace(

@@ -25,6 +25,7 @@ from hydro_sim.learned.curves import draw_curves
 from hydro_sim.learned.model import Model
 from hydro_sim.learned.recordings import DataError
 from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.pairing import MadeFor
 
 DEVICE_HELP = (
     "what computes gradients; auto: the quicker of CPU and GPU on one batch, the CPU without a GPU. Constants are "
@@ -41,6 +42,10 @@ RESUME_HELP = (
     "go on from WEIGHTS' checkpoint, if there is one, with what it was begun with; --epochs, --patience, --device and "
     "--threads may change"
 )
+BENCH_HELP = (
+    "bench.yaml to start from; the shipped one by default. Recordings say which one the box believed: the model is for "
+    "that one, and for this one where they do not say"
+)
 HIDDEN_HELP = "hidden layers' widths, as many as there are to be layers; two for structured (default 32 32)"
 
 
@@ -56,7 +61,7 @@ def main() -> None:
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     if bench.effects:
         _say(f"the learning starts from the bench file's numbers, without its {len(bench.effects)} effects")
-    data = recordings.split(recordings.load(options.bags))
+    data, box = recordings.split(recordings.load(options.bags)), recordings.believed(options.bags)
     threadpool_limits(1, "blas")  # numba's threads call BLAS: its own would only get in their way
     if before and before.asked["recordings"] != data.digests:
         raise UserError(f"{_checkpoint(out)} is of other recordings: {', '.join(before.asked['recordings'])}")
@@ -68,7 +73,8 @@ def main() -> None:
         "settings": asdict(settings), "code": _code_version(), "validation_error": last.best_error,
         "epochs": last.epoch, "best_epoch": last.best_epoch, "seconds": round(time.monotonic() - began, 1),
     }  # fmt: skip
-    training.finished(model, data, facts).save(out)
+    made = MadeFor(box=box or bench.digest)
+    replace(training.finished(model, data, facts), made=made).save(out)
     draw_curves(last.history, out.with_suffix(".png"), settings.structure)
     _checkpoint(out).unlink(missing_ok=True)
     print(f"{out}: {settings.structure}, validation error {last.best_error:.5f} at epoch {last.best_epoch}")
@@ -167,7 +173,7 @@ def parser() -> argparse.ArgumentParser:
         help="file to write, .safetensors; its curve beside it",
     )
     result.add_argument("--structure", choices=training.CHOICES, default="structured", help=STRUCTURE_HELP)
-    result.add_argument("--bench", metavar="FILE", help="bench.yaml to start from; the shipped one by default")
+    result.add_argument("--bench", metavar="FILE", help=BENCH_HELP)
     result.add_argument("--hidden", nargs="+", type=int, default=[32, 32], metavar="WIDTH", help=HIDDEN_HELP)
     result.add_argument("--horizon", type=int, default=70, help="samples rolled out; 1: one-step training")
     result.add_argument("--batch", type=int, default=8192, help="windows per gradient")

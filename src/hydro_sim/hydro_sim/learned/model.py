@@ -16,6 +16,7 @@ from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.region import Region
 from hydro_sim.learned.structured_model import StructuredModel
 from hydro_sim.learned.weights import WeightsError
+from hydro_sim.pairing import MadeFor, made_for
 
 Model = StructuredModel | NetworkModel | DeepModel
 STRUCTURES: dict[str, type[StructuredModel] | type[NetworkModel] | type[DeepModel]] = {
@@ -33,11 +34,13 @@ class Learned:
     region: Region
     training: dict[str, Any] = field(default_factory=dict)
     """Recordings' digests, command, seed, settings, code version, errors reached."""
+    made: MadeFor | None = None
+    """Whose bench it is; None: the file does not say."""
 
     def save(self, path: str | Path) -> None:
         """Write a weights file."""
         tensors = {**self.model.tensors(), "region_center": self.region.center, "region_whiten": self.region.whiten}
-        weights.save(path, tensors, {**self.model.header(), "units": UNITS, "training": self.training})
+        weights.save(path, tensors, {**self.model.header(), "units": UNITS, "training": self.training}, self.made)
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> Learned:
@@ -56,4 +59,4 @@ class Learned:
             check_shapes(tensors, {name: a.shape for name, a in model.tensors().items() if name in tensors})
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
-        return cls(model=model, region=region, training=header.get("training", {}))
+        return cls(model=model, region=region, training=header.get("training", {}), made=made_for(header))

@@ -21,7 +21,8 @@ from hydro_sim.learned.evaluation import Errors, Scales, Scored
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.objectives import SETTLED
 from hydro_sim.learned.structured_model import StructuredModel
-from hydro_sim.learned.weights import WeightsError
+from hydro_sim.learned.weights import WeightsError, shipped
+from hydro_sim.pairing import Believed, refuse, unfit
 
 COLUMNS = {
     "state": "entry of x (eq. state_def)",
@@ -44,6 +45,9 @@ def main() -> None:
     """Entry point."""
     options = _arguments()
     learned = Learned.load(options.model)
+    path = Path(options.model or shipped())
+    remedy = "name the bench.yaml of its box by --bench"
+    refuse(unfit(f"the model {path.name}", learned.made, Believed.of_file(options.bench), remedy))
     scored = _scored(options.bags, options.noise_free)
     if options.horizon > (room := _longest(scored)):
         raise UserError(f"--horizon {options.horizon}: the shortest stretch without a gap has room for {room} samples")

@@ -3,11 +3,13 @@
 
 The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state,
 normalization,
-region of training, and `training`: recordings with digests, command, seed, settings, code version, errors reached.
+region of training, `made_for` (`hydro_sim.pairing`), and `training`: recordings with digests, command, seed, settings,
+code version, errors reached.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 from importlib import resources
 from pathlib import Path
@@ -17,8 +19,10 @@ import numpy as np
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
+from hydro_bridge import bench_file
 from hydro_bridge.signals import FloatArray
 from hydro_bridge.tensors import UnsoundError, check_numbers
+from hydro_sim.pairing import ENTRY, MadeFor
 
 FORMAT = 1
 Tensors = dict[str, FloatArray]
@@ -28,8 +32,10 @@ class WeightsError(ValueError):
     """A file holds no weights of a learned bench; the message is one sentence."""
 
 
-def save(path: str | Path, tensors: Tensors, header: dict[str, Any]) -> None:
-    """Write tensors and header; missing folders are made."""
+def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
+    """Write tensors, header and what they were made for; missing folders are made."""
+    if made is not None:
+        header = {**header, ENTRY: made.to_header()}
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})
@@ -70,3 +76,19 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
 def shipped() -> Path:
     """The weights that come with this package."""
     return Path(str(resources.files("hydro_sim") / "data" / "default_weights.safetensors"))
+
+
+def digest(path: str | Path) -> str:
+    """SHA-256 of a file's tensors, its first digits: a stamp or a note in the header makes no other model of it.
+
+    Raises
+    ------
+    WeightsError
+        See `load`.
+    """
+    tensors, _ = load(path)
+    sha = hashlib.sha256()
+    for name in sorted(tensors):
+        sha.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
+        sha.update(np.ascontiguousarray(tensors[name]).tobytes())
+    return sha.hexdigest()[: bench_file.DIGITS]

@@ -16,6 +16,8 @@ from tqdm import tqdm
 
 from hydro_bridge.ros import ARM_SERVICE
 
+NOT_YET = "not armed, still waiting for {}: you are asked once all is ready"
+TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
 _ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
 HOW_TO_ARM = {False: f"the plant is disarmed: {_ARM}", True: f"the plant has tripped: {_ARM} --off, and then without"}
 """By whether it has tripped."""
@@ -56,10 +58,20 @@ class Arming:
         awaited = self._answer is not None and not self._answer.done() and now < self._ask_after + _ANSWER_WITHIN
         if awaited or not (self._rearm or self._may_arm(tripped)) or now < self._ask_after:
             return
-        self._ask_after = now + _SETTLE
-        if self._client.service_is_ready():
-            self._answer = self._client.call_async(SetBool.Request(data=not tripped))
-            self._answer.add_done_callback(self._on_answer)
+        self._request(arm=not tripped, now=now)
+
+    def wait(self, awaited: str, *, armed: bool, now: float) -> None:
+        """Call instead while something is still `awaited`: nothing is armed; who wants it, or has done it, is told."""
+        while not self._keys.empty():
+            self._keys.get()
+            tell(f"! {NOT_YET.format(awaited)}")
+        if not armed:
+            self._told = ""
+        elif now >= self._ask_after:
+            if self._told != TOO_EARLY:
+                tell(f"! {TOO_EARLY}")
+            self._told = TOO_EARLY
+            self._request(arm=False, now=now)
 
     def disarm(self) -> bool:
         """Ask for it with nobody else spinning the node, and wait; whether the plant confirms."""
@@ -71,6 +83,12 @@ class Arming:
         executor.remove_node(self._node)
         executor.shutdown()
         return answer.done() and bool(answer.result().success)
+
+    def _request(self, *, arm: bool, now: float) -> None:
+        self._ask_after = now + _SETTLE
+        if self._client.service_is_ready():
+            self._answer = self._client.call_async(SetBool.Request(data=arm))
+            self._answer.add_done_callback(self._on_answer)
 
     def _may_arm(self, tripped: bool) -> bool:
         """Whether a person has said so since the plant was armed last; says how."""

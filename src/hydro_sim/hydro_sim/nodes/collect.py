@@ -24,19 +24,20 @@ from hydro_sim.bench import Bench
 from hydro_sim.learned.coverage import coverage
 from hydro_sim.learned.schedule import draw
 from hydro_sim.nodes.collecting import TRIPS_IN_A_ROW, CollectNode
+from hydro_sim.pairing import Believed, PairingError
 from hydro_sim.schedules import Segment, load_schedule, save_schedule
 
 TRIPPED = 3
 """Exit status after `TRIPS_IN_A_ROW` trips: the recording is whole up to there."""
 
 
-def _play(schedule: Sequence[Segment], bench: Bench, options: argparse.Namespace, ros: Sequence[str]) -> str:
+def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Namespace, ros: Sequence[str]) -> str:
     """Record while the schedule plays; why the plant could not go on, or nothing.
 
     Raises
     ------
     UserError
-        It was broken off, the recorder ended, or another node drives the plant.
+        It was broken off, the recorder ended, another node drives the plant, or its box believes another bench.
     """
     start_ros(ros)
     try:
@@ -45,7 +46,7 @@ def _play(schedule: Sequence[Segment], bench: Bench, options: argparse.Namespace
             refuse_unknown_parameters(node)
             if node.meet():
                 raise UserError("broken off before anything was recorded")
-            lost, broken = _record(node, schedule, bench, options)
+            lost, broken = _record(node, schedule, _bench_of(node, bench), options)
         finally:
             node.destroy_node()
     finally:
@@ -62,6 +63,23 @@ def _play(schedule: Sequence[Segment], bench: Bench, options: argparse.Namespace
     if node.playback.trips and not tripped_out:
         print(f"the plant tripped {node.playback.trips} times; the schedule went on after it was armed anew")
     return node.ended
+
+
+def _bench_of(node: CollectNode, asked: Bench | None) -> Bench:
+    """The bench.yaml to keep in the recording: what was asked for, or else what the box believes.
+
+    Raises
+    ------
+    PairingError
+        The box believes another one than was asked for.
+    """
+    box = node.box
+    if asked is None:
+        return Bench.from_mapping(yaml.safe_load(box.bench)) if box is not None and box.bench else Bench.nominal()
+    if box is not None and box.bench_digest not in ("", asked.digest):
+        told = f"--bench is bench {asked.digest}, the box believes {Believed.of_box(box).told}"
+        raise PairingError(f"{told}: name the bench.yaml of this box, or none")
+    return asked
 
 
 def _record(
@@ -96,7 +114,7 @@ def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
     options = _arguments(own)
-    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    bench = Bench.load(options.bench) if options.bench else None
     schedule = _playable(load_schedule(options.schedule)) if options.schedule else draw(options.seconds, options.seed)
     if options.write_schedule:
         save_schedule(schedule, options.write_schedule)
@@ -138,7 +156,9 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
         "--write-schedule", type=writable, metavar="FILE", help="write the schedule, for instance for the emulator"
     )
     parser.add_argument(
-        "--bench", metavar="FILE", help="bench.yaml of the bench, kept in the recording (default: the nominal bench)"
+        "--bench",
+        metavar="FILE",
+        help="bench.yaml of the box, kept in the recording (default: as the box says)",
     )
     parser.add_argument(
         "--rearm",

@@ -3,8 +3,8 @@
 
 ::
 
-    meet     nobody else publishes gains; is it the simulation or the emulator, which may be armed without a person?
-    drive    arm, play, arm anew after a trip; too many trips in a row are the end
+    meet     nobody else publishes gains; which box is it, and may it be armed without a person (simulation, emulator)?
+    drive    wait for the recorder, record the still bench, arm, play, arm anew after a trip; too many trips are the end
     leave    reference 0 N, and a disarm that the plant confirms
 """
 
@@ -16,16 +16,15 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
 from hydro_bridge.console import UserError, progress
 from hydro_bridge.endings import undisturbed
+from hydro_bridge.known_box import KnownBox, told
+from hydro_bridge.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.ros import (
-    DIAGNOSTICS,
-    DIAGNOSTICS_QOS,
     GAINS,
     GAINS_QOS,
     REFERENCE,
@@ -33,6 +32,8 @@ from hydro_bridge.ros import (
     STATE,
     STATE_QOS,
     Companion,
+    RecorderWatch,
+    listen_to_box,
     reference_to_message,
     rivals,
     spin,
@@ -40,7 +41,7 @@ from hydro_bridge.ros import (
 from hydro_bridge.signals import Flag
 from hydro_bridge.signals import ReferenceSignal as Signal
 from hydro_msgs.msg import BenchState, Gains, ReferenceSignal
-from hydro_sim.box import EMULATED_BOX, BoxConfig
+from hydro_sim.box import EMULATED_BOX
 from hydro_sim.learned.playback import Playback
 from hydro_sim.nodes.arming import Arming, tell
 from hydro_sim.schedules import Segment
@@ -49,8 +50,7 @@ TRIPS_IN_A_ROW = 3
 _PERIOD = 0.01  # s, of gains
 _REST = 1.0  # s recorded before arming: the still bench
 _LOOK = 1.0  # s from the first sample on, in which others who publish gains are found
-_NAMED_WITHIN = 3.0  # s from the first sample on; a bridge says once a second which box it has
-_PATIENCE = 8.0  # s without a sample: to say so
+_PLANT_WITHIN = 600.0  # s without a sample
 
 
 class CollectNode(Node):
@@ -72,18 +72,20 @@ class CollectNode(Node):
         """Why it ended before the schedule did, if it did by itself."""
         self.playback = Playback(schedule)
         self._rearm = rearm
-        self._box, self._boxes = BoxConfig(), dict[str, str]()
-        self._heard, self._started = inf, time.monotonic()
+        self.box: KnownBox | None = None
+        """What the plant says of its box: schedules ask for gains in all, and a box takes changes to its own."""
+        self._heard = inf
+        self._readiness = Readiness([self._plant_needed(), told(lambda: self.box is not None)], _warn)
         self._met, self._finished, self._driving = Future(), Future(), False
         self._recorder: Companion | None = None
-        self._bag, self._recorded_since = Path("nowhere"), inf
+        self._begun, self._still_since = False, inf  # whether it may be armed; since when it is not, s
         self._gains = Gains()
         self._bar: Any = None
         self._gains_publisher = self.create_publisher(Gains, GAINS, GAINS_QOS)
         self._reference_publisher = self.create_publisher(ReferenceSignal, REFERENCE, REFERENCE_QOS)
         self._arming = Arming(self)
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
-        self.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
+        listen_to_box(self, self._on_box)
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def meet(self) -> bool:
@@ -92,7 +94,7 @@ class CollectNode(Node):
         Raises
         ------
         UserError
-            Another node publishes gains.
+            Another node publishes gains, no plant comes, or nobody says what the box is.
         """
         broken = spin(self, self._met)
         if not broken and self.ended:
@@ -101,7 +103,8 @@ class CollectNode(Node):
 
     def drive(self, recorder: Companion, bag: Path) -> bool:
         """Play once the recorder says that it has samples in `bag`, while it runs; whether a signal ended it."""
-        self._recorder, self._bag, self._driving = recorder, bag, True
+        self._recorder, self._driving = recorder, True
+        self._readiness = Readiness([RecorderWatch(self, bag, recorder).requirement], _warn)
         self._bar = progress(total=round(self.playback.seconds), label="collecting", unit="s")
         self._arming.begin(rearm=bool(self._rearm))
         return spin(self, self._finished)
@@ -122,14 +125,6 @@ class CollectNode(Node):
         self._heard = min(self._heard, time.monotonic())
         self.playback.on_sample(message.flags)
 
-    def _on_diagnostics(self, message: DiagnosticArray) -> None:
-        for status in message.status:
-            values = {entry.key: entry.value for entry in status.values}
-            if "box" in values:
-                self._boxes[status.name] = values["box"]
-            if values.get("folder") == str(self._bag) and values.get(STATE, "0") != "0":
-                self._recorded_since = min(self._recorded_since, time.monotonic())
-
     def _on_timer(self) -> None:
         if self._driving:
             self._drive_on()
@@ -137,22 +132,17 @@ class CollectNode(Node):
             self._look_around(time.monotonic())
 
     def _look_around(self, now: float) -> None:
-        if self._heard == inf and now - self._started > _PATIENCE:
-            self._started = inf
-            tell(f"! no samples on {STATE} yet: start a bridge or a simulation")
-        if now - self._heard < _LOOK:
+        if not self._ready(now) or now - self._heard < _LOOK:
             return
         self.ended = rivals(self, GAINS)
-        self.plant = self._name_of_plant()
-        if not (self.ended or self.plant) and now - self._heard < _NAMED_WITHIN:
-            return
         if self._rearm is None:
             self._rearm = self.plant in ("sim", EMULATED_BOX)
         self._met.set_result(None)
 
-    def _name_of_plant(self) -> str:
-        names = {info.node_name for info in self.get_publishers_info_by_topic(STATE)}
-        return "sim" if names == {"sim"} else next((self._boxes[name] for name in names if self._boxes.get(name)), "")
+    def _on_box(self, box: KnownBox) -> None:
+        if self._driving and self.box is not None and box.base_gains != self.box.base_gains:
+            self._end("another box with other base gains has been connected: it is left disarmed")
+        self.box, self.plant = box, "sim" if box.plant == "sim" else box.info.name
 
     def _drive_on(self) -> None:
         now = time.monotonic()
@@ -161,12 +151,37 @@ class CollectNode(Node):
         if self._recorder is None or not self._recorder.running:  # nothing moves unrecorded
             self._end("")
             return
-        if now - self._recorded_since < _REST:
+        if not self._begun:
+            self._wait_to_begin(now, armed=bool(self.playback.flags & Flag.ARMED))
             return
         self._follow_schedule()
         self._follow_arming(now)
         self._gains.header.stamp = self.get_clock().now().to_msg()
         self._gains_publisher.publish(self._gains)
+
+    def _wait_to_begin(self, now: float, *, armed: bool) -> None:
+        """Wait until the recorder has a second of the bench at rest; if somebody arms it meanwhile, it is disarmed."""
+        ready = self._ready(now) and not armed
+        self._still_since = min(self._still_since, now) if ready else inf
+        self._arming.wait(self._readiness.awaited or "a second of the still bench", armed=armed, now=now)
+        self._begun = now - self._still_since >= _REST
+
+    def _ready(self, now: float) -> bool:
+        """Whether what must be there is; what never comes is the end."""
+        try:
+            self._readiness.look(now)
+        except NotReadyError as error:
+            self._end(str(error))
+        return self._readiness.complete
+
+    def _plant_needed(self) -> Requirement:
+        return Requirement(
+            name="a plant",
+            ready=lambda: self._heard < inf,
+            hint=f"no samples on {STATE} yet: start a bridge or a simulation",
+            within=_PLANT_WITHIN,
+            missing=f"no samples on {STATE} for {_PLANT_WITHIN:g} s: there is nothing to record",
+        )
 
     def _follow_schedule(self) -> None:
         segment, playback = self.playback.next(), self.playback
@@ -174,10 +189,10 @@ class CollectNode(Node):
             self._end(f"the plant tripped {playback.trips_in_a_row} times in a row: it is left disarmed")
         elif playback.finished:
             self._end("")
-        if segment is not None:
+        if segment is not None and self.box is not None:
             self._reference_publisher.publish(reference_to_message(segment.signal))
-            self._gains.delta_kp = segment.kp - self._box.base_kp
-            self._gains.delta_ki = segment.ki - self._box.base_ki
+            self._gains.delta_kp = segment.kp - self.box.info.base_kp
+            self._gains.delta_ki = segment.ki - self.box.info.base_ki
         if self._bar is not None:
             self._bar.update(int(playback.elapsed) - self._bar.n)
 
@@ -190,6 +205,11 @@ class CollectNode(Node):
             self._arming.seek(tripped=bool(self.playback.flags & Flag.TRIPPED), now=now)
 
     def _end(self, why: str) -> None:
-        if not self._finished.done():
+        over = self._finished if self._driving else self._met
+        if not over.done():
             self.ended = why
-            self._finished.set_result(None)
+            over.set_result(None)
+
+
+def _warn(sentence: str) -> None:
+    tell(f"! {sentence}")

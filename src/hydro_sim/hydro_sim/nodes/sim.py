@@ -11,25 +11,32 @@ import argparse
 import threading
 from collections.abc import Sequence
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 from rosgraph_msgs.msg import Clock
 
 from hydro_bridge.console import command
 from hydro_bridge.guard import CommandGuard, GuardSettings
+from hydro_bridge.known_box import known_box
 from hydro_bridge.nodes.plant_node import PlantNode
 from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
 from hydro_bridge.settings import describe
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import Gains
 from hydro_sim.bench import Bench
-from hydro_sim.box import Box, BoxConfig
+from hydro_sim.box import Box, BoxConfig, box_info
 from hydro_sim.effects.catalogue import label
+from hydro_sim.learned import weights
+from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.pairing import Believed, refuse, unfit
 from hydro_sim.plant import AnalyticPlant, Plant
 from hydro_sim.simulation import SimSettings, Simulation
 
 CLOCK = "/clock"
+SIMULATED_BOX = "hydro sim"
+"""What the simulated box calls itself."""
 CLOCK_DEPTH = 10
 
 
@@ -80,8 +87,8 @@ class SimNode(PlantNode):
             self.get_logger().warning("guard.require_filter is false: gains reach the valve UNFILTERED")
         bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
         believed = Bench.load(settings.box_bench) if settings.box_bench else bench
-        box = Box(believed, declare_parameters(self, BoxConfig(), "box."))
-        plant = _plant(settings, bench)
+        config = declare_parameters(self, BoxConfig(), "box.")
+        box, plant = Box(believed, config), _plant(settings, bench)
         effects = ", ".join(map(label, bench.effects)) if isinstance(plant, AnalyticPlant) else ""
         if effects:
             self.get_logger().info(f"simulates the bench file's effects: {effects}")
@@ -90,12 +97,15 @@ class SimNode(PlantNode):
         self.simulation = SimSide(box, plant, guard, settings, self._publish, self.get_logger().info)
         self.simulation.effects = effects
         self.connect(self.simulation, self.simulation.clock)
+        info = box_info(believed, config, SIMULATED_BOX)
+        self._known = known_box(info, believed.to_mapping(), self.get_name())
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
         self.get_logger().info(be_prompt(realtime=realtime and self.simulation.real_time))
         self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
 
     def begin(self) -> None:
         """Start the plant's thread: not before all settings are right."""
+        self.publish_box(self._known)
         self._thread.start()
 
     def close(self) -> None:
@@ -121,7 +131,11 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
         return AnalyticPlant(bench, noise=settings.noise)
-    return LearnedPlant(None if name == "shipped" else name, noise=settings.noise)
+    learned = Learned.load(None if name == "shipped" else name)
+    thing = f"the model {Path(weights.shipped() if name == 'shipped' else name).name}"
+    remedy = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
+    refuse(unfit(thing, learned.made, Believed.of_file(settings.box_bench or settings.bench or None), remedy))
+    return LearnedPlant(learned, noise=settings.noise)
 
 
 def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:

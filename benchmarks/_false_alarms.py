@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter's watch on its model while nothing is wrong: many benches that were learned, under all that it holds."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from benchmarks._truth_fleet import truth_fleet
+from hydro_bridge.console import progress
+from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_filter import hidden_states, innovations
+from hydro_filter.innovations import COUNT, MONITOR_DTYPE
+from hydro_filter.loop_filter import default_filter
+from hydro_filter.validation_cases import CASES
+from hydro_policy.fleet import Fleet
+from hydro_policy.fleet_filter import fleet_filter
+from hydro_sim.bench import Bench
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
+
+GAINS = ("wide", "wide-slow", "switched-slow", "switched", "unstable-slow", "high", "stable", "base")
+"""Cases of `validate`, in turn: K_p from -40 to 300."""
+BENCHES = 48
+
+
+class Alarms(NamedTuple):
+    """What came out."""
+
+    minutes: float
+    alarms: int
+    tripped: int
+    highest: FloatArray
+    """Largest sum of each equation, shape (5,); `innovations.ALARM` is told."""
+
+
+def references(rng: np.random.Generator, count: int) -> list[ReferenceSignal]:
+    """Sines, multisines, steps and holds within +-350 N and 3 Hz."""
+    kinds = (Waveform.SINE, Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP, Waveform.HOLD)
+    return [
+        ReferenceSignal(
+            waveform=kinds[i % len(kinds)], amplitude=float(rng.uniform(10.0, 300.0)),
+            offset=float(rng.uniform(-50.0, 50.0)), frequency=float(rng.uniform(0.2, 3.0)),
+        )
+        for i in range(count)
+    ]  # fmt: skip
+
+
+@njit
+def _watch(model, monitors, hidden, x, currents, highest):
+    """Samples of all benches: x (benches, n, 8), currents (benches, n)."""
+    alarms = 0
+    for i in range(len(x)):
+        m = monitors[i]
+        for k in range(x.shape[1]):
+            innovations.watch(model, 1.0, m, x[i, k], hidden[i])
+            hidden_states.follow(model[0], x[i, k, 7], currents[i, k], hidden[i])
+            for j in range(COUNT):
+                highest[j] = max(highest[j], m.sums[j, 0], m.sums[j, 1])
+            alarms += m.broken != 0
+            m.broken = 0
+    return alarms
+
+
+def run(plant: str, minutes: float, seed: int) -> Alarms:
+    """So many minutes of bench time, over `BENCHES` benches with a noise, a reference and gains of their own."""
+    rng, bench = np.random.default_rng(seed), Bench.nominal()
+    fleet = truth_fleet(BENCHES) if plant == "emulator" else Fleet([bench] * BENCHES, _sims())
+    fleet.filters = fleet_filter("learned", bench, BENCHES)
+    steps = max(round(60.0 * minutes / BENCHES / (POLICY_SAMPLES * SAMPLE)), 1)
+    gains = np.stack([CASES[GAINS[i % len(GAINS)]].draw(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)])
+    changes = gains - (fleet.config.base_kp, fleet.config.base_ki)
+    for i, signal in enumerate(references(rng, BENCHES)):
+        fleet.begin(i, signal, seed * BENCHES + i)
+    model = default_filter(bench).parts.loop.model
+    monitors, hidden = np.zeros(BENCHES, MONITOR_DTYPE), np.zeros((BENCHES, 3))
+    highest, alarms = np.zeros(COUNT), 0
+    tripped = np.zeros(BENCHES, bool)
+    for k in progress(range(steps), label=f"no alarm, {plant}", unit="step"):
+        samples = fleet.step(changes[:, k])
+        alarms += _watch(model, monitors, hidden, *_read(samples), highest)
+        tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0
+    return Alarms(steps * BENCHES * POLICY_SAMPLES * SAMPLE / 60.0, alarms, int(tripped.sum()), highest)
+
+
+def _sims() -> list[LearnedPlant]:
+    return [LearnedPlant(None) for _ in range(BENCHES)]
+
+
+def _read(samples: StateArray) -> tuple[FloatArray, FloatArray]:
+    x = np.stack([samples[name] for name in PLANT_FIELDS], axis=-1)
+    return x, np.ascontiguousarray(samples["valve_current"])

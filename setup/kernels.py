@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compile the numerical kernels ahead of every run, and tell whether that is done.
+
+numba keeps what it has compiled beside the sources and begins anew where a source, the Python or the processor is
+another. What the warm-up read and left is written into a stamp; while all of it is as it was, nothing has to be done.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from setup import stamp
+from setup.layout import Layout
+from setup.progress import run_logged
+
+RECORDING = "HYDRO_COMPILATIONS"
+"""The environment variable by which `hydro_sim.compilations` writes down what a run compiles: this is none."""
+
+HINT = "`make lint` says what is wrong with a source that was edited. "
+
+
+def machine_digest(wheels_digest: str) -> str:
+    """Digest of what compiled code depends on besides the sources."""
+    cache = os.environ.get("NUMBA_CACHE_DIR", "")
+    return stamp.digest([wheels_digest, f"cache {cache}", f"processor {_processor()}"])
+
+
+def are_current(layout: Layout, machine: str) -> bool:
+    """Say whether all kernels are compiled, of the sources as they are."""
+    try:
+        found = json.loads(layout.kernels_stamp.read_text())
+        sources = {path: [(stat := os.stat(path)).st_mtime_ns, stat.st_size] for path in found["sources"]}
+    except (OSError, ValueError, KeyError):
+        return False
+    return bool(
+        found["machine"] == machine and sources == found["sources"] and all(map(os.path.exists, found["caches"]))
+    )
+
+
+def compile_all(layout: Layout, machine: str, environment: Mapping[str, str]) -> None:
+    """Compile what is not compiled yet, in processes of the environment, and write the stamp.
+
+    Raises
+    ------
+    SetupError
+        A kernel cannot be compiled.
+    """
+    layout.kernels_stamp.unlink(missing_ok=True)
+    sourced = ["bash", "-c", 'source "$0" && exec "$@"', str(layout.install / "setup.bash")]
+    words = ["-m", "setup.compile_kernels", "--machine", machine, "--stamp", str(layout.kernels_stamp)]
+    quiet = {name: value for name, value in environment.items() if name != RECORDING}
+    run_logged([*sourced, str(layout.python), *words], layout.log("kernels"), quiet, HINT, layout.root)
+
+
+def _processor() -> str:
+    """What numba compiles for: model and features of the first core."""
+    try:
+        first = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
+    except OSError:
+        return "unknown"
+    return "\n".join(line for line in first if line.startswith(("model name", "flags", "Features")))

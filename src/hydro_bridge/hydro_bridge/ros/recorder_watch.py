@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the recorder that writes a folder has samples: it says so once a second on /diagnostics."""
+
+from __future__ import annotations
+
+import time
+from math import inf
+from pathlib import Path
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from hydro_bridge.readiness import NotReadyError, Requirement
+from hydro_bridge.ros.companion import Companion
+from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, STATE
+
+WITHIN = 60.0
+"""s that a recorder is waited for once samples come: on a busy machine it takes some to find them."""
+
+
+class RecorderWatch:
+    """Hears one recorder.
+
+    Parameters
+    ----------
+    node
+        Hears on its behalf.
+    folder
+        Of the recording, as the recorder was told it.
+    recorder
+        Its process.
+    """
+
+    def __init__(self, node: Node, folder: Path, recorder: Companion) -> None:
+        self.since = inf
+        """When it first said that it has samples, s of the monotonic clock."""
+        self._folder, self._recorder = str(folder), recorder
+        node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
+
+    @property
+    def requirement(self) -> Requirement:
+        """That it records: nothing moves before. What ends later is told, and hinders nothing."""
+        return Requirement(
+            name="the recorder",
+            ready=self._ready,
+            hint="it says once a second how many samples it has",
+            within=WITHIN,
+            missing=f"the recorder had no sample after {WITHIN:g} s: nothing is armed unrecorded",
+        )
+
+    def _ready(self) -> bool:
+        if self.since == inf and not self._recorder.running:
+            raise NotReadyError("the recorder ended before it had a sample: nothing is armed unrecorded")
+        return self.since < inf
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {entry.key: entry.value for entry in status.values}
+            if values.get("folder") == self._folder and values.get(STATE, "0") != "0":
+                self.since = min(self.since, time.monotonic())

@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What set-up runs so that no executable of this package compiles: each entry point once, on small real inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hydro_filter import metric_levels
+from hydro_filter.choice import CONSTANT, LEARNED, Choice, warm_up
+from hydro_filter.learned_metric import LearnedMetric
+from hydro_filter.loop_model import loop_model
+from hydro_filter.metric_data import DataSettings, collect
+from hydro_filter.validation import FILTERS, Task, outcome
+from hydro_filter.validation_cases import CASES
+from hydro_filter.validation_plants import PLANTS
+from hydro_sim.bench import Bench
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.learned.structured_model import StructuredModel
+
+
+def _filter(metric: str) -> None:
+    choice = Choice(bench=Bench.nominal(), metric=metric)
+    warm_up(choice.make(choice.default_settings()), choice.bench)
+
+
+def _validation() -> None:
+    for plant, chosen in [("emulator", name) for name in FILTERS] + [(PLANTS[-1], FILTERS[0])]:
+        outcome(Task(plant=plant, case=next(iter(CASES)), filter=chosen, seed=0, seconds=0.1))
+
+
+def _metric_learning() -> None:
+    learned, bench = Learned.load(), Bench.nominal()
+    assert isinstance(learned.model, StructuredModel)
+    loop, plant = loop_model(learned.model, bench), LearnedPlant(learned)
+    rollout, _ = next(collect(plant, bench, loop, DataSettings(rollouts=8, seconds=2.0, windows=1)))
+    metric = LearnedMetric.load(None)
+    metric.matrix(plant.reset(0), float(np.inf))
+    metric_levels.displacements(loop, plant, 60.0, 0)
+    metric_levels.integral_terms(loop, rollout.states[:2])
+
+
+STEPS: dict[str, Callable[[], None]] = {
+    "filter, learned metric": lambda: _filter(LEARNED),
+    "filter, constant metric": lambda: _filter(CONSTANT),
+    "validation": _validation,
+    "metric learning": _metric_learning,
+}
+"""By what is said while one runs."""

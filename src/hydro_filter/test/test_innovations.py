@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter's watch on its own model: told within a second where it does not hold, silent where it does."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_filter.innovations import EQUATIONS, RETURN
+from hydro_filter.loop_filter import LoopFilter, default_filter
+from hydro_filter.sample import Sample
+from hydro_filter.trial import Run, Trial, run
+from hydro_filter.validation_cases import CASES
+from hydro_filter.validation_plants import ChangingPlant, changed
+from hydro_sim.bench import Bench
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.plant import Plant
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
+CHANGE = 1500
+"""Sample of the change; the reference has faded in long before."""
+
+
+@pytest.fixture(scope="module")
+def contraction_filter() -> LoopFilter:
+    return default_filter(Bench.nominal())
+
+
+def played(
+    contraction_filter: LoopFilter, plant: Plant, seconds: float, gains: FloatArray | None = None, seed: int = 0
+) -> Run:
+    chosen = np.tile((250.0, 15.0), (round(100 * seconds), 1)) if gains is None else gains
+    return run(Trial(bench=Bench.nominal(), reference=SINE, gains=chosen, seed=seed), plant, contraction_filter)
+
+
+def mismatches(done: Run) -> FloatArray:
+    """Samples that were answered MISMATCH."""
+    return np.flatnonzero([result.status is CorrectionStatus.MISMATCH for result in done.results])
+
+
+def becoming(*changes: Mapping[str, Any], at: tuple[int, ...] = (CHANGE,)) -> ChangingPlant:
+    return ChangingPlant([changed({}), *map(changed, changes)], at)
+
+
+SPRINGS = [({"bench": {"spring_stiffness": 1e3 * k}}, ("load", "motion")) for k in (10.0, 14.0, 28.0, 30.0, 50.0)]
+OTHERS = [
+    ({"bench": {"supply_pressure": 10e6}}, ("chamber a", "chamber b")),
+    ({"effects": {"valve_gain": {"ratio": 0.75}}}, ("chamber a", "chamber b")),
+    ({"bench": {"piston_area": 2.6e-4}}, ("chamber a", "chamber b", "hydraulic force")),
+]
+
+
+@pytest.mark.parametrize(("change", "names"), [*SPRINGS, *OTHERS], ids=lambda value: str(value))
+def test_a_bench_that_changes_is_told_within_a_second_by_the_equation_that_no_longer_holds(
+    contraction_filter: LoopFilter, change: dict[str, Any], names: tuple[str, ...]
+) -> None:
+    done = played(contraction_filter, becoming(change), 2.5)
+    told = mismatches(done)
+    assert len(told) and CHANGE < told[0] < CHANGE + 1000
+    assert any(f"the model's {name} (" in contraction_filter.mismatch for name in names), contraction_filter.mismatch
+
+
+def test_under_a_mismatch_nothing_is_corrected_no_certificate_is_claimed_and_the_gains_are_narrow(
+    contraction_filter: LoopFilter,
+) -> None:
+    done = played(contraction_filter, becoming(SPRINGS[3][0]), 2.0)
+    first = int(mismatches(done)[0])
+    assert all(result.status is CorrectionStatus.MISMATCH for result in done.results[first:])
+    assert all(result.delta_u == 0.0 and np.isnan(result.before) for result in done.results[first:])
+    assert done.states["proportional_gain"][first] == 250.0
+    after = done.states[first + 1 :]
+    assert (after["proportional_gain"] == 90.0).all() and (after["integral_gain"] == 15.0).all()
+    assert ((after["flags"] & Flag.FILTER_STALE) != 0).all()
+
+
+def test_the_bench_that_was_learned_raises_no_alarm(contraction_filter: LoopFilter) -> None:
+    for plant, case, seed in ((becoming(at=()), "wide", 3), (LearnedPlant(None), "wide-slow", 4)):
+        done = played(contraction_filter, plant, 6.0, CASES[case].draw(seed, 6.0), seed)
+        assert not len(mismatches(done)) and done.bounded
+
+
+@pytest.mark.slow
+def test_minutes_on_the_learned_bench_raise_no_alarm(contraction_filter: LoopFilter) -> None:
+    for seed, case in enumerate(("wide", "wide-slow", "switched-slow", "high", "unstable-slow", "base")):
+        done = played(contraction_filter, becoming(at=()), 30.0, CASES[case].draw(seed, 30.0), seed)
+        assert not len(mismatches(done)) and done.bounded, case
+
+
+def test_a_mismatch_stays_until_the_bench_is_the_learned_one_again_for_seconds_of_motion(
+    contraction_filter: LoopFilter,
+) -> None:
+    back = 2500
+    done = played(contraction_filter, becoming(SPRINGS[3][0], {}, at=(CHANGE, back)), 9.5)
+    told = mismatches(done)
+    assert (np.diff(told) == 1).all() and told[-1] >= back + RETURN
+    assert done.results[-1].status is not CorrectionStatus.MISMATCH
+    assert done.states["proportional_gain"][-1] == 250.0
+
+
+def test_missing_samples_neither_raise_an_alarm_nor_end_one(contraction_filter: LoopFilter) -> None:
+    """Left out: a piece of 30 ms in every 200 ms, which nobody's spool and force would come through."""
+    for plant, broken in ((becoming(at=()), False), (becoming(SPRINGS[4][0]), True)):
+        states = played(contraction_filter, plant, 4.0).states
+        contraction_filter.reset()
+        for k, record in enumerate(states):
+            if k % 200 == 30:
+                contraction_filter.skip()
+            if k % 200 >= 30:
+                contraction_filter.correct(Sample.of(record))
+        assert bool(contraction_filter.mismatch) == broken
+
+
+def test_a_wrong_sample_is_no_mismatch(contraction_filter: LoopFilter) -> None:
+    states = played(contraction_filter, becoming(at=()), 1.0).states
+    states["load_force"][500] += 400.0
+    states["pressure_a"][600] += 5e6
+    contraction_filter.reset()
+    for record in states:
+        contraction_filter.correct(Sample.of(record))
+    assert not contraction_filter.mismatch
+
+
+def test_every_equation_has_a_name_for_its_suspects(contraction_filter: LoopFilter) -> None:
+    for place in range(len(EQUATIONS)):
+        contraction_filter.reset()
+        contraction_filter.monitor["broken"] = place + 1
+        assert EQUATIONS[place] in contraction_filter.mismatch
+    contraction_filter.reset()
+    assert not contraction_filter.mismatch

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a run expects of the box, from the command line before there is a plant, and whether the box is that one."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from math import isclose
+from pathlib import Path
+
+from hydro_bridge.known_box import KnownBox
+from hydro_policy.controllers import policy_file
+from hydro_policy.nodes.options import plant_options
+from hydro_policy.start import Start
+from hydro_policy.task import BASE
+from hydro_sim.box import BoxConfig
+from hydro_sim.pairing import Believed, MadeFor, refuse, unfit
+from hydro_sim.stamping import stamp_of
+
+PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
+
+
+def planned(options: argparse.Namespace) -> Believed:
+    """The box that the words are about: --bench and --base-gains, or the nominal ones; not known of a plant that runs.
+
+    Raises
+    ------
+    ValueError
+        The bench file cannot be used.
+    UserError
+        A plant that runs is told what its box is.
+    """
+    plant_options(options)
+    if options.plant == "external":
+        return Believed(digest="", source="the plant that runs")
+    box = Believed.of_file(options.bench, tuple(options.base_gains or BASE))
+    return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
+
+
+def surprise(plan: Believed, box: KnownBox) -> str:
+    """Why the box is not the one that a run was planned for, and what to say instead; empty where it is."""
+    if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
+        told = f"the box believes {Believed.of_box(box).told}, this run was planned for bench {plan.told}"
+        return f"{told}: name the bench.yaml of this box by --bench"
+    expected = plan.base_gains or box.base_gains
+    if not all(isclose(*pair, rel_tol=1e-6) for pair in zip(expected, box.base_gains, strict=True)):
+        kp, ki = box.base_gains
+        told = f"the box adds changes to base gains ({kp:g}, {ki:g}), this run was planned for {_pair(expected)}"
+        return f"{told}: say --base-gains {kp:g} {ki:g}"
+    return ""
+
+
+def refuse_start(start: Start | None, box: Believed) -> None:
+    """Raise PairingError if this agent was not made for this box."""
+    if start is not None:
+        remedy = f"{PRETRAIN}, or begin without one: --from scratch"
+        refuse(unfit(f"the agent {start.source.name}", start.made, box, remedy))
+
+
+def refuse_policy(path: Path, box: Believed) -> None:
+    """Raise PairingError if the policy of this run or file was not made for this box; ValueError if there is none."""
+    file = policy_file(path)
+    refuse(unfit(f"the policy {path.name}", stamp_of(file), box, PRETRAIN))
+
+
+def refuse_resumed(run: Path, made: MadeFor | None, box: Believed) -> None:
+    """Raise PairingError if a run was begun on another box; one of before there were stamps goes on."""
+    if made is not None:
+        refuse(unfit(f"the run {run.name}", made, box, "go on with it on its own box, or begin one here"))
+
+
+def made_on(box: Believed) -> MadeFor:
+    """The stamp of what is trained on this box."""
+    kp, ki = box.base_gains or (None, None)
+    return MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral)
+
+
+def _pair(gains: tuple[float, float]) -> str:
+    return f"({gains[0]:g}, {gains[1]:g})"

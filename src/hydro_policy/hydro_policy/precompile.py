@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What set-up runs so that no executable of this package compiles: each entry point once, on small real inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from itertools import product
+
+import numpy as np
+import torch
+
+from hydro_bridge.signals import ReferenceSignal
+from hydro_policy.configurations import CONFIGURATIONS, configuration
+from hydro_policy.fleet import Fleet
+from hydro_policy.fleet_filter import FILTERS, fleet_filter
+from hydro_policy.learner import compile_updates
+from hydro_policy.task import ACTIONS
+from hydro_sim import precompile
+from hydro_sim.bench import Bench
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.plant import AnalyticPlant, Plant
+
+
+def _learner() -> None:
+    torch.set_grad_enabled(False)  # as the learner
+    for name in CONFIGURATIONS:
+        compile_updates(configuration(name).sac)
+
+
+def _fleet(plant: Callable[[], Plant], filter_kind: str) -> None:
+    bench = Bench.nominal()
+    fleet = Fleet([bench], [plant()], filters=fleet_filter(filter_kind, bench, 1))
+    fleet.begin(0, ReferenceSignal(), 0)
+    fleet.step(np.zeros((1, ACTIONS)))
+
+
+def _analytic() -> Plant:
+    return AnalyticPlant(Bench.nominal())
+
+
+def _network() -> Plant:
+    return LearnedPlant(precompile.learned("network"))
+
+
+_PLANTS: dict[str, Callable[[], Plant]] = {"analytic": _analytic, "learned": LearnedPlant, "network": _network}
+
+STEPS: dict[str, Callable[[], None]] = {
+    "learner": _learner,
+    **{
+        f"{name} benches, filter {kind}": partial(_fleet, make, kind)
+        for (name, make), kind in product(_PLANTS.items(), FILTERS)
+    },
+}
+"""By what is said while one runs."""

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The order of things on the real box and plant: ready, armed, acting; and what an armed wait leaves behind."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydro_bridge.readiness import NotReadyError, Requirement
+from hydro_bridge.signals import Flag
+from hydro_policy.arming import HOW_TO_ARM
+from hydro_policy.cases import EvaluationSettings, ExamSettings
+from hydro_policy.controllers import FixedGains
+from hydro_policy.episode import Phase
+from hydro_policy.evaluation import EvaluationSession
+from hydro_policy.offline import InlineLearner, OfflineGraph
+from hydro_policy.run import TrainingSettings
+from hydro_policy.sac import SacSettings
+from hydro_policy.session import Session
+from hydro_policy.task import TaskSettings
+from hydro_policy.training import TrainingSession
+from hydro_policy.watch import IDLE
+from hydro_sim.bench import Bench
+from hydro_sim.plant import AnalyticPlant
+
+BENCH = Bench.nominal()
+OFF_CENTRE = replace(BENCH, effects=({"id": "valve_offset", "parameters": {"current": 5e-5}},))
+"""A valve that is not closed at 0 A: an armed wait winds up the integral against it, as against dry friction."""
+SHORT = TrainingSettings(
+    episodes=1,
+    warmup_steps=50,
+    replay_capacity=4000,
+    exam=ExamSettings(every=0),
+    sac=SacSettings(batch_size=32),
+    task=TaskSettings(steps_per_episode=150),
+)
+
+
+class Timed(OfflineGraph):
+    """Keeps when what happened; the filter's corrections reach the plant from `filtered_from` [s] on."""
+
+    def __init__(self, filtered_from: float = 0.0) -> None:
+        super().__init__(AnalyticPlant(OFF_CENTRE), BENCH)
+        self.filtered_from = filtered_from
+        self.armed_at: list[float] = []
+        self.disarmed_at: list[float] = []
+        self.acted_at: list[float] = []
+        self.integral_then: list[float] = []
+        """The force law's integral whenever gains went out."""
+
+    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+        super().gains(delta_kp, delta_ki, step)
+        self.acted_at.append(self.time)
+        self.integral_then.append(float(self.box.state["integral"][0]))
+
+    def sample(self) -> np.void:
+        before = bool(self.box.state["armed"][0])
+        fresh = self.guard.correction_fresh
+        if self.time < self.filtered_from:
+            self.guard.correction_fresh = lambda now: False  # type: ignore[method-assign]
+        try:
+            output = super().sample()
+        finally:
+            self.guard.correction_fresh = fresh  # type: ignore[method-assign]
+        armed = bool(output["flags"] & Flag.ARMED)
+        if armed != before:
+            (self.armed_at if armed else self.disarmed_at).append(self.time)
+        return output
+
+    def wait_armed(self, seconds: float) -> None:
+        """Somebody arms by hand, and goes for a coffee."""
+        for arm in (False, True):
+            self.arm(arm)
+            self.sample()
+        for _ in range(round(1000 * seconds)):
+            self.sample()
+
+
+def from_when(name: str, graph: OfflineGraph, since: float, within: float = 60.0) -> Requirement:
+    missing = f"{name} never came"
+    return Requirement(name=name, ready=lambda: graph.time >= since, hint="", within=within, missing=missing)
+
+
+class SlowLearner(InlineLearner):
+    """Compiles until `ready_from` [s] of the graph's time."""
+
+    def __init__(self, graph: OfflineGraph, ready_from: float) -> None:
+        super().__init__(SHORT)
+        self._graph, self.ready_from = graph, ready_from
+
+    @property
+    def ready(self) -> bool:  # type: ignore[override]
+        return self._graph.time >= self.ready_from
+
+    @ready.setter
+    def ready(self, value: bool) -> None: ...
+
+
+def training(graph: OfflineGraph, learner: InlineLearner, *requirements: Requirement, rearm: bool = True) -> Session:
+    return TrainingSession(SHORT, learner, graph, rearm=rearm, requirements=requirements)
+
+
+def evaluation(graph: OfflineGraph, _: InlineLearner, *requirements: Requirement, rearm: bool = True) -> Session:
+    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
+    return EvaluationSession(settings, [FixedGains(90.0, 15.0)], graph, rearm=rearm, requirements=requirements)
+
+
+SESSIONS = pytest.mark.parametrize("make", [training, evaluation])
+
+
+@pytest.mark.parametrize("last", ["filter", "learner", "recorder"])
+def test_the_plant_is_armed_when_the_last_of_all_is_ready_and_acted_upon_at_once(last: str) -> None:
+    at = {name: 3.0 if name == last else 1.0 for name in ("filter", "learner", "recorder")}
+    graph = Timed(at["filter"])
+    learner = SlowLearner(graph, at["learner"])
+    session = training(graph, learner, from_when("the recorder", graph, at["recorder"]))
+    graph.run(session, 4.0, learner)
+    assert len(graph.armed_at) == 1 and 3.0 <= graph.armed_at[0] < 3.3
+    assert graph.armed_at[0] <= graph.acted_at[0] < graph.armed_at[0] + 0.06, "one tick, no waiting armed"
+
+
+@SESSIONS
+def test_a_plant_that_waited_armed_is_in_a_defined_state_when_something_acts(make: Callable[..., Session]) -> None:
+    graph, learner = Timed(), InlineLearner(SHORT)
+    graph.wait_armed(20.0)
+    waited = abs(float(graph.box.state["integral"][0]))
+    session = make(graph, learner)
+    graph.run(session, 0.5, learner)
+    assert len(graph.armed_at) == 2 and graph.disarmed_at[0] < graph.armed_at[1] <= graph.acted_at[0]
+    assert abs(graph.integral_then[0]) < 0.05 * waited
+
+
+@SESSIONS
+def test_where_a_person_arms_a_plant_that_was_found_armed_waits_for_that_person(make: Callable[..., Session]) -> None:
+    graph, learner = Timed(), InlineLearner(SHORT)
+    graph.wait_armed(1.0)
+    session = make(graph, learner, rearm=False)
+    graph.run(session, 5.0, learner)
+    assert graph.acted_at == [] and len(graph.armed_at) == 1 and len(graph.disarmed_at) == 1
+    assert "armed before all was ready" in graph.sentences[0] and HOW_TO_ARM in graph.sentences[-1]
+    session.watch.arm_now(graph.time)
+    graph.run(session, 0.5, learner)
+    assert graph.acted_at and graph.armed_at[1] <= graph.acted_at[0]
+
+
+def test_a_learner_that_is_lost_in_a_pause_is_awaited_before_the_plant_is_armed_again() -> None:
+    graph = Timed()
+    learner = SlowLearner(graph, 0.0)
+    session = training(graph, learner)
+    graph.run(session, 1.0, learner)
+    assert session.phase is Phase.TRAINING
+    learner.ready_from = graph.time + 3.0
+    graph.run(session, 0.2, learner)
+    assert session.phase is Phase.TRAINING, "acting does not wait for learning"
+    graph.arm(False)
+    graph.run(session, 2.0, learner)
+    assert session.phase is Phase.PAUSED and len(graph.armed_at) == 1
+    graph.run(session, 1.5, learner)
+    assert session.phase is Phase.TRAINING and graph.armed_at[1] >= learner.ready_from
+
+
+def test_after_gains_that_a_person_held_for_long_the_plant_is_armed_anew_and_the_episode_begins_anew() -> None:
+    graph, learner = Timed(), InlineLearner(SHORT)
+    session = training(graph, learner)
+    graph.run(session, 1.0, learner)
+    session.override.hold(20.0, 5.0, 0.0, graph.time)
+    graph.run(session, IDLE + 1.0, learner)
+    assert len(graph.armed_at) == 1, "while it is held nothing is disarmed"
+    session.override.release()
+    graph.run(session, 1.0, learner)
+    assert len(graph.armed_at) == 2 and session.phase is Phase.TRAINING
+    first = next(i for i, when in enumerate(graph.acted_at) if when >= graph.armed_at[1])
+    assert abs(graph.integral_then[first]) < 0.05 * max(map(abs, graph.integral_then))
+    assert session.progress.interruptions == 1
+
+
+@SESSIONS
+def test_what_never_gets_ready_ends_the_session_in_its_sentence_and_nothing_was_armed(
+    make: Callable[..., Session],
+) -> None:
+    graph, learner = Timed(), InlineLearner(SHORT)
+    session = make(graph, learner, from_when("the recorder", graph, np.inf, within=5.0))
+    with pytest.raises(NotReadyError, match="the recorder never came"):
+        graph.run(session, 6.0, learner)
+    assert graph.armed_at == [] and graph.acted_at == []

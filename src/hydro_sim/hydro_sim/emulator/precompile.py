@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What set-up runs so that the emulator does not compile: each entry point once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth_config import profile
+from hydro_sim.learned import schedule
+
+
+def _emulator() -> None:
+    truth = profile("default")
+    machine = Machine(truth)
+    machine.warm_up()
+    machine.plant.step(0.0)
+    machine.plant.run(np.zeros(1))
+    record_offline(truth, schedule.draw(0.1, 0))
+
+
+STEPS: dict[str, Callable[[], None]] = {"emulator": _emulator}
+"""By what is said while one runs."""

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What set-up runs so that no executable of this package compiles: each entry point once, on small real inputs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+
+from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_sim.bench import Bench
+from hydro_sim.learned import adam, evaluation, identification, recordings, training
+from hydro_sim.learned.analytic import AnalyticModel
+from hydro_sim.learned.evaluation import Scored
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.offline import Schedule, simulate
+from hydro_sim.plant import AnalyticPlant, Plant
+
+_SECONDS = 8.0
+"""Of the recording that is learned from: the shortest of which something is left to validate on."""
+
+
+def _simulation() -> None:
+    _simulated(AnalyticPlant(Bench.nominal()))
+    _simulated(LearnedPlant())
+
+
+def _simulated(plant: Plant) -> None:
+    """A run with everything that a schedule can have, as `collect`, the diagnosis and the filter's training ask."""
+    run = Schedule(reference=ReferenceSignal(), gains=(60.0, 10.0), seconds=0.1)
+    bench = Bench.nominal()
+    simulate(plant, bench, run)
+    simulate(plant, bench, replace(run, correction=np.zeros(run.samples)))
+    plant.step(0.0)
+
+
+def learned(structure: str, hidden: tuple[int, ...] = (32, 32)) -> Learned:
+    """A model after one epoch on a short recording."""
+    data = _data()
+    few = training.STRUCTURED_ADAM if structure == "structured" else adam.Settings()
+    settings = training.Settings(structure=structure, hidden=hidden, batch=64, stride=500, adam=replace(few, epochs=1))
+    model = training.start(data, settings, Bench.nominal())
+    if isinstance(model, StructuredModel):
+        identification.left(model, data)
+    *_, (_, trained) = training.steps(model, data, settings)
+    return training.finished(trained, data, {})
+
+
+def _learning(structure: str, hidden: tuple[int, ...] = (32, 32)) -> None:
+    """`learn` in small, `validate` of its outcome, and the outcome as a plant."""
+    made = learned(structure, hidden)
+    _simulated(LearnedPlant(made))
+    scored = [Scored(run=run, truth=None) for run in _data().training]
+    for predictor in (made.model, AnalyticModel(Bench.nominal())):
+        states = [predictor.estimate(item.run) for item in scored]
+        evaluation.judge(predictor, states, scored, recorded=True, horizon=70, stride=500)
+
+
+@cache
+def _data() -> recordings.Data:
+    reference = ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=260.0, frequency=0.7)
+    run = Schedule(reference=reference, gains=(60.0, 10.0), seconds=_SECONDS)
+    return recordings.split({"recording": simulate(AnalyticPlant(Bench.nominal()), Bench.nominal(), run)})
+
+
+STEPS: dict[str, Callable[[], None]] = {
+    "simulation": _simulation,
+    "learning, structured": lambda: _learning("structured"),
+    "learning, network": lambda: _learning("network"),
+    "learning, residual": lambda: _learning("residual"),
+    "learning, deep network": lambda: _learning("network", (16, 16, 16)),
+}
+"""By what is said while one runs."""

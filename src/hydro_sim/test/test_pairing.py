@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stamps: what a file was made for, and when that is not the box it meets."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hydro_bridge import bench_file
+from hydro_bridge.frames import BoxInfo
+from hydro_bridge.known_box import differences, known_box
+from hydro_bridge.recording import BagWriter
+from hydro_bridge.signals import STATE_DTYPE
+from hydro_bridge.user_errors import UserError
+from hydro_sim.bench import Bench
+from hydro_sim.box import BoxConfig, box_info, with_base_gains
+from hydro_sim.learned import recordings, weights
+from hydro_sim.learned.model import Learned
+from hydro_sim.pairing import Believed, MadeFor, unfit
+from hydro_sim.stamping import header_of, stamp_of, stamped
+
+BOX = Believed(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral="bumpless")
+
+
+def test_a_digest_is_of_the_numbers_not_of_how_they_are_written(bench: Bench, tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text("# another comment\n" + yaml.safe_dump(bench.to_mapping(), sort_keys=True).replace("80.0", "80"))
+    assert Bench.load(path).digest == bench.digest == bench_file.digest(bench_file.read_numbers(path))
+    assert replace(bench, spring_stiffness=20000).digest == bench.digest
+    assert replace(bench, spring_stiffness=20000.1).digest != bench.digest
+    assert replace(bench, load_cell_bandwidth=None).digest != bench.digest
+
+
+def test_what_was_made_for_this_box_fits_and_each_difference_is_one_sentence() -> None:
+    made = MadeFor(box="a", model="m", base_kp=15.0, base_ki=5.0, integral="bumpless")
+    assert unfit("it", made, BOX, "remedy", model="m") == ""
+    assert unfit("it", replace(made, base_kp=None, base_ki=None, integral=""), BOX, "remedy", model="m") == ""
+    assert unfit("it", None, BOX, "remedy").startswith("it does not say which bench it was made for: remedy")
+    for wrong, sentence in (
+        (replace(made, box="b"), "it was made for bench b, the box believes a (a.yaml): remedy"),
+        (replace(made, model="n"), "it was made for model n, it is to be used with model m: remedy"),
+        (replace(made, base_ki=8.0), "it was made for a box with base K_i 8, this one has 5: remedy"),
+        (replace(made, integral="paper"), "it was made for the paper integral, the box runs the bumpless one: remedy"),
+    ):
+        assert unfit("it", wrong, BOX, "remedy", model="m") == sentence
+
+
+def test_what_was_trained_on_any_bench_needs_the_same_base_gains_alone() -> None:
+    made = MadeFor(box="b", base_kp=15.0, base_ki=5.0, any_bench=True)
+    assert unfit("it", made, BOX, "remedy") == ""
+    assert "base K_p" in unfit("it", made, replace(BOX, base_gains=(30.0, 5.0)), "remedy")
+
+
+def test_a_stamp_changes_no_tensor_and_no_digest_of_a_model(tmp_path: Path) -> None:
+    blob, path = weights.shipped().read_bytes(), tmp_path / "model.safetensors"
+    made = MadeFor(box="b", model="m", base_kp=1.0, base_ki=2.0, integral="paper", any_bench=True)
+    path.write_bytes(stamped(blob, made))
+    assert stamp_of(path) == made == Learned.load(path).made
+    assert weights.digest(path) == weights.digest(weights.shipped())
+    before, after = weights.load(weights.shipped())[0], weights.load(path)[0]
+    assert before.keys() == after.keys()
+    assert all(np.array_equal(before[name], after[name]) for name in before)
+    path.write_bytes(stamped(path.read_bytes(), None))
+    assert stamp_of(path) is None and Learned.load(path).made is None
+    with pytest.raises(ValueError, match="no readable entry"):
+        header_of(b"nonsense")
+
+
+def test_a_model_that_is_loaded_and_saved_keeps_its_stamp(tmp_path: Path) -> None:
+    learned = replace(Learned.load(), made=MadeFor(box="b"))
+    learned.save(tmp_path / "m.safetensors")
+    assert Learned.load(tmp_path / "m.safetensors").made == MadeFor(box="b")
+
+
+def test_a_box_that_contradicts_its_bench_file_is_told_and_does_not_get_its_digest(bench: Bench) -> None:
+    info, numbers = box_info(bench, BoxConfig(), "box"), bench.to_mapping()
+    as_sent = replace(info, valve_current_max=float(np.float32(info.valve_current_max)))
+    assert differences(as_sent, numbers) == "" and known_box(as_sent, numbers, "bridge").bench_digest == bench.digest
+    wider = replace(info, valve_current_max=0.08)
+    assert differences(wider, numbers) == "its valve_current_max is 0.08 A, the bench file says 0.05 A"
+    assert known_box(wider, numbers, "bridge").bench_digest == replace(bench, valve_current_max=0.08).digest
+    assert "sample period is 0.002 s" in differences(replace(info, sample_period=2e-3), None)
+    assert known_box(BoxInfo(), None, "bridge").bench_digest == ""
+
+
+def test_a_box_with_other_base_gains_keeps_its_limits_in_all() -> None:
+    usual, other = BoxConfig(), with_base_gains(60.0, 8.0)
+    assert (other.base_kp, other.base_ki) == (60.0, 8.0)
+    for name in ("kp", "ki"):
+        for end in ("min", "max"):
+            reach = [getattr(box, f"base_{name}") + getattr(box, f"delta_{name}_{end}") for box in (usual, other)]
+            assert reach[0] == pytest.approx(reach[1])
+
+
+def _bag(folder: Path, bench: Bench | None) -> Path:
+    kept = {} if bench is None else {"bench.yaml": yaml.safe_dump(bench.to_mapping()).encode()}
+    with BagWriter(folder, attachments=kept) as bag:
+        bag.write_states(np.zeros(3, STATE_DTYPE))
+    return folder
+
+
+def test_recordings_say_what_their_box_believed_and_two_benches_make_no_model(bench: Bench, tmp_path: Path) -> None:
+    own = replace(bench, spring_stiffness=4e4)
+    silent, mine, theirs = (_bag(tmp_path / name, b) for name, b in (("s", None), ("m", own), ("t", bench)))
+    assert recordings.believed([silent]) == ""
+    assert recordings.believed([silent, mine]) == own.digest
+    with pytest.raises(recordings.DataError, match="believed different benches"):
+        recordings.believed([mine, theirs])
+
+
+def test_a_file_that_is_no_bench_is_one_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    for text in ("3", "stroke: abc", "stroke: true", "a: [b"):
+        path.write_text(text)
+        with pytest.raises(UserError, match=r"is no bench\.yaml"):
+            bench_file.read_numbers(path)
+    with pytest.raises(UserError, match="No such file"):
+        bench_file.read_numbers(tmp_path / "nowhere.yaml")

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The first start of every executable is the tenth: set-up has compiled what they need."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.ros import executable_path
+from hydro_sim.compilations import VARIABLE, read_compilations
+from tests.graph_probe import own_domain
+
+pytestmark = pytest.mark.graph
+
+SHORT = ("--ros-args", "-p", "task.steps_per_episode:=200", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
+PLANTS = ("sim", "emulator")
+
+
+def run(words: str, folder: Path, *more: str) -> set[str]:
+    """Run `package executable words`, {out} being `folder`; what was compiled meanwhile, by all its processes."""
+    log = folder / "compilations.jsonl"
+    package, executable, *rest = words.format(out=folder).split()
+    command = [str(executable_path(package, executable)), *rest, *more]
+    environment = {**os.environ, VARIABLE: str(log)}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=280, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    return {f"{line['program']}: {line['function']}" for line in read_compilations(log)}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def apart() -> Iterator[None]:
+    with own_domain():
+        yield
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recording")
+    assert run("hydro_sim emulator --offline --seconds 8 --out {out}/bag", folder) == set()
+    return folder / "bag"
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> None:
+    words = f"hydro_policy trainer --plant {plant} --configuration wide --episodes 1 --runs {{out}}/runs"
+    assert run(words, tmp_path, *SHORT) == set()
+    assert run(f"hydro_policy evaluate --plant {plant} --fixed 60 10 --frequencies 2 --settle 0.5", tmp_path) == set()
+
+
+def test_a_filter_with_the_constant_metric_and_an_analytic_plant_compile_nothing(tmp_path: Path) -> None:
+    words = "hydro_policy evaluate --plant sim --fixed 60 10 --frequencies 2 --settle 0.5 --filter=--metric=constant"
+    assert run(words, tmp_path) == set()
+
+
+def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
+    """Without this the tests here could not fail."""
+    code = "import hydro_sim, numba; numba.njit(lambda x: x + 1)(1)"
+    environment = {**os.environ, VARIABLE: str(tmp_path / "log")}
+    subprocess.run([sys.executable, "-c", code], env=environment, check=True)
+    assert [line["function"] for line in read_compilations(tmp_path / "log")] == ["__main__.<lambda>"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "hydro_sim learn {bag} --out {out}/w.safetensors --epochs 1 --batch 256",
+        "hydro_sim learn {bag} --out {out}/w.safetensors --epochs 1 --batch 256 --structure network",
+        "hydro_sim learn {bag} --out {out}/w.safetensors --epochs 1 --batch 256 --structure residual",
+        "hydro_sim validate {bag}",
+        "hydro_filter validate --seeds 1 --seconds 1 --jobs 1 --filters none learned solved projected",
+        "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20",
+        "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20 --model analytic --filter learned",
+        "hydro_diagnosis diagnose {bag} --out {out}/diagnosis",
+    ],
+)
+def test_offline_work_compiles_nothing(words: str, recording: Path, tmp_path: Path) -> None:
+    assert run(words.replace("{bag}", str(recording)), tmp_path) == set()
+
+
+@pytest.mark.study
+def test_learning_a_metric_compiles_nothing(tmp_path: Path) -> None:
+    words = "hydro_filter learn_metric --out {out}/metric.safetensors --rollouts 16 --epochs 1"
+    assert run(words, tmp_path) == set()

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The running graph is armed when all that will act is ready, not before, and nothing begins on a plant that waited."""
+
+from __future__ import annotations
+
+import os
+import pty
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy")
+
+from hydro_bridge.recording import read_bag
+from hydro_bridge.ros import GAINS, STATE, Companion
+from hydro_bridge.signals import Flag
+from hydro_policy.arming import HOW_TO_ARM
+from hydro_policy.run import RunDirectory
+from hydro_policy.watch import TOO_EARLY
+from tests.graph_probe import Probe, own_domain, trainer
+
+pytestmark = pytest.mark.graph
+
+SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
+AT_ONCE = 0.5
+"""s from arming to the first gains: a tick and a policy step are 0.06 s, the rest is for a busy machine."""
+
+
+@pytest.fixture
+def probe() -> Iterator[Probe]:
+    with own_domain():
+        watcher = Probe()
+        yield watcher
+        watcher.close()
+
+
+@pytest.fixture
+def typed() -> Iterator[tuple[int, int]]:
+    """A terminal: where a person types, and where a program reads it."""
+    ends = pty.openpty()
+    yield ends
+    for end in ends:
+        os.close(end)
+
+
+def test_armed_last_and_acted_upon_at_once(probe: Probe, tmp_path: Path) -> None:
+    run = RunDirectory(tmp_path / "run")
+    words = ("--plant", "emulator", "--from", "scratch", "--episodes", "1", "--runs", str(tmp_path), "--name", "run")
+    with trainer(*words, *SHORT) as process:
+        assert process.process.wait(400.0) == 0
+    bag = read_bag(run.bag)
+    states, gains = bag.state, bag[GAINS]
+    armed = np.flatnonzero(states["flags"] & Flag.ARMED)[0]
+    assert armed > 0, "the recorder has seen the plant disarmed"
+    assert (
+        not states["flags"][armed - 1] & Flag.FILTER_STALE or (states["flags"][:armed] & Flag.FILTER_STALE == 0).any()
+    )
+    assert -0.05 < gains["time"][0] - states["time"][armed] < AT_ONCE, "learner, policy and recorder were ready"
+
+
+def test_a_plant_that_was_armed_before_the_trainer_came_waits_for_the_person_who_arms(
+    probe: Probe, typed: tuple[int, int], tmp_path: Path
+) -> None:
+    words = ("--plant", "external", "--from", "scratch", "--runs", str(tmp_path), "--name", "run")
+    with ExitStack() as graph:
+        graph.enter_context(Companion("hydro_sim", "sim", ["--model", "analytic"]))
+        graph.enter_context(Companion("hydro_filter", "filter", ["--metric", "constant"]))
+        probe.wait_for(STATE, lambda state: not state.flags & Flag.FILTER_STALE, 120.0)
+        probe.arm(True)
+        process = graph.enter_context(trainer(*words, *SHORT, stdin=typed[1]))
+        probe.wait(lambda: "gains leave by" in process.text, 60.0)
+        os.write(typed[0], b"\n")
+        probe.wait(lambda: "not armed, still waiting for" in process.text, 10.0)
+        probe.wait(lambda: HOW_TO_ARM in process.text, 150.0)
+        assert TOO_EARLY in process.text and not probe.flags() & Flag.ARMED
+        probe.forget()
+        probe.spin(1.0)
+        assert probe.heard[STATE] and not probe.heard[GAINS], "nobody has armed it on purpose yet"
+        os.write(typed[0], b"\n")
+        probe.wait(lambda: bool(probe.flags() & Flag.ARMED), 10.0)
+        probe.wait(lambda: bool(probe.heard[GAINS]), 5.0)
+        armed = next(when for when, state in probe.heard[STATE] if state.flags & Flag.ARMED)
+        assert probe.heard[GAINS][0][0] - armed < AT_ONCE
+        assert process.end() == 130
+    probe.spin(0.2)

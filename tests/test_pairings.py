@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The matrix of wrong pairings, each command called as its executable calls it; `benchmarks.pairings` has the table."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+from benchmarks.pairings import WRONG, Wrong, make_files
+from hydro_filter.nodes.filter import arguments
+from hydro_policy.nodes.guarding import asked_filter
+from hydro_policy.nodes.planned import refuse_policy, refuse_start
+from hydro_policy.pretrain_source import Source
+from hydro_policy.start import load_start
+from hydro_sim.learned import weights
+from hydro_sim.learned.model import Learned
+from hydro_sim.pairing import Believed
+
+MODULES = {
+    "hydro_filter filter": "hydro_filter.nodes.filter",
+    "hydro_filter validate": "hydro_filter.validate",
+    "hydro_filter learn_metric": "hydro_filter.learn_metric",
+    "hydro_sim sim": "hydro_sim.nodes.sim",
+    "hydro_sim validate": "hydro_sim.learned.validate",
+    "hydro_policy pretrain": "hydro_policy.pretrain",
+    "hydro_policy trainer": "hydro_policy.nodes.trainer",
+    "hydro_policy evaluate": "hydro_policy.nodes.evaluate",
+}
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("files")
+    make_files(folder)
+    return folder
+
+
+@pytest.mark.parametrize("wrong", WRONG, ids=lambda wrong: f"{wrong.executable} {wrong.words}")
+def test_a_wrong_pairing_is_one_sentence_and_status_2_and_leaves_nothing(
+    wrong: Wrong, files: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before = set(files.rglob("*"))
+    monkeypatch.setattr(sys, "argv", [wrong.executable, *wrong.arguments(files)])
+    with pytest.raises(SystemExit) as ended:
+        importlib.import_module(MODULES[f"{wrong.package} {wrong.executable}"]).main()
+    said = capfd.readouterr().err.splitlines()[-1]
+    assert ended.value.code == 2
+    assert said.startswith("error: ") and wrong.sentence in said
+    assert set(files.rglob("*")) == before, "nothing is left behind"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        (),
+        ("--metric", "constant"),
+        ("--bench", "@own.yaml", "--metric", "constant"),
+        ("--bench", "@own.yaml", "--model", "@own_model.safetensors", "--metric", "@own_metric.safetensors"),
+        ("--model", "@other_model.safetensors", "--metric", "@other_metric.safetensors"),
+    ],
+)
+def test_a_filter_of_one_bench_throughout_is_taken(words: Sequence[str], files: Path) -> None:
+    choice, _, _ = arguments([word.replace("@", f"{files}/") for word in words])
+    assert choice.trouble() == ""
+
+
+def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path) -> None:
+    nominal, own = (Believed.of_file(path, (15.0, 5.0)) for path in (None, files / "own.yaml"))
+    for name, box in (("shipped", nominal), ("own", own)):
+        refuse_policy(files / name, box)
+        refuse_start(load_start(files / name), box)
+    bench = str(files / "own.yaml")
+    assert Source(model="shipped").trouble() == ""
+    assert Source(model="shipped", filter="learned").trouble() == ""
+    assert Source(model="analytic", bench=bench).trouble() == "", "another plant than the box believes may be simulated"
+    assert Source(model=str(files / "own_model.safetensors"), box=bench).trouble() == ""
+    asked_filter(("--metric", "constant"), files / "own.yaml")
+
+
+def test_what_is_shipped_is_for_the_shipped_bench(files: Path) -> None:
+    digest = Believed.of_file(None).digest
+    shipped = load_start(files / "shipped").made
+    model = Learned.load().made
+    assert model is not None and model.box == digest
+    assert shipped is not None and (shipped.box, shipped.base_kp, shipped.base_ki) == (digest, 15.0, 5.0)
+    assert shipped.model == weights.digest(weights.shipped())
