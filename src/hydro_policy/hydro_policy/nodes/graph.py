@@ -147,7 +147,7 @@ class GraphNode(Node):
         Raises
         ------
         CompanionError
-            A companion cannot use what it was given, or has ended that nothing goes on without; or another box has come.
+            A companion cannot use what it was given, or has ended that nothing goes on without, or the box is another.
         NotReadyError
             Something without which nothing may be armed did not come within its time.
         """
