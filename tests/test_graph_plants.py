@@ -41,7 +41,7 @@ def probe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     with ExitStack() as stack:
         stack.enter_context(own_domain())
         folder = Path(tmp_path_factory.mktemp("graph"))
-        start_companions(stack, PlantOptions(plant=request.param), GainRange(), folder, None)
+        start_companions(stack, PlantOptions(plant=request.param), GainRange(), folder, print)
         watcher = Probe(gains=True)
         stack.callback(watcher.close)
         watcher.wait(lambda: len(watcher.heard[STATE]) > 100)
