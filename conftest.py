@@ -13,13 +13,12 @@ def pytest_configure() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-@pytest.hookimpl(tryfirst=True)  # before xdist looks for the groups
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Graph tests come first and one after the other; the rest is shared out by file, so that fixtures are made once.
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Graph tests run one after the other; the rest is shared out by file, so that fixtures are made once."""
+    group = "graph" if item.get_closest_marker("graph") else item.path.name
+    item.add_marker(pytest.mark.xdist_group(group))
 
-    They keep real time: two graphs at once would ask for more than two cores. Beside them computes the other worker.
-    """
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Graph tests come first: they keep real time, and beside them computes the other worker."""
     items.sort(key=lambda item: item.get_closest_marker("graph") is None)
-    for item in items:
-        group = "graph" if item.get_closest_marker("graph") else item.path.name
-        item.add_marker(pytest.mark.xdist_group(group))
