@@ -416,7 +416,7 @@ def test_killed_recorder_loses_less_than_a_second(cable, small_box, probe, start
     recording = read_bag(tmp_path / "run")
     states = recording.state
     assert last - int(states["sequence"][-1]) < 1000
-    assert len(states) > 1000 and continuity(states, tolerance=0.5).lost == 0
+    assert len(states) > 1000 and continuity(states[500:], tolerance=0.5).lost == 0  # joining: see above
     assert "was not finished" in recording.notes[0]
     assert start("recorder", "--repair", tmp_path / "run").process.wait(20.0) == 0
     with Reader(tmp_path / "run") as reader:
