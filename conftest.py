@@ -14,11 +14,6 @@ def pytest_configure() -> None:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """Graph tests run one after the other; the rest is shared out by file, so that fixtures are made once."""
+    """Where tests are shared out, then by file: a file's fixtures are made once. Graph tests stay together."""
     group = "graph" if item.get_closest_marker("graph") else item.path.name
     item.add_marker(pytest.mark.xdist_group(group))
-
-
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Graph tests come first: they keep real time, and beside them computes the other worker."""
-    items.sort(key=lambda item: item.get_closest_marker("graph") is None)
