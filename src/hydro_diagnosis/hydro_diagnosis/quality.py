@@ -45,7 +45,7 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     UnusableRecordingError
         Too short, clock broken, nothing moves, or saturated throughout.
     """
-    notes: list[str] = []
+    notes = list(table.notes)
     step, index = _grid(table, notes)
     columns = _alive(table, notes)
     if not any(name in columns for name in MEASURED):

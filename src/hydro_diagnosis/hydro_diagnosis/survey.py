@@ -7,7 +7,7 @@ together visit most of position and velocity, of current and pressure, and of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -16,9 +16,10 @@ import numpy as np
 
 from hydro_bridge.recording import RecordingError, stream_bag
 from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import InputError, Recording, Segment, UnusableRecordingError
-from hydro_diagnosis.table import RawTable
+from hydro_diagnosis.table import RawTable, mapped
 from hydro_diagnosis.windows import WINDOW, Visits, telling
 from hydro_sim.bench import Bench
 
@@ -41,8 +42,15 @@ class Stretch:
     table: RawTable
 
 
-def read_bag_within(path: Path, bench: Bench) -> Recording:
+def read_bag_within(
+    path: Path,
+    bench: Bench,
+    columns: ColumnMap | None = None,
+    inspected: Callable[[RawTable], None] = lambda table: None,
+) -> Recording:
     """A recording that can be diagnosed, whole if it is short, else its telling windows.
+
+    `columns` turns its fields (`table.mapped`); `inspected` sees its first stretches and may refuse it.
 
     Raises
     ------
@@ -50,17 +58,20 @@ def read_bag_within(path: Path, bench: Bench) -> Recording:
         In one sentence that names the path.
     """
     try:
-        stretches = _stretches(path)
+        stretches = _stretches(path, columns)
         head = list(islice(stretches, WHOLE + 1))
         if len(head) <= WHOLE:
-            return checked(_joined(path, head), bench)
+            whole = _joined(path, head)
+            inspected(whole)
+            return checked(whole, bench)
+        inspected(head[0].table)
         del head, stretches
-        return _kept(path, bench, *_surveyed(_stretches(path), bench))
+        return _kept(path, bench, columns, *_surveyed(_stretches(path, columns), bench))
     except RecordingError as error:
         raise InputError(str(error)) from None
 
 
-def _stretches(path: Path) -> Iterator[Stretch]:
+def _stretches(path: Path, columns: ColumnMap | None) -> Iterator[Stretch]:
     """The recording in stretches; samples are numbered on from one to the next."""
     first = last = number = None
     for states in _pieces(path):
@@ -69,8 +80,10 @@ def _stretches(path: Path) -> Iterator[Stretch]:
         steps = np.diff(counter).view(np.int32).astype(np.float64)
         samples = np.concatenate([[0.0], np.cumsum(steps)]) if number is None else number + np.cumsum(steps)
         number, last = float(samples[-1]), states["sequence"][-1:].copy()
-        columns = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
-        yield Stretch(float(states["time"][0]) - first, RawTable(path.name, states["time"].copy(), samples, columns))
+        fields = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
+        table = RawTable(path.name, states["time"].copy(), samples, fields)
+        turned = table if columns is None else mapped(path, table, columns)
+        yield Stretch(float(states["time"][0]) - first, turned)
 
 
 def _pieces(path: Path) -> Iterator[StateArray]:
@@ -91,8 +104,10 @@ def _joined(path: Path, stretches: list[Stretch]) -> RawTable:
         raise InputError(f"{path}: the recording is empty")
     tables = [one.table for one in stretches]
     columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in tables[0].columns}
-    samples = np.concatenate([table.sample for table in tables if table.sample is not None])
-    return RawTable(path.name, np.concatenate([table.time for table in tables]), samples, columns)
+    numbers = [table.sample for table in tables if table.sample is not None]
+    samples = np.concatenate(numbers) if len(numbers) == len(tables) else None
+    time = np.concatenate([table.time for table in tables])
+    return RawTable(path.name, time, samples, columns, tables[0].notes)
 
 
 @dataclass(frozen=True)
@@ -136,7 +151,13 @@ def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
 
 
 def _kept(
-    path: Path, bench: Bench, windows: list[_Window], visits: Visits, notes: list[str], seconds: float
+    path: Path,
+    bench: Bench,
+    columns: ColumnMap | None,
+    windows: list[_Window],
+    visits: Visits,
+    notes: list[str],
+    seconds: float,
 ) -> Recording:
     """The telling windows, read again."""
     early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
@@ -146,7 +167,7 @@ def _kept(
     for k in sorted(chosen):
         by_stretch.setdefault(windows[k].stretch, []).append(windows[k])
     segments = []
-    for number, stretch in enumerate(_stretches(path)):
+    for number, stretch in enumerate(_stretches(path, columns)):
         found = checked(stretch.table, bench).segments if number in by_stretch else ()
         for window in by_stretch.get(number, []):
             segment = found[window.segment]
