@@ -6,9 +6,10 @@
     time=t,piston_position=pos[mm],hydraulic_force=vir*gtau,pressure_a=pa[bar]+1,load_force=0
 
 On the left `time` or a BenchState field; on the right a column, its unit in brackets if it is neither SI nor the one
-that the file states, then `*`, `/`, `+` or `-` with a number or the name of a single number in the file, taken from left to
-right and in that unit, then `@` and the time by which the column is late (`fl@20ms`). A number alone is a constant,
-`none` leaves a field out. A YAML file holds the same, one line each, or the words column, unit, scale, offset, delay.
+that the file states, then `*`, `/`, `+` or `-` with a number or the name of a single number in the file, taken from
+left to right and in that unit, then `@` and the time by which the column is late (`fl@20ms`). A number alone is a
+constant, `none` leaves a field out. A YAML file holds the same, one line each, or the words column, unit, scale,
+offset, delay.
 
 A map without `time` corrects what there is: all columns that carry a field's own name are taken besides, and the times
 that the file states.

@@ -108,13 +108,17 @@ def _blocks(path: Path, encoding: str, separator: str, decimal: str) -> Iterator
 
 def _numbers(source: object, header: Header, separator: str, decimal: str, *, strict: bool = True) -> pd.DataFrame:
     """The block's numbers; if `strict`, a header among them is a ValueError: a new block begins there."""
+    width = len(header.names) + header.lead
     frame = pd.read_csv(
-        source, sep=separator, decimal=decimal, header=None, names=range(len(header.names) + header.lead), index_col=False,
-        skiprows=header.length, skipinitialspace=True, float_precision="round_trip" if decimal == "." else "high",
-        skip_blank_lines=True, usecols=range(header.lead, len(header.names) + header.lead), low_memory=False,
+        source, sep=separator, decimal=decimal, header=None, names=range(width), usecols=range(header.lead, width),
+        index_col=False, skiprows=header.length, skipinitialspace=True, skip_blank_lines=True, low_memory=False,
+        float_precision="round_trip" if decimal == "." else "high",
     )  # fmt: skip
     if not len(frame):
         raise pd.errors.EmptyDataError("no rows")
+    if decimal == ",":  # a column with a word in it was not converted
+        texts_there = frame.select_dtypes("object").columns
+        frame[texts_there] = frame[texts_there].apply(lambda column: column.str.replace(",", ".", regex=False))
     numbers = frame.apply(pd.to_numeric, errors="coerce")
     broken = frame.notna() & numbers.isna()
     texts = [column for column in frame if broken[column].all() or not numbers[column].notna().any()]
