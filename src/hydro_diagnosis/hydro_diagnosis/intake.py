@@ -12,9 +12,9 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from hydro_diagnosis.columns import ColumnMap
-from hydro_diagnosis.quality import MOVING, REMEDY, SHORTEST, checked
+from hydro_diagnosis.quality import MOVING, REMEDY, SHORTEST
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
-from hydro_diagnosis.survey import read_bag_within
+from hydro_diagnosis.survey import read_bag_within, table_within
 from hydro_diagnosis.table import InputError, RawTable, UnusableRecordingError, is_bag, read_table
 from hydro_diagnosis.topics import has_states
 from hydro_diagnosis.windows import WINDOW, Visits, telling
@@ -141,7 +141,7 @@ def _look(
             return read_bag_within(path, bench, columns, inspected)
         table = read_table(path, columns)
         inspected(table)
-        return checked(table, bench)
+        return table_within(table, bench)
     except UnusableRecordingError as error:
         return error
 

@@ -66,9 +66,33 @@ def read_bag_within(
             return checked(whole, bench)
         inspected(head[0].table)
         del head, stretches
-        return _kept(path, bench, columns, *_surveyed(_stretches(path, columns), bench))
+        return _telling(path.name, bench, lambda: _stretches(path, columns))
     except RecordingError as error:
         raise InputError(str(error)) from None
+
+
+def table_within(table: RawTable, bench: Bench) -> Recording:
+    """The same of a file that is held as it was read: what is checked and kept of it stays small.
+
+    Raises
+    ------
+    InputError
+        In one sentence that names the recording.
+    """
+    if len(table.time) <= WHOLE * STRETCH:
+        return checked(table, bench)
+    return _telling(table.name, bench, lambda: _slices(table))
+
+
+def _slices(table: RawTable) -> Iterator[Stretch]:
+    """Views of a table, `STRETCH` rows each; its notes come with the first."""
+    for begin in range(0, len(table.time), STRETCH):
+        part = slice(begin, begin + STRETCH)
+        columns = {name: values[part] for name, values in table.columns.items()}
+        sample = None if table.sample is None else table.sample[part]
+        notes = table.notes if begin == 0 else ()
+        start = float(table.time[begin] - table.time[0])
+        yield Stretch(start, RawTable(table.name, table.time[part], sample, columns, notes))
 
 
 def _stretches(path: Path, columns: ColumnMap | None) -> Iterator[Stretch]:
@@ -150,16 +174,9 @@ def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
         yield begin, segment.cut(begin, begin + length)
 
 
-def _kept(
-    path: Path,
-    bench: Bench,
-    columns: ColumnMap | None,
-    windows: list[_Window],
-    visits: Visits,
-    notes: list[str],
-    seconds: float,
-) -> Recording:
-    """The telling windows, read again."""
+def _telling(name: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]) -> Recording:
+    """The telling windows, found in a first pass and read again in a second."""
+    windows, visits, notes, seconds = _surveyed(stretches(), bench)
     early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
     late = [k for k in range(len(windows)) if k not in set(early)]
     chosen = {*telling(visits, FITTED, early), *telling(visits, HELD, late)}
@@ -167,17 +184,17 @@ def _kept(
     for k in sorted(chosen):
         by_stretch.setdefault(windows[k].stretch, []).append(windows[k])
     segments = []
-    for number, stretch in enumerate(_stretches(path, columns)):
+    for number, stretch in enumerate(stretches()):
         found = checked(stretch.table, bench).segments if number in by_stretch else ()
         for window in by_stretch.get(number, []):
             segment = found[window.segment]
             length = round(WINDOW / segment.step)
             channels = {
-                name: values[window.begin : window.begin + length].copy() for name, values in segment.channels.items()
+                key: values[window.begin : window.begin + length].copy() for key, values in segment.channels.items()
             }
-            segments.append(Segment(path.name, window.start, segment.step, channels))
+            segments.append(Segment(name, window.start, segment.step, channels))
     notes.append(
-        f"{path.name}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
+        f"{name}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
         "positions, velocities, currents and pressures; no other sample was judged"
     )
-    return Recording(path.name, tuple(segments), tuple(notes))
+    return Recording(name, tuple(segments), tuple(notes))

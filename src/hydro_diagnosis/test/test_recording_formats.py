@@ -16,6 +16,7 @@ from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.importers import read_columns
+from hydro_diagnosis.mdf import NEEDED
 from hydro_diagnosis.proposal import proposed
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import InputError
@@ -157,6 +158,11 @@ def test_delay_of_a_column_is_undone(tmp_path: Path, states: StateArray) -> None
     columns = "time=fast.time,pressure_a=fast.pA@20ms,pressure_b=fast.pB,piston_position=fast.x"
     table = read_table(path, ColumnMap.load(columns))
     np.testing.assert_allclose(table.columns["pressure_a"][:1900], states["pressure_a"][20:1920], rtol=1e-9)
+
+
+def test_mdf_library_that_is_named_is_the_one_that_is_tested() -> None:
+    pins = Path(__file__).resolve().parents[3] / "requirements-dev.txt"
+    assert NEEDED in pins.read_text().splitlines()
 
 
 def test_mdf_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
