@@ -18,7 +18,7 @@ from hydro_diagnosis.survey import read_bag_within, table_within
 from hydro_diagnosis.table import InputError, RawTable, UnusableRecordingError, is_bag, read_table
 from hydro_diagnosis.topics import has_states
 from hydro_diagnosis.windows import WINDOW, Visits, telling
-from hydro_diagnosis.wiring import refuse_miswired
+from hydro_diagnosis.wiring import wiring_checked
 from hydro_sim.bench import Bench
 
 LONGEST = 100.0
@@ -132,16 +132,13 @@ def _look(
 ) -> Recording | UnusableRecordingError:
     path = Path(path)
 
-    def inspected(table: RawTable) -> None:
-        if not as_wired:
-            refuse_miswired(table, bench, columns)
+    def inspected(table: RawTable) -> RawTable:
+        return table if as_wired else wiring_checked(table, bench, columns)
 
     try:
         if path.exists() and is_bag(path) and has_states(path):
             return read_bag_within(path, bench, columns, inspected)
-        table = read_table(path, columns)
-        inspected(table)
-        return table_within(table, bench)
+        return table_within(inspected(read_table(path, columns)), bench)
     except UnusableRecordingError as error:
         return error
 

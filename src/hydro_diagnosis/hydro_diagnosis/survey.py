@@ -8,7 +8,7 @@ together visit most of position and velocity, of current and pressure, and of th
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -46,11 +46,11 @@ def read_bag_within(
     path: Path,
     bench: Bench,
     columns: ColumnMap | None = None,
-    inspected: Callable[[RawTable], None] = lambda table: None,
+    inspected: Callable[[RawTable], RawTable] = lambda table: table,
 ) -> Recording:
     """A recording that can be diagnosed, whole if it is short, else its telling windows.
 
-    `columns` turns its fields (`table.mapped`); `inspected` sees its first stretches and may refuse it.
+    `columns` turns its fields (`table.mapped`); `inspected` sees its first stretches, may refuse it and add notes.
 
     Raises
     ------
@@ -61,12 +61,12 @@ def read_bag_within(
         stretches = _stretches(path, columns)
         head = list(islice(stretches, WHOLE + 1))
         if len(head) <= WHOLE:
-            whole = _joined(path, head)
-            inspected(whole)
-            return checked(whole, bench)
-        inspected(head[0].table)
-        del head, stretches
-        return _telling(path.name, bench, lambda: _stretches(path, columns))
+            return checked(inspected(_joined(path, head)), bench)
+        first = head[0].table
+        notes = tuple(f"{path.name}: {note}" for note in inspected(first).notes[len(first.notes) :])
+        del head, stretches, first
+        found = _telling(path.name, bench, lambda: _stretches(path, columns))
+        return replace(found, quality=(*notes, *found.quality))
     except RecordingError as error:
         raise InputError(str(error)) from None
 

@@ -8,7 +8,7 @@ complaint, the fewest mistakes first. Nothing is ever repaired in silence.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain, islice
 
 import numpy as np
@@ -45,8 +45,8 @@ class Mistakes:
     """Undo it all; empty if nothing that is known does."""
 
 
-def refuse_miswired(table: RawTable, bench: Bench, columns: ColumnMap | None) -> None:
-    """Stop a diagnosis whose verdict would be about the wiring.
+def wiring_checked(table: RawTable, bench: Bench, columns: ColumnMap | None) -> RawTable:
+    """The table, with a note where channels contradict each other in a way that no known mistake explains.
 
     Parameters
     ----------
@@ -60,14 +60,15 @@ def refuse_miswired(table: RawTable, bench: Bench, columns: ColumnMap | None) ->
     Raises
     ------
     WiringError
-        What contradicts what, what it is if that is known, and the map that repairs it.
+        Where a mistake explains it, so that a verdict would be about the wiring: what contradicts what, which mistake
+        it is, and the map that repairs it.
     """
     found = mistakes(table, bench)
     if found is None:
-        return
+        return table
     told = "; ".join(complaint.sentence for complaint in found.complaints[:2])
     if not found.repairs:
-        raise WiringError(f"{table.name}: {told}: compare the wiring and the column map; {ANYWAY}")
+        return replace(table, notes=(*table.notes, f"{told}: no mistake of wiring or units that is known explains it"))
     wrong = ", and ".join(repair.sentence for repair in found.repairs)
     complete = columns is not None and "time" in columns.sources
     repaired = columns if columns is not None and complete else (columns or ColumnMap({})).completed(table.columns)

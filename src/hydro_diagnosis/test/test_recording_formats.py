@@ -20,6 +20,7 @@ from hydro_diagnosis.mdf import NEEDED
 from hydro_diagnosis.proposal import proposed
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.report import Report
 from hydro_diagnosis.table import columns_of, read_table
 from hydro_sim.bench import Bench
 
@@ -58,6 +59,11 @@ def states(bag: Path) -> StateArray:
     return read_bag(bag).state
 
 
+@pytest.fixture(scope="module")
+def of_the_bag(bag: Path) -> Report:
+    return diagnose([bag]).report
+
+
 def written(name: str, folder: Path, states: StateArray) -> tuple[Path, ColumnMap]:
     write, text = loggers.FORMATS[name]
     path = write(folder, states)
@@ -80,7 +86,9 @@ def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, states
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FORMATS)
-def test_every_format_is_diagnosed_as_the_bag(name: str, tmp_path: Path, bag: Path, states: StateArray) -> None:
+def test_every_format_is_diagnosed_as_the_bag(
+    name: str, tmp_path: Path, of_the_bag: Report, states: StateArray
+) -> None:
     path, columns = written(name, tmp_path, states)
     found = diagnose([path], columns=columns).report
     assert found.verdict == "explained"
@@ -88,7 +96,6 @@ def test_every_format_is_diagnosed_as_the_bag(name: str, tmp_path: Path, bag: Pa
     assert effect.id == "friction_coulomb"
     bounds = effect.parameters["force"].ci95
     assert bounds is not None and bounds[0] <= 12.0 <= bounds[1]
-    of_the_bag = diagnose([bag]).report
     assert of_the_bag.verdict == found.verdict
     (same,) = of_the_bag.effects
     assert effect.parameters["force"].value == pytest.approx(same.parameters["force"].value, rel=1e-3)

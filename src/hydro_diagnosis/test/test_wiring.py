@@ -21,7 +21,7 @@ from hydro_diagnosis.proof.cases import Case
 from hydro_diagnosis.proof.magnitudes import FORMS, OUTSIDE, SINGLES, VALUES, Pick, Shape, Size
 from hydro_diagnosis.proof.recording import run_emulator, truth_of
 from hydro_diagnosis.table import RawTable, read_table
-from hydro_diagnosis.wiring import WiringError, mistakes, refuse_miswired
+from hydro_diagnosis.wiring import WiringError, mistakes, wiring_checked
 from hydro_sim.bench import Bench
 
 BENCH = Bench.nominal()
@@ -148,7 +148,7 @@ def test_mistake_is_told_with_its_repair(name: str, runs: list[StateArray]) -> N
     make, said, repair = MISTAKES[name]
     for states in runs:
         with pytest.raises(WiringError) as raised:
-            refuse_miswired(table(make(fields(states))), BENCH, None)
+            wiring_checked(table(make(fields(states))), BENCH, None)
         message = str(raised.value)
         assert all(one in message for one in said), message
         assert repair in message.split('--columns "')[1], message
@@ -166,7 +166,7 @@ def test_repaired_recording_is_the_right_one(name: str, runs: list[StateArray], 
     path = tmp_path / "run.csv"
     pd.DataFrame({"time": wrong.time, **wrong.columns}).to_csv(path, index=False)
     with pytest.raises(WiringError) as raised:
-        refuse_miswired(read_table(path), BENCH, None)
+        wiring_checked(read_table(path), BENCH, None)
     columns = ColumnMap.load(str(raised.value).split('--columns "')[1].split('"')[0])
     repaired = read_table(path, columns)
     assert mistakes(repaired, BENCH) is None
@@ -178,12 +178,19 @@ def test_repaired_recording_is_the_right_one(name: str, runs: list[StateArray], 
         assert float(np.sqrt(np.mean(error**2))) < about * span, field
 
 
+def test_contradiction_that_no_mistake_explains_is_a_note(runs: list[StateArray]) -> None:
+    channels = fields(runs[0])
+    channels["pressure_b"] = np.random.default_rng(3).normal(0.0, 6e3, len(channels["pressure_b"]))
+    noted = wiring_checked(table(channels), BENCH, None).notes
+    assert len(noted) == 1 and "pressure_b reaches" in noted[0] and "no mistake of wiring" in noted[0]
+
+
 def test_repair_keeps_the_rest_of_a_map(runs: list[StateArray]) -> None:
     channels = scaled("valve_current", by=-1.0)(fields(runs[0]))
     columns = ColumnMap.load("time=t[ms],piston_position=pos[mm]-40,valve_current=i[mA],load_force=fl")
     held = {name: channels[name] for name in ("piston_position", "valve_current", "load_force")}
     with pytest.raises(WiringError) as raised:
-        refuse_miswired(table(held), BENCH, columns)
+        wiring_checked(table(held), BENCH, columns)
     repair = str(raised.value).split('--columns "')[1].split('"')[0]
     assert repair == "time=t[ms],piston_position=pos[mm]-40,valve_current=i[mA]*-1,load_force=fl"
 
