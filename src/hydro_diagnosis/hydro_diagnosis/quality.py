@@ -45,7 +45,7 @@ def checked(table: RawTable, bench: Bench) -> Recording:
     UnusableRecordingError
         Too short, clock broken, nothing moves, or saturated throughout.
     """
-    notes = list(table.notes)
+    notes: list[str] = []
     step, index = _grid(table, notes)
     columns = _alive(table, notes)
     if not any(name in columns for name in MEASURED):
@@ -61,7 +61,7 @@ def checked(table: RawTable, bench: Bench) -> Recording:
             + (f" ({'; '.join(notes)})" if notes else "")
             + (f"; {REMEDY}" if outside.any() or _stands(columns) else "")
         )
-    return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in notes))
+    return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in (*table.notes, *notes)))
 
 
 def _grid(table: RawTable, notes: list[str]) -> tuple[float, npt.NDArray[np.int64]]:

@@ -174,7 +174,7 @@ def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
         yield begin, segment.cut(begin, begin + length)
 
 
-def _telling(name: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]) -> Recording:
+def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]) -> Recording:
     """The telling windows, found in a first pass and read again in a second."""
     windows, visits, notes, seconds = _surveyed(stretches(), bench)
     early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
@@ -188,13 +188,11 @@ def _telling(name: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]
         found = checked(stretch.table, bench).segments if number in by_stretch else ()
         for window in by_stretch.get(number, []):
             segment = found[window.segment]
-            length = round(WINDOW / segment.step)
-            channels = {
-                key: values[window.begin : window.begin + length].copy() for key, values in segment.channels.items()
-            }
-            segments.append(Segment(name, window.start, segment.step, channels))
+            kept = segment.cut(window.begin, window.begin + round(WINDOW / segment.step))
+            channels = {name: values.copy() for name, values in kept.channels.items()}
+            segments.append(replace(kept, start=window.start, channels=channels))
     notes.append(
-        f"{name}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
+        f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
         "positions, velocities, currents and pressures; no other sample was judged"
     )
-    return Recording(name, tuple(segments), tuple(notes))
+    return Recording(recording, tuple(segments), tuple(notes))
