@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.recording import RecordingError, stream_bag
-from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, StateArray
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import InputError, Recording, Segment, UnusableRecordingError
@@ -79,15 +79,18 @@ def table_within(table: RawTable, bench: Bench) -> Recording:
     InputError
         In one sentence that names the recording.
     """
-    if len(table.time) <= WHOLE * STRETCH:
+    steps = np.diff(table.time)
+    step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else SAMPLE_PERIOD
+    rows = max(round(STRETCH * SAMPLE_PERIOD / step), STRETCH)
+    if len(table.time) <= WHOLE * rows:
         return checked(table, bench)
-    return _telling(table.name, bench, lambda: _slices(table))
+    return _telling(table.name, bench, lambda: _slices(table, rows))
 
 
-def _slices(table: RawTable) -> Iterator[Stretch]:
-    """Views of a table, `STRETCH` rows each; its notes come with the first."""
-    for begin in range(0, len(table.time), STRETCH):
-        part = slice(begin, begin + STRETCH)
+def _slices(table: RawTable, rows: int) -> Iterator[Stretch]:
+    """Views of a table, so many rows each; its notes come with the first."""
+    for begin in range(0, len(table.time), rows):
+        part = slice(begin, begin + rows)
         columns = {name: values[part] for name, values in table.columns.items()}
         sample = None if table.sample is None else table.sample[part]
         notes = table.notes if begin == 0 else ()
@@ -149,7 +152,7 @@ def _surveyed(stretches: Iterator[Stretch], bench: Bench) -> tuple[list[_Window]
     """Every window with where it takes the bench, notes, and the recording's length in s; the samples are forgotten."""
     windows, visits, notes, reasons, idle, end = [], Visits(bench), [], [], 0, 0.0
     for number, stretch in enumerate(stretches):
-        end = stretch.start + 1e-3 * len(stretch.table.time)
+        end = stretch.start + float(stretch.table.time[-1] - stretch.table.time[0])
         try:
             recording = checked(stretch.table, bench)
         except UnusableRecordingError as error:
