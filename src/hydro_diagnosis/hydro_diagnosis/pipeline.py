@@ -56,6 +56,7 @@ def diagnose(
     model: str | Path | None = None,
     columns: ColumnMap | Mapping[str, Any] | str | Path | None = None,
     without: Sequence[str] = (),
+    as_wired: bool = False,
     settings: SearchSettings | None = None,
     progress: Progress = lambda text: None,
 ) -> Diagnosis:
@@ -64,7 +65,7 @@ def diagnose(
     Parameters
     ----------
     recordings
-        rosbag2 folders, .mcap, .csv, .parquet or .mat files (see `table.read_table`).
+        rosbag2 folders, .mcap, or files of other loggers (see `table.read_table`).
     holdout
         Recordings on which nothing is fitted (all are read by joblib: `joblib.parallel_config` chooses backend and
         number of jobs); without, the last recording, or the last third of the only one.
@@ -73,9 +74,11 @@ def diagnose(
     model
         Learned weights as the baseline, in place of `bench` (structured ones: see `baseline`).
     columns
-        Which column of a .csv, .parquet or .mat file is what: see `columns`.
+        Which column of a file, or field or topic of a bag, is what: see `columns`.
     without
         Causes that it cannot be, by id or by id and options (`friction_viscous:directional`): they are not tried.
+    as_wired
+        Go on where channels contradict each other or the bench file (`wiring`), instead of saying what is wrong.
     settings
         Of the search.
     progress
@@ -93,7 +96,7 @@ def diagnose(
     believed = base.bench
     progress("reading")
     candidates = [effect.adapted(believed) for effect in _candidates(without)]
-    fitted, held, quality = taken(recordings, holdout, believed, ColumnMap.load(columns))
+    fitted, held, quality = taken(recordings, holdout, believed, ColumnMap.load(columns), as_wired=as_wired)
     problem = Problem(fitted, believed, claims_of(believed))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")

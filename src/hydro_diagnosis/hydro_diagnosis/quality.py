@@ -61,7 +61,7 @@ def checked(table: RawTable, bench: Bench) -> Recording:
             + (f" ({'; '.join(notes)})" if notes else "")
             + (f"; {REMEDY}" if outside.any() or _stands(columns) else "")
         )
-    return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in notes))
+    return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in (*table.notes, *notes)))
 
 
 def _grid(table: RawTable, notes: list[str]) -> tuple[float, npt.NDArray[np.int64]]:
