@@ -7,6 +7,8 @@ of the next, it is the logger's convention that is off, not the bench.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hydro_diagnosis.effects.base import PRESSURE
@@ -39,7 +41,7 @@ def current_is_late(problem: Problem, assessment: Assessment) -> str | None:
 def _moved(segment: Segment) -> Segment:
     current = segment.channels["valve_current"]
     early = np.concatenate([current[1:], current[-1:]])
-    return Segment(segment.recording, segment.start, segment.step, {**segment.channels, "valve_current": early})
+    return replace(segment, channels={**segment.channels, "valve_current": early})
 
 
 def _excess(problem: Problem) -> float:

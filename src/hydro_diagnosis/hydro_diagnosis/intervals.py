@@ -6,7 +6,8 @@ independent
 and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to the
 curvature
 (the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part covers the
-residuals' own discretisation, a fraction of the smallest size worth claiming, and noise in what a parameter multiplies.
+residuals' own discretisation, a fraction of the smallest size worth claiming, noise in what a parameter multiplies, and
+rows that were not recorded.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 from hydro_diagnosis.effects.base import FloatArray, Parameter
 from hydro_diagnosis.fit import Fit, fit, pack, spreads, unpack
 from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.rates import shifts
 
 QUANTILE = 1.96
 SYSTEMATIC = 0.03
@@ -43,9 +45,10 @@ def intervals(problem: Problem, found: Fit) -> list[Interval]:
         return []
     owners = [claim.effect.id for claim in found.claims for _ in claim.effect.parameters]
     curvature, inflation = _uncertainty(problem, found)
+    missing = np.concatenate(shifts(problem, found))
     return [
         _interval(problem, found, k, parameter, float(values[k]), curvature[k] * parameter.span, inflation[k],
-                  problem.attenuation.get(owners[k], 0.0))
+                  hypot(problem.attenuation.get(owners[k], 0.0), missing[k]))
         for k, parameter in enumerate(parameters)
     ]  # fmt: skip
 

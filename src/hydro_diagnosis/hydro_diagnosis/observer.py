@@ -14,7 +14,6 @@ from hydro_diagnosis.chambers import ChamberRun, Oil
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.segment_record import SegmentRecord
-from hydro_diagnosis.smoothing import smooth
 from hydro_sim.bench import Bench
 
 Kept = TypeVar("Kept")
@@ -31,8 +30,8 @@ TIMING_DOUBT = 3e-6
 class ChamberObserver(SegmentRecord):
     """Both chambers under some claims, from recorded current, position and pressures."""
 
-    def __init__(self, segment: Segment, bench: Bench) -> None:
-        super().__init__(segment, bench)
+    def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
+        super().__init__(segment, bench, like)
         self._shelf: dict[tuple[Any, ...], Any] = {}
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
@@ -119,7 +118,7 @@ class ChamberObserver(SegmentRecord):
         Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
         """
         bench = self.base
-        timing = bench.bulk_modulus * bench.piston_area / bench.dead_volume_a * TIMING_DOUBT * smooth(np.abs(self.v))
+        timing = bench.bulk_modulus * bench.piston_area / bench.dead_volume_a * TIMING_DOUBT * self.smooth(np.abs(self.v))
         a, b = (
             self.kept(np.hypot(timing, self._flow_doubt(chamber, noise["pressure_" + chamber]))) for chamber in "ab"
         )

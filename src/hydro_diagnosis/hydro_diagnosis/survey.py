@@ -8,7 +8,7 @@ together visit most of position and velocity, of current and pressure, and of th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
@@ -150,11 +150,9 @@ def _kept(
         found = checked(stretch.table, bench).segments if number in by_stretch else ()
         for window in by_stretch.get(number, []):
             segment = found[window.segment]
-            length = round(WINDOW / segment.step)
-            channels = {
-                name: values[window.begin : window.begin + length].copy() for name, values in segment.channels.items()
-            }
-            segments.append(Segment(path.name, window.start, segment.step, channels))
+            kept = segment.cut(window.begin, window.begin + round(WINDOW / segment.step))
+            channels = {name: values.copy() for name, values in kept.channels.items()}
+            segments.append(replace(kept, start=window.start, channels=channels))
     notes.append(
         f"{path.name}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
         "positions, velocities, currents and pressures; no other sample was judged"
