@@ -185,7 +185,9 @@ def _row(name: str, found: Sequence[Outcome]) -> dict[str, Any]:
     for bench in ("friction", "leak"):
         own = [one for one in found if one.bench == bench]
         named = [one for one in own if one.value is not None]
-        held = [one for one in named if one.low is not None and one.high is not None and one.low <= one.truth <= one.high]
+        held = [
+            one for one in named if one.low is not None and one.high is not None and one.low <= one.truth <= one.high
+        ]
         row[bench] = f"{len(named)}, {len(held)} of {len(own)}"
     return row
 

@@ -113,7 +113,7 @@ def judged(segment: Segment, begin: int, end: int, stride: int, margin: int) -> 
     if segment.measured is None:
         return slice(begin, end, stride)
     spacing = segment.spacing
-    phase = int(np.flatnonzero(segment.measured)[0]) % spacing
+    phase = segment.phase
     recorded = segment.measured[phase::spacing]
     lost = np.convolve(~recorded, np.ones(2 * margin + 1), mode="same") > 0.5
     open_ = phase + spacing * np.flatnonzero(~lost)

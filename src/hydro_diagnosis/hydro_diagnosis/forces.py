@@ -73,7 +73,9 @@ class ForceBalance(SegmentRecord):
         average out: its doubt is that of their mean, not of one.
         """
         level = self.dry_friction_level(claims)
-        doubt = self._swing(claims, VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.spacing * self.step, np.zeros_like(level))
+        doubt = self._swing(
+            claims, VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.spacing * self.step, np.zeros_like(level)
+        )
         beyond = self.dry_friction_level(claims, np.full_like(self.v, _FAST))
         if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
             doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self.velocity_kink(claims), beyond))

@@ -12,12 +12,13 @@ rows that were not recorded.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray, Parameter
+from hydro_diagnosis.effects.base import Claim, FloatArray, Parameter
 from hydro_diagnosis.fit import Fit, fit, pack, spreads, unpack
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.rates import shifts
@@ -36,6 +37,29 @@ class Interval:
     low: float
     high: float
     identifiable: bool
+
+
+def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
+    """The fit without claims whose intervals hold nothing, and the intervals of those that stand."""
+    while True:
+        bounds, standing, k = intervals(problem, found), [], 0
+        for claim in found.claims:
+            count = len(claim.effect.parameters)
+            if not _holds_nothing(claim, bounds[k : k + count]):
+                standing.append(claim)
+            k += count
+        ids = {claim.effect.id for claim in standing}
+        standing = [claim for claim in standing if set(claim.effect.needs) <= ids]
+        if len(standing) == len(found.claims):
+            return found, bounds
+        found = fit(problem, standing)
+
+
+def _holds_nothing(claim: Claim, bounds: Sequence[Interval]) -> bool:
+    """Whether the effect may as well not be there: so for each amplitude, or the first shape where there is none."""
+    pairs = list(zip(claim.effect.parameters, bounds, strict=True))
+    telling = [(one, bound) for one, bound in pairs if one.smallest > 0.0] or pairs[:1]
+    return all(bound.low <= one.neutral <= bound.high for one, bound in telling)
 
 
 def intervals(problem: Problem, found: Fit) -> list[Interval]:

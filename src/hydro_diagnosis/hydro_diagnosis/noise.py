@@ -1,35 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measured noise floor: sixth differences cancel everything that moves below about 100 Hz and keep white noise."""
+"""The measured noise floor: of the sensors, by what is white in the recordings, and of each residual."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import comb, hypot
+from math import hypot
 
 import numpy as np
-import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.segment_record import BLOCK
 from hydro_diagnosis.smoothing import ACCELERATION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
+from hydro_diagnosis.white import white_noise
 from hydro_sim.bench import Bench
-
-_ORDER = 6
-_GAIN = sum(comb(_ORDER, k) ** 2 for k in range(_ORDER + 1)) ** 0.5
-
-
-def white_noise(signal: FloatArray, recorded: npt.NDArray[np.bool_] | None = None) -> float:
-    """Standard deviation of the white noise in a signal, robust against rare jumps; None: every sample is recorded."""
-    differences = np.diff(signal, _ORDER) / _GAIN
-    if recorded is not None:
-        differences = differences[np.lib.stride_tricks.sliding_window_view(recorded, _ORDER + 1).all(axis=1)]
-        if not len(differences):
-            return white_noise(signal)
-    middle = float(np.median(np.abs(differences)))
-    limit = 6.0 * middle if middle > 0.0 else np.inf  # a slow encoder repeats itself most of the time
-    kept = differences[np.abs(differences) <= limit]
-    return float(np.sqrt(np.mean(np.square(kept)))) if len(kept) else 0.0
 
 
 def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
@@ -41,7 +25,7 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
     densest = min(model.spacing for model in models)
     for model in (model for model in models if model.spacing == densest):
         measured = model.segment.measured
-        recorded = slice(None) if measured is None else slice(int(np.argmax(measured)), None, model.spacing)
+        recorded = slice(model.segment.phase, None, model.spacing)
         for channel, signal in _nearly_white(model).items():
             noise = white_noise(signal[recorded], None if measured is None else measured[recorded])
             found.setdefault(channel, []).append((len(signal), noise))

@@ -57,6 +57,11 @@ class Segment:
         """s since the start of the recording, shape (n,)."""
         return self.start + self.step * np.arange(len(self), dtype=np.float64)
 
+    @property
+    def phase(self) -> int:
+        """First sample that lies at one of the logger's rows."""
+        return 0 if self.measured is None else int(np.argmax(self.measured)) % self.spacing
+
     def cut(self, begin: int, end: int) -> Segment:
         """The samples from `begin` up to `end`."""
         return replace(

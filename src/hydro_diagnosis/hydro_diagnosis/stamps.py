@@ -14,8 +14,8 @@ import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.noise import white_noise
 from hydro_diagnosis.recording import MEASURED
+from hydro_diagnosis.white import white_noise
 
 Rows = npt.NDArray[np.int64]
 SHAKEN = 0.02
