@@ -26,6 +26,8 @@ FOLLOWS = 0.01
 """Share of a stamp's error by which the clock that counts rows follows it."""
 SMOOTHER = 0.9
 """Of the roughness as evenly taken samples, below which samples lie at their stamps."""
+_LOOKS = ((32, 0.03), (512, 3e-3), (8192, 2e-4))
+"""Rows in which a rhythm is sought, and how far around the guess: finer as more of them are in step."""
 _BEGIN = 21
 """Stamps whose median sets that clock."""
 
@@ -42,11 +44,19 @@ def uneven(time: FloatArray) -> bool:
 def counted(time: FloatArray) -> tuple[float, Rows]:
     """Sampling time [s] and the row of each stamp; rows that are missing leave gaps in the count."""
     steps = np.diff(time)
-    step = float(np.median(steps[steps > 0.0]))
-    for _ in range(2):
-        rows = _followed(time, step)
-        step = float(np.polyfit(rows, time - time[0], 1)[0])
-    return step, rows
+    rows = _followed(time, _period(time, float(np.median(steps[steps > 0.0]))))
+    return float(np.polyfit(rows, time - time[0], 1)[0]), rows
+
+
+def _period(time: FloatArray, step: float) -> float:
+    """The sampling time [s] in whose rhythm the stamps lie best, near a first guess that lost rows have lengthened."""
+    for count, reach in _LOOKS:
+        length = min(count, len(time))
+        blocks = time[: len(time) // length * length].reshape(-1, length)
+        trials = step * (1.0 + np.linspace(-reach, reach, 61))
+        rhythm = [np.sum(np.square(np.abs(np.exp(2j * np.pi / one * blocks).sum(axis=1)))) for one in trials]
+        step = float(trials[int(np.argmax(rhythm))])
+    return step
 
 
 def _followed(time: FloatArray, step: float) -> Rows:
