@@ -111,7 +111,7 @@ class Problem:
         """Root mean square of a change over `LEVEL` seconds around each residual."""
         duration = len(self.models[segment].time) * self.models[segment].step
         count = max(round(LEVEL * len(change) / duration), 1)
-        return np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest"))
+        return np.asarray(np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest")))
 
     def change(self, claims: Sequence[Claim]) -> FloatArray:
         """By how much each residual changes if half of the rows are left out, over its deviation."""
@@ -137,7 +137,7 @@ class Problem:
         if channel in ("pressure_a", "pressure_b"):
             deviation = np.hypot(deviation, self._flows[segment][CHANNELS.index(channel)])
         if (channel, segment) in self._unseen:
-            return np.maximum(deviation, self._unseen[channel, segment])
+            return np.asarray(np.maximum(deviation, self._unseen[channel, segment]))
         return deviation
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
