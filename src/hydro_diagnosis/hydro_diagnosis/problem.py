@@ -54,7 +54,9 @@ class Problem:
         self.bench = bench
         self.baseline = tuple(baseline)
         likes = like.models if like else [None] * len(segments)
-        self.models = [SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)]
+        self.models: list[SegmentModel] = [
+            SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)
+        ]
         self.sensor_noise = noise or sensor_noise(self.models)
         self._noises = [residual_noise(self.sensor_noise, bench, model.step * model.spacing) for model in self.models]
         self.noise = self._noises[0]
