@@ -29,7 +29,7 @@ SMOOTHER = 0.9
 _LOOKS = ((32, 0.03), (512, 3e-3), (8192, 2e-4))
 """Rows in which a rhythm is sought, and how far around the guess: finer as more of them are in step."""
 _BEGIN = 21
-"""Stamps whose median sets that clock."""
+"""Stamps that set that clock."""
 
 
 def uneven(time: FloatArray) -> bool:
@@ -60,8 +60,9 @@ def _period(time: FloatArray, step: float) -> float:
 
 
 def _followed(time: FloatArray, step: float) -> Rows:
-    count = min(_BEGIN, len(time))
-    clock = float(np.median(time[:count] - step * np.arange(count)))
+    turns = np.exp(2j * np.pi / step * (time[:_BEGIN] - time[0]))  # their mean angle: lost rows do not matter
+    begin = float(np.angle(turns.mean())) / (2.0 * np.pi) * step
+    clock = float(time[0]) + begin
     rows, row = np.zeros(len(time), dtype=np.int64), 0
     for k in range(1, len(time)):
         passed = max(round((time[k] - clock) / step), 1)
