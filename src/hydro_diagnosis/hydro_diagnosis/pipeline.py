@@ -16,16 +16,18 @@ from threadpoolctl import threadpool_limits
 from hydro_diagnosis.baseline import baseline
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
-from hydro_diagnosis.convention import current_is_late
+from hydro_diagnosis.convention import current_is_early, current_is_late
 from hydro_diagnosis.corrected import claims_of
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.equations import held_out
 from hydro_diagnosis.intake import taken
+from hydro_diagnosis.intervals import Interval, surely
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.nextrec import next_recording
 from hydro_diagnosis.outcome import Outcome, SearchSettings
 from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.rates import untold
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report import INTERRUPTED, DiagnosisInterrupted, Report
 from hydro_diagnosis.search import Search
@@ -121,13 +123,14 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     progress("searching")
     outcome = search.run()
     progress("judging")
-    assessment = assess(problem, outcome.fit, outcome.nothing)
+    assessment, bounds = _judged(problem, outcome)
     late = current_is_late(problem, assessment)
     models = [SegmentModel(segment, believed) for segment in held]
     progress("checking on held-out recordings")
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.set_doubt(assessment.fit.claims)
-    effects = describe(problem, unseen, outcome, assessment)
+    effects = describe(problem, unseen, outcome, assessment, bounds)
+    notes = (late, current_is_early(problem, effects), untold(problem, assessment.fit, search.library))
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
@@ -137,9 +140,19 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         next_recording=next_recording(problem, outcome, assessment),
         seconds=time.monotonic() - begun,
         steps=_steps(search),
-        **{**facts, "data_quality": [*facts["data_quality"], *([late] if late else [])]},
+        **{**facts, "data_quality": [*facts["data_quality"], *(note for note in notes if note)]},
     )
     return Diagnosis(report, believed, problem, assessment, outcome, models)
+
+
+def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
+    """What may be said, and intervals; a claim whose interval holds nothing is none, and the rest is judged anew."""
+    assessment = assess(problem, outcome.fit, outcome.nothing)
+    while True:
+        sure, bounds = surely(problem, assessment.fit)
+        if len(sure.claims) == len(assessment.fit.claims):
+            return assessment, bounds
+        assessment = assess(problem, sure, outcome.nothing)
 
 
 def _unfinished(search: Search, facts: Mapping[str, Any], begun: float) -> Report:
