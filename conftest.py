@@ -13,12 +13,7 @@ def pytest_configure() -> None:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Graph tests come first and one after the other; the rest is shared out by file, so that fixtures are made once.
-
-    They keep real time: two graphs at once would ask for more than two cores. Beside them computes the other worker.
-    """
-    items.sort(key=lambda item: item.get_closest_marker("graph") is None)
-    for item in items:
-        group = "graph" if item.get_closest_marker("graph") else item.path.name
-        item.add_marker(pytest.mark.xdist_group(group))
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """Where tests are shared out, then by file: a file's fixtures are made once. Graph tests stay together."""
+    group = "graph" if item.get_closest_marker("graph") else item.path.name
+    item.add_marker(pytest.mark.xdist_group(group))

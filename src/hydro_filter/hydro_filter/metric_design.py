@@ -58,7 +58,7 @@ def rest_loop(loop: LoopModel, proportional_gain: float) -> tuple[FloatArray, Fl
     x = np.zeros(8)
     x[4:7] = still[:3]
     step = loop_step()
-    linearize(loop, np.zeros(HIDDEN), x, 1e-9, 0.0, proportional_gain, step)
+    linearize(loop, np.zeros(HIDDEN), x, 1e-9, 0.0, float(proportional_gain), step)
     return step.transition.copy(), step.push.copy(), step.feedback.copy()
 
 

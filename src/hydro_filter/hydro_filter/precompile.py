@@ -12,6 +12,7 @@ from hydro_filter.choice import CONSTANT, LEARNED, Choice, warm_up
 from hydro_filter.learned_metric import LearnedMetric
 from hydro_filter.loop_model import loop_model
 from hydro_filter.metric_data import DataSettings, collect
+from hydro_filter.metric_design import rest_loop
 from hydro_filter.validation import FILTERS, Task, outcome
 from hydro_filter.validation_cases import CASES
 from hydro_filter.validation_plants import PLANTS
@@ -36,6 +37,7 @@ def _metric_learning() -> None:
     assert isinstance(learned.model, StructuredModel)
     loop, plant = loop_model(learned.model, bench), LearnedPlant(learned)
     rollout, _ = next(collect(plant, bench, loop, DataSettings(rollouts=8, seconds=2.0, windows=1)))
+    rest_loop(loop, 60.0)
     metric = LearnedMetric.load(None)
     metric.matrix(plant.reset(0), float(np.inf))
     metric_levels.displacements(loop, plant, 60.0, 0)

@@ -94,8 +94,11 @@ def test_an_update_is_owed_for_every_transition_after_the_warm_up() -> None:
 
 @pytest.mark.slow
 def test_a_minute_of_pretraining_learns() -> None:
-    """From gains near the middle of their range to a policy that follows the 2 Hz sine at least as (90, 15) does."""
-    training = TrainingSettings(episodes=8, task=TaskSettings(steps_per_episode=1200))
+    """From gains near the middle of their range to a policy that follows the 2 Hz sine at least as (90, 15) does.
+
+    Sixteen episodes: under the bumpless integral eight come to 1.17 and 1.06 (seeds 0, 1), sixteen to 1.08 and 1.08.
+    """
+    training = TrainingSettings(episodes=16, task=TaskSettings(steps_per_episode=1200))
     pretraining = Pretraining(PretrainSettings(training=training), Learned.load(None), BENCH)
     finished(pretraining)
     assert pretraining.best_score < 1.1

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -10,13 +11,14 @@ import numpy as np
 import pytest
 
 from hydro_bridge.readiness import NotReadyError, Requirement
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import CorrectionStatus, Flag
+from hydro_filter.filter import Result
 from hydro_policy.arming import HOW_TO_ARM
 from hydro_policy.cases import EvaluationSettings, ExamSettings
 from hydro_policy.controllers import FixedGains
 from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession
-from hydro_policy.offline import InlineLearner, OfflineGraph
+from hydro_policy.offline import PASSED, InlineLearner, OfflineGraph
 from hydro_policy.run import TrainingSettings
 from hydro_policy.sac import SacSettings
 from hydro_policy.session import Session
@@ -39,8 +41,11 @@ SHORT = TrainingSettings(
 )
 
 
+UNDECIDED = Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
+
+
 class Timed(OfflineGraph):
-    """Keeps when what happened; the filter's corrections reach the plant from `filtered_from` [s] on."""
+    """Keeps when what happened; the filter decides from `filtered_from` [s] on."""
 
     def __init__(self, filtered_from: float = 0.0) -> None:
         super().__init__(AnalyticPlant(OFF_CENTRE), BENCH)
@@ -58,13 +63,8 @@ class Timed(OfflineGraph):
 
     def sample(self) -> np.void:
         before = bool(self.box.state["armed"][0])
-        fresh = self.guard.correction_fresh
-        if self.time < self.filtered_from:
-            self.guard.correction_fresh = lambda now: False  # type: ignore[method-assign]
-        try:
-            output = super().sample()
-        finally:
-            self.guard.correction_fresh = fresh  # type: ignore[method-assign]
+        self.answer = UNDECIDED if self.time < self.filtered_from else PASSED
+        output = super().sample()
         armed = bool(output["flags"] & Flag.ARMED)
         if armed != before:
             (self.armed_at if armed else self.disarmed_at).append(self.time)
