@@ -66,7 +66,7 @@ class Comparison:
 def errors(
     plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
 ) -> dict[str, FloatArray]:
-    """Reading minus recording, by channel, shape (length, windows)."""
+    """Reading minus recording, by channel, shape (recorded rows, windows)."""
     state = begun(plant, begins, length, noise, shooting=shooting)
     return _apart(plant, plant.run(state, begins, length), begins)
 
@@ -80,7 +80,8 @@ def begun(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *
 def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
     lanes = np.tile(begins, states.shape[2] // len(begins))
     at = lanes[None, :] + np.arange(states.shape[0])[:, None]
-    return {name: shown - plant.model.channels[name][at] for name, shown in plant.readings(states, begins).items()}
+    apart = {name: shown - plant.model.channels[name][at] for name, shown in plant.readings(states, begins).items()}
+    return {name: one[:: plant.model.spacing] for name, one in apart.items()}
 
 
 def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
@@ -144,7 +145,8 @@ def compare(
         length = round(seconds / model.step)
         if len(model.segment) < model.settle + length + 50:
             continue
-        begins = np.unique(np.linspace(model.settle, len(model.segment) - length - 20, each).astype(np.int64))
+        begins = np.linspace(model.settle, len(model.segment) - length - 20, each).astype(np.int64)
+        begins = np.unique(begins - (begins - model.segment.phase) % model.spacing)
         with np.errstate(all="ignore"):
             old = errors(Plant.of(model, before), begins, length, noise, shooting=shooting)
             plant = Plant.of(model, after)
@@ -163,7 +165,7 @@ def compare(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A recording's windows, and reading minus recording in them, by channel, shape (length, windows)."""
+    """A recording's windows, and reading minus recording in them, by channel, shape (recorded rows, windows)."""
 
     model: SegmentModel
     begins: Indices
