@@ -18,6 +18,7 @@ import numpy.typing as npt
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.predictable import MOST, Window, unpredictable
+from hydro_diagnosis.report import ChannelError
 from hydro_diagnosis.simulate import Indices, Plant
 
 HORIZON = 0.07
@@ -36,21 +37,6 @@ _STATE_SCALE = np.array([1e-6, 1e-4, 1e3, 1e3])
 """m, m/s, Pa, Pa, by which a state is moved to see what it does."""
 _START_DOUBT = np.array([5e-6, 5e-3, 5e4, 5e4])
 """m, m/s, Pa, Pa, to which the recording's smoothed state is trusted."""
-
-
-@dataclass(frozen=True)
-class ChannelError:
-    """Root mean square error of one channel."""
-
-    unit: str
-    rmse_before: float
-    """Over the windows that can be predicted."""
-    rmse_after: float
-    """Likewise, over the same windows."""
-    noise_floor: float
-    rmse_before_all: float
-    """Over all windows."""
-    rmse_after_all: float
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from hydro_diagnosis.chambers import ChamberRun
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
 from hydro_diagnosis.forces import ForceBalance
 from hydro_diagnosis.observer import ChamberObserver
-from hydro_sim.bench import LOAD_CELL_DAMPING
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 
 
 class SegmentModel(ChamberObserver, ForceBalance):

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
@@ -18,6 +17,7 @@ from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
 from hydro_diagnosis.convention import current_is_early, current_is_late
 from hydro_diagnosis.corrected import claims_of
+from hydro_diagnosis.diagnosis import Diagnosis
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.equations import held_out
@@ -36,18 +36,6 @@ from hydro_diagnosis.verdict import Assessment, assess
 from hydro_sim.bench import Bench
 
 Progress = Callable[[str], None]
-
-
-@dataclass
-class Diagnosis:
-    """A report and what it was made from."""
-
-    report: Report
-    bench: Bench
-    problem: Problem
-    assessment: Assessment
-    outcome: Outcome
-    holdout: list[SegmentModel] = field(default_factory=list)
 
 
 def diagnose(
@@ -130,7 +118,11 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.set_doubt(assessment.fit.claims)
     effects = describe(problem, unseen, outcome, assessment, bounds)
-    notes = (late, current_is_early(problem, effects), untold(problem, assessment.fit, search.library))
+    notes = (
+        late,
+        current_is_early(problem, effects),
+        untold(problem, assessment.fit, search.library, search.settings.threshold),
+    )
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],

@@ -13,7 +13,6 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.fit import Fit, pack, spreads
-from hydro_diagnosis.outcome import SearchSettings
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.screen import allowed, cause
 
@@ -41,8 +40,11 @@ def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
     return np.split(moved, np.cumsum(counts)[:-1])
 
 
-def untold(problem: Problem, found: Fit, library: Sequence[Effect]) -> str | None:
-    """Which causes could hide in the rows that are missing, from which size on they would show; None if none lack."""
+def untold(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
+    """Which causes could hide in the rows that are missing, from which size on they would show; None if none lack.
+
+    `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
+    """
     if problem.thinner is None:
         return None
     weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
@@ -52,7 +54,9 @@ def untold(problem: Problem, found: Fit, library: Sequence[Effect]) -> str | Non
         if not effect.named or effect.needs:
             continue
         name = " ".join(part for part in cause(effect)).replace("=", " ")
-        limit = min((_least(problem, found, effect, k, weight, change) for k in range(_PROBES)), key=lambda one: one[0])
+        price = threshold + len(effect.parameters) * float(np.log(len(weight)))
+        tried = (_least(problem, found, effect, k, weight, change, price) for k in range(_PROBES))
+        limit = min(tried, key=lambda one: one[0])
         limits[name] = min(limit, limits.get(name, limit), key=lambda one: one[0])
     hidden = [f"{name}{words}" for name, (_, words) in limits.items() if words]
     if not hidden:
@@ -61,7 +65,7 @@ def untold(problem: Problem, found: Fit, library: Sequence[Effect]) -> str | Non
 
 
 def _least(
-    problem: Problem, found: Fit, effect: Effect, probe: int, weight: FloatArray, change: FloatArray
+    problem: Problem, found: Fit, effect: Effect, probe: int, weight: FloatArray, change: FloatArray, price: float
 ) -> tuple[float, str]:
     """Multiple of a probe from which it shows, and in words if that is much: ` under 0.4 kg`, or alone if never."""
     start = {one.name: one.probes[min(probe, len(one.probes) - 1)] for one in effect.parameters}
@@ -69,7 +73,6 @@ def _least(
     power = float(signature @ signature)
     if power <= 0.0:
         return np.inf, " at any size"
-    price = SearchSettings().threshold + len(start) * float(np.log(len(weight)))
     share = max(2.0 * abs(float(signature @ change)), (price * power) ** 0.5) / power
     main = next((one for one in effect.parameters if one.smallest > 0.0), None)
     if main is None:

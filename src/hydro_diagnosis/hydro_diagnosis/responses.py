@@ -13,7 +13,7 @@ from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.observer import OBSERVER_MEMORY
 from hydro_diagnosis.problem import CHANNELS, Problem
-from hydro_sim.bench import LOAD_CELL_DAMPING
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 
 UNIT_SIZE = {"pressure_a": 1e-7, "pressure_b": 1e-7, "actuation": 1e-4, "motion": 1.0, "load": 1.0}
 """Scale of the basis functions, so that columns are of similar length."""

@@ -18,7 +18,8 @@ from hydro_diagnosis.chambers import Oil
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics
 from hydro_diagnosis.memory import RecordMemory, StepMemory
 from hydro_diagnosis.model import SegmentModel
-from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
+from hydro_sim.bench import Bench
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""

@@ -136,10 +136,10 @@ def test_claim_whose_interval_holds_nothing_is_none(problem: Problem) -> None:
 
 def test_what_a_rate_hides_is_said(nominal: StateArray) -> None:
     slow = Problem(logged(nominal, slice(None, None, 20)).segments, BENCH)
-    note = untold(slow, fit(slow, ()), [effect.adapted(BENCH) for effect in CANDIDATES])
+    note = untold(slow, fit(slow, ()), [effect.adapted(BENCH) for effect in CANDIDATES], THRESHOLD)
     assert note is not None and "entrained_air under" in note
     whole = Problem(logged(nominal).segments, BENCH)
-    assert untold(whole, fit(whole, ()), CANDIDATES) is None
+    assert untold(whole, fit(whole, ()), CANDIDATES, THRESHOLD) is None
 
 
 def test_recordings_of_two_rates_have_each_its_own_noise(nominal: StateArray) -> None:
