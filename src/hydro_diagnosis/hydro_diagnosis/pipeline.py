@@ -118,11 +118,8 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.set_doubt(assessment.fit.claims)
     effects = describe(problem, unseen, outcome, assessment, bounds)
-    notes = (
-        late,
-        current_is_early(problem, effects),
-        untold(problem, assessment.fit, search.library, search.settings.threshold),
-    )
+    hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
+    notes = (late, current_is_early(problem, effects), hidden)
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],

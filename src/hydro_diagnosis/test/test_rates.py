@@ -16,6 +16,7 @@ from hydro_diagnosis.effects import CANDIDATES, Claim
 from hydro_diagnosis.fit import fit
 from hydro_diagnosis.intervals import intervals, surely
 from hydro_diagnosis.locate import mean_squares
+from hydro_diagnosis.outcome import SearchSettings
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.rates import shifts, untold
@@ -28,6 +29,7 @@ from hydro_diagnosis.worth import all_worth
 from hydro_sim.bench import Bench
 
 BENCH = Bench.nominal()
+THRESHOLD = SearchSettings().threshold
 MASS = next(effect for effect in CANDIDATES if effect.id == "moving_mass")
 FRICTION = next(effect for effect in CANDIDATES if effect.id == "friction_coulomb" and not effect.options)
 
