@@ -42,9 +42,9 @@ from hydro_bridge.ros import (
     Status,
     box_to_message,
     reference_from_message,
+    rivals,
     with_rivals,
 )
-from hydro_bridge.ros import publisher_conflict as rivals
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import Flag, flag_names

@@ -41,12 +41,12 @@ from hydro_bridge.ros import (
     be_prompt,
     declare_parameters,
     listen_to_box,
+    rivals,
     ros_arguments,
     run_node,
     seconds,
     with_rivals,
 )
-from hydro_bridge.ros import publisher_conflict as rivals
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.settings import check, describe
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag

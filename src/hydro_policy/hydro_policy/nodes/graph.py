@@ -38,11 +38,11 @@ from hydro_bridge.ros import (
     be_prompt,
     listen_to_box,
     reference_to_message,
+    rivals,
     seconds,
     spin,
     state_from_message,
 )
-from hydro_bridge.ros import publisher_conflict as rivals
 from hydro_bridge.safety.box_info import KnownBox, told
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import ReferenceSignal

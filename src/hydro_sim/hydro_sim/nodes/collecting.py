@@ -33,9 +33,9 @@ from hydro_bridge.ros import (
     RecorderWatch,
     listen_to_box,
     reference_to_message,
+    rivals,
     spin,
 )
-from hydro_bridge.ros import publisher_conflict as rivals
 from hydro_bridge.safety.box_info import KnownBox, told
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag
