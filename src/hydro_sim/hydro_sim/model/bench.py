@@ -159,7 +159,9 @@ class Bench:
         limits = {
             entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in fields(self) if entry.metadata
         }
-        numbers = program.corrected({name: getattr(self, name) for name in limits}, limits, self.effects)
+        numbers: dict[str, Any] = program.corrected(
+            {name: getattr(self, name) for name in limits}, limits, self.effects
+        )
         return replace(self, effects=(), **numbers)
 
 
