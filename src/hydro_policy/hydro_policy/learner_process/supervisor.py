@@ -121,7 +121,7 @@ class LearnerSupervisor:
         blob = self._weights.read()
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
-    def revive(self) -> str | None:
+    def restart_if_dead(self) -> str | None:
         """If the learner died, start another from its last snapshot; what to tell the user of that.
 
         Raises
@@ -164,7 +164,7 @@ class LearnerSupervisor:
         self._ask_to_roll_back()
 
     def _ask_to_roll_back(self) -> None:
-        with suppress(OSError):  # dead: `revive` asks its successor
+        with suppress(OSError):  # dead: `restart_if_dead` asks its successor
             self._requests.send(RollBack())
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
