@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hydro_bridge.console import UserError, progress
+from hydro_bridge.endings import undisturbed
 from hydro_diagnosis.proof.cases import FITTED, HELD, Case
 from hydro_diagnosis.proof.recording import clear, fresh, run_seed, whole, written
 from hydro_diagnosis.proof.retake import ATTEMPTS, Attempt, usable
@@ -78,12 +79,13 @@ def _running(words: Sequence[str]) -> Iterator[None]:
     try:
         yield
     finally:
-        os.killpg(process.pid, signal.SIGINT)
-        try:
-            process.wait(timeout=10.0)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+        with undisturbed():  # a second Ctrl-C leaves nothing behind
+            os.killpg(process.pid, signal.SIGINT)
+            try:
+                process.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
 
 def _environment() -> dict[str, str]:

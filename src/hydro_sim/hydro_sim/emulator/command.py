@@ -14,6 +14,7 @@ import yaml
 
 from hydro_bridge import endings
 from hydro_bridge.console import writable, writable_folder
+from hydro_bridge.realtime import be_ordinary
 from hydro_bridge.recording import RecordingError
 from hydro_bridge.user_errors import explained
 from hydro_sim.bench import Bench
@@ -121,6 +122,7 @@ def _serve(options: argparse.Namespace) -> None:
     try:
         timing = running.run(options.seconds, lambda: bool(stop))
     finally:
+        be_ordinary()  # a long log takes seconds to write
         terminal.unplug()
         if control is not None:
             control.close()
