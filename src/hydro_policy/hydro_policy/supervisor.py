@@ -72,7 +72,7 @@ class LearnerSupervisor:
             self._memory.status(),
         )
         self._good = self._memory.good()
-        self._rollbacks = 0  # asked for
+        self._rollbacks, self._unheard = 0, False  # asked for; whether the learner had no ear for the last one
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
             start = resumed.learner
@@ -132,6 +132,8 @@ class LearnerSupervisor:
         """
         self._hear()
         if self.alive:
+            if self._unheard:
+                self._ask_to_roll_back()
             return None
         if self._said and not self.ready:
             raise LearnerError(f"the learner cannot begin: {self._said}")
@@ -165,7 +167,7 @@ class LearnerSupervisor:
         self._ask_to_roll_back()
 
     def _ask_to_roll_back(self) -> None:
-        self._ask(RollBack())  # dead: `revive` asks its successor
+        self._unheard = not self._ask(RollBack())  # `revive` asks again, or its successor
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Ask for a checkpoint; False if the learner is not there to hear it."""

@@ -150,8 +150,14 @@ def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is
     os.kill(learner.pid, signal.SIGSTOP)
     history = [{"episode": k, "whole_steps": 1800, "force_rmse": 1.0 / 3.0} for k in range(160)]
     heard = [learner.save({"episode": k, "history": history}) for k in range(200)]  # two megabytes
-    learner.roll_back()
     assert heard[0] and not heard[-1]
+    before = learner.checkpoints
+    learner.roll_back()
+    os.kill(learner.pid, signal.SIGCONT)
+    wait(lambda: learner.checkpoints == before + sum(heard))
+    learner.revive()
+    wait(lambda: learner.new_weights() is not None)  # it has gone back, though it did not hear of it at first
+    os.kill(learner.pid, signal.SIGSTOP)
     learner.stop({"episode": 200})
     assert not learner.alive
     assert load_checkpoint(run.latest).trainer == {"episode": 200}

@@ -15,10 +15,17 @@ from hydro_policy.episode import Phase
 from hydro_policy.evaluation import EvaluationSession
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
 from hydro_policy.nodes.graph import GraphNode
-from hydro_policy.nodes.options import plant_words, rearms
+from hydro_policy.nodes.options import rearms
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.nodes.trainer_results import compared, tell_files, timing
-from hydro_policy.nodes.trainer_start import Prepared, begin_record, prepare, start_plant, taken_back
+from hydro_policy.nodes.trainer_start import (
+    Prepared,
+    begin_record,
+    prepare,
+    start_plant,
+    taken_back,
+    tell_plant_again,
+)
 from hydro_policy.record import RunRecord
 from hydro_policy.start import Start
 from hydro_policy.supervisor import LearnerSupervisor
@@ -40,7 +47,7 @@ def train(options: argparse.Namespace) -> int:
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
         recording = start_plant(stack, options, prepared, node)
         session = begin_session(node, prepared, learner, record, rearm=rearms(options))
-        stack.callback(lambda: run.load_plant() or run.save_settings(settings, plant_words(options)))  # taken away
+        stack.callback(tell_plant_again, run, settings, options)
         stack.callback(lambda: learner.stop(session.state()))
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits

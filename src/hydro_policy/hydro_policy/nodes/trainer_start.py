@@ -146,6 +146,12 @@ def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Start
     write_run(SaveRequest(run.path, {}, best=False), agent, None, nothing, settings)
 
 
+def tell_plant_again(run: RunDirectory, settings: TrainingSettings, options: argparse.Namespace) -> None:
+    """Write which plant it is into a folder that a checkpoint has made anew, after somebody had taken the run away."""
+    if run.latest.exists() and not run.load_plant():
+        run.save_settings(settings, plant_words(options))
+
+
 def met(node: GraphNode) -> Believed:
     """What the box of a plant that runs believes.
 
