@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import argparse
 import sys
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ import numpy as np
 
 from demo import page, stages, trial
 from demo.stages import Plan
+from demo.story import Entry, Story
 from hydro_bridge.console import Table, add_json_argument, command, progress, writable_folder
 from hydro_policy.controllers import Controller, FixedGains, policy_controller
 from hydro_sim.bench import Bench
@@ -36,30 +36,6 @@ COLUMNS = {
     "2 Hz": "",
     "mean": "N, on the bench",
 }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Entry:
-    """A controller, where it was chosen, and how it does."""
-
-    name: str
-    chosen: str
-    """believed, corrected, or - for gains from elsewhere."""
-    simulated: trial.Outcome
-    bench: trial.Outcome
-
-
-@dataclass
-class Story:
-    """What happened."""
-
-    plan: Plan
-    report: dict[str, Any] = field(default_factory=dict)
-    entries: list[Entry] = field(default_factory=list)
-
-    def tried(self, name: str) -> list[Entry]:
-        """Entries of the trainings called `name`."""
-        return [entry for entry in self.entries if entry.name.startswith(name)]
 
 
 def parser() -> argparse.ArgumentParser:

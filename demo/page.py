@@ -5,15 +5,13 @@ from __future__ import annotations
 
 import textwrap
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from demo.story import Entry, Story
 from hydro_bridge.signals import Flag
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure
-
-if TYPE_CHECKING:
-    from demo.__main__ import Entry, Story
 
 SHOWN = 2.0
 """s of the force that are drawn."""

@@ -19,8 +19,8 @@ from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.simulate import Plant
 from hydro_diagnosis.smoothing import smooth
-from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
-from hydro_sim.hydraulics import SAMPLE, advance, hydraulic_force
+from hydro_sim.bench import Bench
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING, SAMPLE, advance, hydraulic_force
 
 LENGTH, WINDOWS, STEPS = 70, 24, 5
 NAMES = {

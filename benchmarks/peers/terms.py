@@ -12,7 +12,8 @@ import numpy as np
 from benchmarks.peers.run import DROOPS, LAGS, Signals
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model import SegmentModel
-from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
+from hydro_sim.bench import Bench
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 
 Terms = dict[str, FloatArray]
 

@@ -10,12 +10,13 @@ from pathlib import Path
 
 from hydro_bridge.console import command, writable_folder
 from hydro_diagnosis.corrected import write_corrected
+from hydro_diagnosis.importers import SUFFIXES
 from hydro_diagnosis.page import write_page
 from hydro_diagnosis.pipeline import Diagnosis, diagnose
 from hydro_diagnosis.report import DiagnosisInterrupted
 from hydro_diagnosis.table import InputError
 
-RECORDINGS = "rosbag2 folder, .mcap, .csv, .parquet or .mat"
+RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
 
 
 def parser() -> argparse.ArgumentParser:
@@ -34,8 +35,8 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument(
         "--columns",
         metavar="MAP",
-        help="of .csv, .parquet and .mat files: FIELD=COLUMN,... with units, scales and offsets, for instance "
-        "time=t,piston_position=pos[mm]-40,pressure_a=pa*1e5 or a YAML file of the same; `inspect FILE` lists columns",
+        help="FIELD=COLUMN,... with units, scales, offsets and delays, for instance "
+        "time=t,piston_position=pos[mm]-40,pressure_a=pa*1e5 or a YAML file of the same; `inspect FILE` proposes one",
     )
     options.add_argument(
         "--without",
@@ -43,6 +44,9 @@ def parser() -> argparse.ArgumentParser:
         default=[],
         metavar="ID",
         help="causes that it cannot be, for instance backlash or friction_viscous:directional: they are not tried",
+    )
+    options.add_argument(
+        "--as-wired", action="store_true", help="go on where channels contradict each other or the bench file"
     )
     options.add_argument("--out", required=True, type=writable_folder, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")
@@ -61,6 +65,7 @@ def run(arguments: Sequence[str]) -> int:
             model=chosen.model,
             columns=chosen.columns,
             without=chosen.without,
+            as_wired=chosen.as_wired,
             progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
         )
     except DiagnosisInterrupted as interrupted:

@@ -14,20 +14,18 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.units import UNITS, known
 
-UNITS = {
-    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9,
-    "m": 1.0, "mm": 1e-3, "um": 1e-6, "m/s": 1.0, "mm/s": 1e-3,
-    "N": 1.0, "kN": 1e3, "N/s": 1.0, "kN/s": 1e3,
-    "Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "bar": 1e5, "psi": 6894.757293168361,
-    "A": 1.0, "mA": 1e-3,
-}  # fmt: skip
-"""SI over unit."""
 _SOURCE = re.compile(
-    r"""\s*(?:'(?P<single>[^']+)'|"(?P<double>[^"]+)"|(?P<bare>[^\[\]*/+\-'"]+?))\s*(?P<rest>[\[*/+\-].*)?"""
+    r"""\s*(?:'(?P<single>[^']+)'|"(?P<double>[^"]+)"|(?P<bare>[^\[\]*/+\-@'"]+?))\s*(?P<rest>[\[*/+\-].*)?"""
 )
 _STEP = re.compile(r"\s*(?P<sign>[*/+\-])\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*)\s*")
 _UNIT = re.compile(r"\s*\[(?P<unit>[^\]]*)\]\s*")
+_DELAY = re.compile(r"\s*@\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>s|ms|us)\s*$")
+
+
+_BARE = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
+"""A column's name that needs no quotes, in a map in short nor in YAML."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +36,29 @@ class Source:
     """Name in the file; empty for a constant."""
     steps: tuple[tuple[str, float | str], ...] = ()
     """Sign (*, /, +, -) and number, or the name of a single number in the file; in this order."""
+    unit: str = ""
+    """What the column is in, SI if empty; the last to be multiplied."""
+    delay: float = 0.0
+    """s by which the column is late against the others: what it shows at a time happened so much earlier."""
+
+    @property
+    def plain(self) -> bool:
+        """Whether the column is taken as it is, so that the unit that the file states for it counts."""
+        return bool(self.column) and not self.steps and not self.unit
+
+    def __str__(self) -> str:
+        """As a map in short writes it."""
+        if not self.column:
+            return f"{sum(float(number) for _, number in self.steps):g}"
+        quoted = self.column if _BARE.fullmatch(self.column) else f"'{self.column}'"
+        if "'" in self.column:
+            quoted = f'"{self.column}"'
+        unit = f"[{self.unit}]" if self.unit else ""
+        steps = "".join(
+            f"{sign}{number:.9g}" if isinstance(number, float) else f"{sign}{number}" for sign, number in self.steps
+        )
+        late = f"@{self.delay * 1e3:.9g}ms" if self.delay else ""
+        return f"{quoted}{unit}{steps}{late}"
 
     def of(self, columns: Mapping[str, FloatArray], constants: Mapping[str, float], length: int) -> FloatArray:
         """The field in SI units, shape (length,).
@@ -58,6 +79,8 @@ class Source:
                 raise InputError(f"there is no single number named {number!r}{_instead(number, constants)}")
             by = constants[number] if isinstance(number, str) else number
             values = _OPERATIONS[sign](values, by)
+        if self.unit:
+            values = values * UNITS[self.unit]
         return np.ascontiguousarray(values, dtype=np.float64)
 
 
@@ -88,23 +111,29 @@ def _constant(field: str, value: float) -> Source:
 
 
 def _from_words(field: str, words: Mapping[str, Any]) -> Source:
-    unknown = [str(key) for key in words if key not in ("column", "unit", "scale", "offset")]
+    unknown = [str(key) for key in words if key not in ("column", "unit", "scale", "offset", "delay")]
     if unknown or "column" not in words:
         said = f"{unknown[0]!r} is unknown" if unknown else "'column' is missing"
-        raise InputError(f"columns: {field}: {said}; there are column, unit, scale, offset")
+        raise InputError(f"columns: {field}: {said}; there are column, unit, scale, offset, delay")
     steps: list[tuple[str, float | str]] = []
     for sign, word in (("*", "scale"), ("+", "offset")):
         if word in words:
             steps.append((sign, _number(words[word])))
-    if "unit" in words:
-        steps.append(("*", _unit(field, str(words["unit"]))))
-    return Source(str(words["column"]), tuple(steps))
+    unit = _unit(field, str(words["unit"])) if "unit" in words else ""
+    delay = _number(words.get("delay", 0.0))
+    if not isinstance(delay, float) or not isfinite(delay):
+        raise InputError(f"columns: {field}: delay {words['delay']!r} is not a number of seconds")
+    return Source(str(words["column"]), tuple(steps), unit, delay)
 
 
 def _parsed(field: str, text: str) -> Source:
-    found = _SOURCE.fullmatch(text)
+    late = _DELAY.search(text)
+    delay = float(late["value"]) * UNITS[late["unit"]] if late else 0.0
+    found = _SOURCE.fullmatch(text[: late.start()] if late else text)
     if found is None:
-        raise InputError(f"columns: {field}={text} is not COLUMN[unit]*number+number; quote a name with signs in it")
+        raise InputError(
+            f"columns: {field}={text} is not COLUMN[unit]*number+number@delay; quote a name with signs in it"
+        )
     column = next(name for name in (found["single"], found["double"], found["bare"]) if name is not None)
     steps: list[tuple[str, float | str]] = []
     rest = found["rest"] or ""
@@ -116,9 +145,7 @@ def _parsed(field: str, text: str) -> Source:
             raise InputError(f"columns: {field}={text} cannot be read from {rest!r} on")
         steps.append((step["sign"], _number(step["value"])))
         rest = rest[step.end() :]
-    if unit:
-        steps.append(("*", _unit(field, unit["unit"])))
-    return Source(column.strip(), tuple(steps))
+    return Source(column.strip(), tuple(steps), _unit(field, unit["unit"]) if unit else "", delay)
 
 
 def _number(text: Any) -> float | str:
@@ -128,10 +155,10 @@ def _number(text: Any) -> float | str:
         return str(text)
 
 
-def _unit(field: str, unit: str) -> float:
-    if unit not in UNITS:
+def _unit(field: str, unit: str) -> str:
+    if not known(unit):
         raise InputError(f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNITS)}, or give a factor")
-    return UNITS[unit]
+    return known(unit)
 
 
 def _instead(name: str, there: Iterable[str]) -> str:

@@ -5,9 +5,14 @@
 
     time=t,piston_position=pos[mm],hydraulic_force=vir*gtau,pressure_a=pa[bar]+1,load_force=0
 
-On the left `time` or a BenchState field; on the right a column, its unit in brackets if it is not SI, then `*`, `/`,
-`+` or `-` with a number or the name of a single number in the file, taken from left to right and in that unit. A number
-alone is a constant. A YAML file holds the same, one line each, or the words column, unit, scale, offset.
+On the left `time` or a BenchState field; on the right a column, its unit in brackets if it is neither SI nor the one
+that the file states, then `*`, `/`, `+` or `-` with a number or the name of a single number in the file, taken from
+left to right and in that unit, then `@` and the time by which the column is late (`fl@20ms`). A number alone is a
+constant, `none` leaves a field out. A YAML file holds the same, one line each, or the words column, unit, scale,
+offset, delay.
+
+A map without `time` corrects what there is: all columns that carry a field's own name are taken besides, and the times
+that the file states.
 """
 
 from __future__ import annotations
@@ -34,6 +39,31 @@ class ColumnMap:
     """Sources by `time` and BenchState field name."""
 
     sources: Mapping[str, Source]
+    absent: frozenset[str] = frozenset()
+    """Fields that are left out though the file has columns of their names."""
+
+    def __str__(self) -> str:
+        """As it is given to `--columns`."""
+        left_out = [f"{field}=none" for field in sorted(self.absent)]
+        return ",".join([*(f"{field}={source}" for field, source in self.sources.items()), *left_out])
+
+    def completed(self, names: Iterable[str]) -> ColumnMap:
+        """With the columns among `names` that carry a field's own name, where the map says nothing of the time."""
+        if "time" in self.sources:
+            return self
+        besides = {name: Source(name) for name in names if name in TARGETS and name not in self.absent}
+        return ColumnMap({**besides, **self.sources}, self.absent)
+
+    def corrections(self) -> ColumnMap:
+        """Only what differs from columns that carry the fields' own names."""
+        return ColumnMap({name: one for name, one in self.sources.items() if one != Source(name)}, self.absent)
+
+    def changed(self, field: str, source: Source | None) -> ColumnMap:
+        """With another source for a field, or without the field."""
+        others = {name: one for name, one in self.sources.items() if name != field or source is not None}
+        if source is None:
+            return ColumnMap(others, self.absent | {field})
+        return ColumnMap({**others, field: source}, self.absent - {field})
 
     @classmethod
     def load(cls, given: str | Path | Mapping[str, Any] | ColumnMap | None) -> ColumnMap | None:
@@ -47,7 +77,9 @@ class ColumnMap:
         if given is None or isinstance(given, ColumnMap):
             return given
         if isinstance(given, Mapping):
-            return cls({_target(str(key)): source_of(str(key), value) for key, value in given.items()})
+            absent = frozenset(_target(str(key)) for key, value in given.items() if value is None or value == "none")
+            there = {str(key): value for key, value in given.items() if str(key) not in absent}
+            return cls({_target(key): source_of(key, value) for key, value in there.items()}, absent)
         if isinstance(given, Path) or (str(given).endswith((".yaml", ".yml")) and "=" not in str(given)):
             return cls.load(_from_yaml(Path(given)))
         pairs = [part.partition("=") for part in _parts(str(given))]
@@ -55,11 +87,6 @@ class ColumnMap:
             if not equals:
                 raise InputError(f"columns: {left.strip()!r} is not FIELD=COLUMN, for instance piston_position=pos[mm]")
         return cls.load({left.strip(): right.strip() for left, _, right in pairs})
-
-
-def known_as_they_are(names: Iterable[str]) -> ColumnMap:
-    """The map of a file whose columns carry the fields' own names."""
-    return ColumnMap({name: Source(name) for name in names if name in TARGETS})
 
 
 def _target(name: str) -> str:

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.fit import Fit, fit
-from hydro_diagnosis.intervals import Interval, intervals
+from hydro_diagnosis.intervals import Interval
 from hydro_diagnosis.locate import Place
 from hydro_diagnosis.outcome import Outcome, score
 from hydro_diagnosis.problem import Problem
@@ -19,10 +21,14 @@ CLOSE = 10.0
 """BIC within which a rival is not told apart from a claim (Kass and Raftery 1995: decisive beyond it)."""
 
 
-def describe(problem: Problem, held: Problem, outcome: Outcome, assessment: Assessment) -> list[EffectReport]:
-    """One entry per claim that stands, the strongest evidence first; `held`: the held-out recordings."""
+def describe(
+    problem: Problem, held: Problem, outcome: Outcome, assessment: Assessment, bounds: Sequence[Interval]
+) -> list[EffectReport]:
+    """One entry per claim that stands, the strongest evidence first.
+
+    `held`: the held-out recordings; `bounds`: of the parameters of all claims, in their order.
+    """
     found = assessment.fit
-    bounds = intervals(problem, found)
     reports, k = [], 0
     for claim in found.claims:
         count = len(claim.effect.parameters)
@@ -32,7 +38,7 @@ def describe(problem: Problem, held: Problem, outcome: Outcome, assessment: Asse
 
 
 def _report(
-    problem: Problem, held: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: list[Interval]
+    problem: Problem, held: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: Sequence[Interval]
 ) -> EffectReport:
     without = fit(problem, tuple(one for one in found.claims if one is not claim))
     parameters = {

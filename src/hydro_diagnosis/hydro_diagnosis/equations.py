@@ -19,7 +19,6 @@ from hydro_diagnosis.heldout import FREE_RUN, HORIZON, WINDOWS, Comparison, comp
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.problem import CHANNELS, Problem
 from hydro_diagnosis.report import channel_errors
-from hydro_diagnosis.smoothing import smooth
 
 _SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
 """Channels without which nothing can be simulated."""
@@ -106,5 +105,5 @@ def _weighted(problem: Problem, name: str, residual: FloatArray) -> float:
 
 def _signal(problem: Problem, name: str) -> float:
     measured = _MEASURED.get(name, name)
-    parts = [smooth(model.channels[measured]) for model in problem.models if measured in model.channels]
+    parts = [model.smooth(model.channels[measured]) for model in problem.models if measured in model.channels]
     return float(np.sqrt(np.mean(np.square(np.concatenate(parts))))) if parts else float("nan")

@@ -14,7 +14,7 @@ from scipy.special import ndtr
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.segment_record import SegmentRecord
-from hydro_diagnosis.smoothing import KINEMATIC_WIDTH, finish, smooth
+from hydro_diagnosis.smoothing import KINEMATIC_WIDTH
 from hydro_sim.bench import Bench
 
 VELOCITY_DOUBT = 1e-3
@@ -52,7 +52,7 @@ class ForceBalance(SegmentRecord):
         if any(claim.effect.bristles for claim in claims):
             return force
         for node, weight in _GAUSS_HERMITE:
-            velocity = self.v + node * KINEMATIC_WIDTH * self.step * self.a
+            velocity = self.v + node * KINEMATIC_WIDTH * self.spacing * self.step * self.a
             force += weight * self.dry_friction_level(claims, velocity) * np.tanh(velocity / SLIP_VELOCITY)
         return force
 
@@ -64,7 +64,7 @@ class ForceBalance(SegmentRecord):
         for claim in claims:
             force = claim.effect.resistance(force, level, self.kinematics, self.memory, claim.values)
         inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
-        return finish(inertia + force + self.spring_force(bench, claims, self.kinematics))
+        return self.finish(inertia + force + self.spring_force(bench, claims, self.kinematics))
 
     def friction_doubt(self, claims: Sequence[Claim], reversals: int = 1) -> FloatArray:
         """Standard deviation [N] of the dry friction, because the velocity near standstill is only known so well.
@@ -73,12 +73,14 @@ class ForceBalance(SegmentRecord):
         average out: its doubt is that of their mean, not of one.
         """
         level = self.dry_friction_level(claims)
-        doubt = self._swing(claims, VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.step, np.zeros_like(level))
+        doubt = self._swing(
+            claims, VELOCITY_DOUBT + 0.5 * np.abs(self.a) * self.spacing * self.step, np.zeros_like(level)
+        )
         beyond = self.dry_friction_level(claims, np.full_like(self.v, _FAST))
         if not any(claim.effect.bristles for claim in claims):  # bristles build their force up: nothing jumps
             doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self.velocity_kink(claims), beyond))
         late = [claim for claim in claims if claim.effect.rounds == "hydraulic_force"]
-        return smooth(np.abs(self.reading("hydraulic_force", doubt, late)))
+        return self.smooth(np.abs(self.reading("hydraulic_force", doubt, late)))
 
     def velocity_kink(self, claims: Sequence[Claim]) -> FloatArray:
         """By how much [m/s] the first Gaussian misplaces a velocity whose slope jumps where the piston reverses.
@@ -87,9 +89,9 @@ class ForceBalance(SegmentRecord):
         s is off by J s (phi(u) - |u| Phi(-|u|)), at |u| widths from it.
         """
         at_rest = self.dry_friction_level(claims, np.zeros_like(self.v))
-        width = KINEMATIC_WIDTH * self.step
+        width = KINEMATIC_WIDTH * self.spacing * self.step
         jump = 2.0 * at_rest / self.bench(claims).moving_mass
-        u = self._since_rest / KINEMATIC_WIDTH
+        u = self._since_rest / (KINEMATIC_WIDTH * self.spacing)
         return jump * width * (np.exp(-0.5 * u * u) / np.sqrt(2.0 * np.pi) - u * ndtr(-u))
 
     @cached_property

@@ -17,7 +17,6 @@ from hydro_diagnosis.fit import Fit, deviance, spreads
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.responses import UNIT_SIZE, Responses
-from hydro_diagnosis.smoothing import smooth
 
 KNOTS = 24
 """Of each function; of time: per recording."""
@@ -103,8 +102,8 @@ def variable_of(model: SegmentModel, name: str) -> FloatArray:
     if name == "current":
         return model.channels["valve_current"]
     if name == "pressure_difference":
-        return smooth(model.channels["pressure_a"] - model.channels["pressure_b"])
-    return smooth(model.channels[name])
+        return model.smooth(model.channels["pressure_a"] - model.channels["pressure_b"])
+    return model.smooth(model.channels[name])
 
 
 def _knots(problem: Problem, variable: str) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.noise import white_noise
+from hydro_diagnosis.white import white_noise
 from hydro_sim.bench import Bench
 
 FROZEN = 40

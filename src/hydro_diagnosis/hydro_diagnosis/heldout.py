@@ -18,6 +18,7 @@ import numpy.typing as npt
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.predictable import MOST, Window, unpredictable
+from hydro_diagnosis.report import ChannelError
 from hydro_diagnosis.simulate import Indices, Plant
 
 HORIZON = 0.07
@@ -39,21 +40,6 @@ _START_DOUBT = np.array([5e-6, 5e-3, 5e4, 5e4])
 
 
 @dataclass(frozen=True)
-class ChannelError:
-    """Root mean square error of one channel."""
-
-    unit: str
-    rmse_before: float
-    """Over the windows that can be predicted."""
-    rmse_after: float
-    """Likewise, over the same windows."""
-    noise_floor: float
-    rmse_before_all: float
-    """Over all windows."""
-    rmse_after_all: float
-
-
-@dataclass(frozen=True)
 class Comparison:
     """Errors of two claim sets over the same windows."""
 
@@ -66,7 +52,7 @@ class Comparison:
 def errors(
     plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
 ) -> dict[str, FloatArray]:
-    """Reading minus recording, by channel, shape (length, windows)."""
+    """Reading minus recording, by channel, shape (recorded rows, windows)."""
     state = begun(plant, begins, length, noise, shooting=shooting)
     return _apart(plant, plant.run(state, begins, length), begins)
 
@@ -80,7 +66,8 @@ def begun(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *
 def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
     lanes = np.tile(begins, states.shape[2] // len(begins))
     at = lanes[None, :] + np.arange(states.shape[0])[:, None]
-    return {name: shown - plant.model.channels[name][at] for name, shown in plant.readings(states, begins).items()}
+    apart = {name: shown - plant.model.channels[name][at] for name, shown in plant.readings(states, begins).items()}
+    return {name: one[:: plant.model.spacing] for name, one in apart.items()}
 
 
 def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
@@ -144,7 +131,8 @@ def compare(
         length = round(seconds / model.step)
         if len(model.segment) < model.settle + length + 50:
             continue
-        begins = np.unique(np.linspace(model.settle, len(model.segment) - length - 20, each).astype(np.int64))
+        begins = np.linspace(model.settle, len(model.segment) - length - 20, each).astype(np.int64)
+        begins = np.unique(begins - (begins - model.segment.phase) % model.spacing)
         with np.errstate(all="ignore"):
             old = errors(Plant.of(model, before), begins, length, noise, shooting=shooting)
             plant = Plant.of(model, after)
@@ -163,7 +151,7 @@ def compare(
 
 @dataclass(frozen=True)
 class _Seen:
-    """A recording's windows, and reading minus recording in them, by channel, shape (length, windows)."""
+    """A recording's windows, and reading minus recording in them, by channel, shape (recorded rows, windows)."""
 
     model: SegmentModel
     begins: Indices

@@ -12,11 +12,13 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from hydro_diagnosis.columns import ColumnMap
-from hydro_diagnosis.quality import MOVING, REMEDY, SHORTEST, checked
+from hydro_diagnosis.quality import MOVING, REMEDY, SHORTEST
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
-from hydro_diagnosis.survey import read_bag_within
-from hydro_diagnosis.table import InputError, UnusableRecordingError, read_table
+from hydro_diagnosis.survey import read_bag_within, table_within
+from hydro_diagnosis.table import InputError, RawTable, UnusableRecordingError, is_bag, read_table
+from hydro_diagnosis.topics import has_states
 from hydro_diagnosis.windows import WINDOW, Visits, telling
+from hydro_diagnosis.wiring import wiring_checked
 from hydro_sim.bench import Bench
 
 LONGEST = 100.0
@@ -34,8 +36,12 @@ def taken(
     holdout: Sequence[str | Path],
     bench: Bench,
     columns: ColumnMap | None = None,
+    *,
+    as_wired: bool = False,
 ) -> tuple[list[Segment], list[Segment], list[str]]:
     """Segments to fit, segments held out, and what was noted about their quality; `columns`: see `read_table`.
+
+    `as_wired` goes on where channels contradict each other (`wiring`).
 
     Joblib reads the recordings one after the other unless `joblib.parallel_config` says otherwise.
 
@@ -44,8 +50,8 @@ def taken(
     InputError
         If nothing of them can be diagnosed, or one is given twice: what is checked on must not be fitted.
     """
-    to_fit, notes = _read(recordings, bench, columns)
-    to_check, more_notes = _read(holdout, bench, columns, spare=True)
+    to_fit, notes = _read(recordings, bench, columns, as_wired)
+    to_check, more_notes = _read(holdout, bench, columns, as_wired, spare=True)
     _refuse_twice([*to_fit, *to_check])
     fitted, held, quality = _split(to_fit, notes, to_check, more_notes)
     _refuse_too_little(fitted, bench, notes)
@@ -106,13 +112,13 @@ def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
 
 
 def _read(
-    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, *, spare: bool = False
+    paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, as_wired: bool, *, spare: bool = False
 ) -> tuple[list[Recording], list[str]]:
     """Recordings that show something, and a note on each that does not.
 
     If none does, the first reason is raised, unless another recording can take their place (`spare`).
     """
-    looked = Parallel()(delayed(_look)(path, bench, columns) for path in paths)
+    looked = Parallel()(delayed(_look)(path, bench, columns, as_wired) for path in paths)
     recordings = [one for one in looked if isinstance(one, Recording)]
     refused = [one for one in looked if not isinstance(one, Recording)]
     if refused and not recordings and not spare:
@@ -121,11 +127,18 @@ def _read(
     return recordings, [*notes, *(note for recording in recordings for note in recording.quality)]
 
 
-def _look(path: str | Path, bench: Bench, columns: ColumnMap | None) -> Recording | UnusableRecordingError:
+def _look(
+    path: str | Path, bench: Bench, columns: ColumnMap | None, as_wired: bool
+) -> Recording | UnusableRecordingError:
+    path = Path(path)
+
+    def inspected(table: RawTable) -> RawTable:
+        return table if as_wired else wiring_checked(table, bench, columns)
+
     try:
-        if Path(path).exists() and (Path(path).is_dir() or Path(path).suffix == ".mcap"):
-            return read_bag_within(Path(path), bench)
-        return checked(read_table(path, columns), bench)
+        if path.exists() and is_bag(path) and has_states(path):
+            return read_bag_within(path, bench, columns, inspected)
+        return table_within(inspected(read_table(path, columns)), bench)
     except UnusableRecordingError as error:
         return error
 

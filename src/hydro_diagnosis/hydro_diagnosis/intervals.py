@@ -6,19 +6,22 @@ independent
 and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to the
 curvature
 (the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part covers the
-residuals' own discretisation, a fraction of the smallest size worth claiming, and noise in what a parameter multiplies.
+residuals' own discretisation, a fraction of the smallest size worth claiming, noise in what a parameter multiplies, and
+rows that were not recorded.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray, Parameter
+from hydro_diagnosis.effects.base import Claim, FloatArray, Parameter
 from hydro_diagnosis.fit import Fit, fit, pack, spreads, unpack
 from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.rates import shifts
 
 QUANTILE = 1.96
 SYSTEMATIC = 0.03
@@ -36,6 +39,29 @@ class Interval:
     identifiable: bool
 
 
+def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
+    """The fit without claims whose intervals hold nothing, and the intervals of those that stand."""
+    while True:
+        bounds, standing, k = intervals(problem, found), [], 0
+        for claim in found.claims:
+            count = len(claim.effect.parameters)
+            if not _holds_nothing(claim, bounds[k : k + count]):
+                standing.append(claim)
+            k += count
+        ids = {claim.effect.id for claim in standing}
+        standing = [claim for claim in standing if set(claim.effect.needs) <= ids]
+        if len(standing) == len(found.claims):
+            return found, bounds
+        found = fit(problem, standing)
+
+
+def _holds_nothing(claim: Claim, bounds: Sequence[Interval]) -> bool:
+    """Whether the effect may as well not be there: so for each amplitude, or the first shape where there is none."""
+    pairs = list(zip(claim.effect.parameters, bounds, strict=True))
+    telling = [(one, bound) for one, bound in pairs if one.smallest > 0.0] or pairs[:1]
+    return all(bound.low <= one.neutral <= bound.high for one, bound in telling)
+
+
 def intervals(problem: Problem, found: Fit) -> list[Interval]:
     """One per parameter of the claims, in the order of `pack`."""
     parameters, values = pack(found.claims)
@@ -43,9 +69,10 @@ def intervals(problem: Problem, found: Fit) -> list[Interval]:
         return []
     owners = [claim.effect.id for claim in found.claims for _ in claim.effect.parameters]
     curvature, inflation = _uncertainty(problem, found)
+    missing = np.concatenate(shifts(problem, found))
     return [
         _interval(problem, found, k, parameter, float(values[k]), curvature[k] * parameter.span, inflation[k],
-                  problem.attenuation.get(owners[k], 0.0))
+                  hypot(problem.attenuation.get(owners[k], 0.0), missing[k]))
         for k, parameter in enumerate(parameters)
     ]  # fmt: skip
 

@@ -170,7 +170,8 @@ def _coherent(problem: Problem, residual: FloatArray) -> bool:
     for k, model in enumerate(problem.models):
         motion = residual[(layout.channel == CHANNELS.index("motion")) & (layout.segment == k)]
         motion = motion * problem.deviation("motion", k)
-        load = residual[(layout.channel == CHANNELS.index("load")) & (layout.segment == k)] * problem.noise["load"]
+        load = residual[(layout.channel == CHANNELS.index("load")) & (layout.segment == k)]
+        load = load * problem.deviation("load", k)
         seen = _through_cell(model, problem, motion)
         matched += float(seen @ load)
         power += float(np.sqrt((seen @ seen) * (load @ load)))

@@ -20,9 +20,7 @@ from hydro_diagnosis.chambers import ChamberRun
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
 from hydro_diagnosis.forces import ForceBalance
 from hydro_diagnosis.observer import ChamberObserver
-from hydro_diagnosis.segment_record import BLOCK
-from hydro_diagnosis.smoothing import smooth
-from hydro_sim.bench import LOAD_CELL_DAMPING
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 
 
 class SegmentModel(ChamberObserver, ForceBalance):
@@ -30,7 +28,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
 
     def pressure_residuals(self, run: ChamberRun) -> tuple[FloatArray, FloatArray]:
         """Pa, decimated."""
-        a, b = (self.kept(smooth(innovation)) for innovation in run.innovations)
+        a, b = (self.kept(self.smooth(innovation)) for innovation in run.innovations)
         return a, b
 
     def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
@@ -43,7 +41,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
             p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
             measured = bench.piston_area * (p_a - bench.area_ratio * p_b)
             needed = self.force_on_rod(claims)
-        return self.kept(smooth(measured) - needed)
+        return self.kept(self.smooth(measured) - needed)
 
     def arc_residual(self, run: ChamberRun) -> FloatArray:
         """N, decimated: by how much the mean of f_h around each sample exceeds the sample.
@@ -55,7 +53,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
         if force is None:
             force = bench.piston_area * (channels["pressure_a"] - bench.area_ratio * channels["pressure_b"])
         lines = correlate1d(force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest")
-        return self.kept(smooth(run.arc + lines))
+        return self.kept(self.smooth(run.arc + lines))
 
     def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated."""
@@ -63,7 +61,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
         force = self.spring_force(bench, claims, self.recorded)
         if bench.load_cell_bandwidth is not None:
             force = self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
-        return self.kept(smooth(self.channels["load_force"] - self.reading("load_force", force, claims)))
+        return self.kept(self.smooth(self.channels["load_force"] - self.reading("load_force", force, claims)))
 
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
@@ -81,8 +79,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
         p_a, p_b = (delayed(self.true_signal(channel, others), channel) for channel in channels)
         force = bench.piston_area * (p_a - bench.area_ratio * p_b)
         off = delayed(self.channels["hydraulic_force"], "") - self.reading("hydraulic_force", force, others)
-        off = off[self.settle :]
-        return off[: len(off) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+        return self.means(off)
 
 
 BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}

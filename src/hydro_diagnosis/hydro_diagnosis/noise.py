@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measured noise floor: sixth differences cancel everything that moves below about 100 Hz and keep white noise."""
+"""The measured noise floor: of the sensors, by what is white in the recordings, and of each residual."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from math import comb, hypot
+from math import hypot
 
 import numpy as np
 
@@ -12,27 +12,23 @@ from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.segment_record import BLOCK
 from hydro_diagnosis.smoothing import ACCELERATION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
+from hydro_diagnosis.white import white_noise
 from hydro_sim.bench import Bench
-
-_ORDER = 6
-_GAIN = sum(comb(_ORDER, k) ** 2 for k in range(_ORDER + 1)) ** 0.5
-
-
-def white_noise(signal: FloatArray) -> float:
-    """Standard deviation of the white noise in a signal, robust against rare jumps."""
-    differences = np.diff(signal, _ORDER) / _GAIN
-    middle = float(np.median(np.abs(differences)))
-    limit = 6.0 * middle if middle > 0.0 else np.inf  # a slow encoder repeats itself most of the time
-    kept = differences[np.abs(differences) <= limit]
-    return float(np.sqrt(np.mean(np.square(kept)))) if len(kept) else 0.0
 
 
 def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
-    """Standard deviation of each sensor's noise in one sample, by BenchState field name, SI units."""
+    """Standard deviation of each sensor's noise in one sample, by BenchState field name, SI units.
+
+    It does not depend on the logger: of recordings at several rates those of the highest tell it best.
+    """
     found: dict[str, list[tuple[int, float]]] = {}
-    for model in models:
+    densest = min(model.spacing for model in models)
+    for model in (model for model in models if model.spacing == densest):
+        measured = model.segment.measured
+        recorded = slice(model.segment.phase, None, model.spacing)
         for channel, signal in _nearly_white(model).items():
-            found.setdefault(channel, []).append((len(signal), white_noise(signal)))
+            noise = white_noise(signal[recorded], None if measured is None else measured[recorded])
+            found.setdefault(channel, []).append((len(signal), noise))
     return {channel: _pooled(parts) for channel, parts in found.items()}
 
 
@@ -60,7 +56,7 @@ FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03,
 
 
 def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:
-    """Standard deviation of each residual if nothing is missing, in its physical unit."""
+    """Standard deviation of each residual if nothing is missing, in its physical unit; `step` between recorded rows."""
     position = sensors.get("piston_position", 0.0)
     inertia = bench.moving_mass * position * ACCELERATION_NOISE_GAIN / step**2
     damping = bench.viscous_friction * position * VELOCITY_NOISE_GAIN / step
@@ -71,7 +67,7 @@ def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> d
     noise = {
         "motion": hypot(cell * TOTAL_NOISE_GAIN, inertia, damping, spring),
         "load": hypot(sensors.get("load_force", 0.0) * TOTAL_NOISE_GAIN, spring),
-        "hydraulic": hypot(cell, by_pressure) / BLOCK**0.5,
+        "hydraulic": hypot(cell, by_pressure) / (BLOCK / step) ** 0.5,
     }
     for chamber in "ab":
         noise["pressure_" + chamber] = sensors.get("pressure_" + chamber, 0.0) * TOTAL_NOISE_GAIN

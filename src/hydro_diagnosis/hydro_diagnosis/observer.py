@@ -14,7 +14,7 @@ from hydro_diagnosis.chambers import ChamberRun, Oil
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.segment_record import SegmentRecord
-from hydro_diagnosis.smoothing import smooth
+from hydro_diagnosis.white import white_noise
 from hydro_sim.bench import Bench
 
 Kept = TypeVar("Kept")
@@ -31,8 +31,8 @@ TIMING_DOUBT = 3e-6
 class ChamberObserver(SegmentRecord):
     """Both chambers under some claims, from recorded current, position and pressures."""
 
-    def __init__(self, segment: Segment, bench: Bench) -> None:
-        super().__init__(segment, bench)
+    def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
+        super().__init__(segment, bench, like)
         self._shelf: dict[tuple[Any, ...], Any] = {}
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
@@ -119,7 +119,9 @@ class ChamberObserver(SegmentRecord):
         Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
         """
         bench = self.base
-        timing = bench.bulk_modulus * bench.piston_area / bench.dead_volume_a * TIMING_DOUBT * smooth(np.abs(self.v))
+        timing = (
+            bench.bulk_modulus * bench.piston_area / bench.dead_volume_a * TIMING_DOUBT * self.smooth(np.abs(self.v))
+        )
         a, b = (
             self.kept(np.hypot(timing, self._flow_doubt(chamber, noise["pressure_" + chamber]))) for chamber in "ab"
         )
@@ -133,6 +135,20 @@ class ChamberObserver(SegmentRecord):
         drop = np.abs(np.where(fed, bench.supply_pressure - pressure, pressure - bench.tank_pressure))
         gain = bench.valve_gain * np.abs(current) / (2.0 * np.sqrt(np.maximum(drop, noise)))
         volume = bench.dead_volume_a if chamber == "a" else bench.dead_volume_b
-        built = bench.bulk_modulus / volume * gain * noise * self.step  # neighbours share a reading
+        built = np.square(bench.bulk_modulus / volume * gain * noise * self.step)  # neighbours share a reading
+        if self.spacing > 1:
+            per_ampere = bench.bulk_modulus / volume * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * self.step
+            built = built + np.square(per_ampere) * self._hidden_current()
         kept = (1.0 - self.step / OBSERVER_MEMORY) ** 2
-        return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], np.square(built)), 0.0))
+        return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))
+
+    def _hidden_current(self) -> FloatArray:
+        """Variance [A^2] of what the box added to the current from sample to sample that no row shows, shape (n,).
+
+        Of n samples per row n - 1 are not seen, and the one that is stands for all of them: together n (n - 1) times
+        the variance of a single one. What half of the rows change does not tell: they do not see these either.
+        """
+        measured = self.segment.measured
+        seen = np.ones(len(self.time), dtype=np.bool_) if measured is None else measured
+        noise = white_noise(self.channels["valve_current"][self.segment.phase :: self.spacing])
+        return np.where(seen, 0.0, self.spacing * noise**2)

@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from hydro_diagnosis import plots
+from hydro_diagnosis.diagnosis import Diagnosis
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.pipeline import Diagnosis
 from hydro_diagnosis.report import EffectReport, Report
 from hydro_diagnosis.valve_plots import STATIC, valve_plot
 from hydro_diagnosis.where import location_plot

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
@@ -16,16 +15,19 @@ from threadpoolctl import threadpool_limits
 from hydro_diagnosis.baseline import baseline
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.conclude import describe, location_of
-from hydro_diagnosis.convention import current_is_late
+from hydro_diagnosis.convention import current_is_early, current_is_late
 from hydro_diagnosis.corrected import claims_of
+from hydro_diagnosis.diagnosis import Diagnosis
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.equations import held_out
 from hydro_diagnosis.intake import taken
+from hydro_diagnosis.intervals import Interval, surely
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.nextrec import next_recording
 from hydro_diagnosis.outcome import Outcome, SearchSettings
 from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.rates import untold
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report import INTERRUPTED, DiagnosisInterrupted, Report
 from hydro_diagnosis.search import Search
@@ -36,18 +38,6 @@ from hydro_sim.bench import Bench
 Progress = Callable[[str], None]
 
 
-@dataclass
-class Diagnosis:
-    """A report and what it was made from."""
-
-    report: Report
-    bench: Bench
-    problem: Problem
-    assessment: Assessment
-    outcome: Outcome
-    holdout: list[SegmentModel] = field(default_factory=list)
-
-
 def diagnose(
     recordings: Sequence[str | Path],
     *,
@@ -56,6 +46,7 @@ def diagnose(
     model: str | Path | None = None,
     columns: ColumnMap | Mapping[str, Any] | str | Path | None = None,
     without: Sequence[str] = (),
+    as_wired: bool = False,
     settings: SearchSettings | None = None,
     progress: Progress = lambda text: None,
 ) -> Diagnosis:
@@ -64,7 +55,7 @@ def diagnose(
     Parameters
     ----------
     recordings
-        rosbag2 folders, .mcap, .csv, .parquet or .mat files (see `table.read_table`).
+        rosbag2 folders, .mcap, or files of other loggers (see `table.read_table`).
     holdout
         Recordings on which nothing is fitted (all are read by joblib: `joblib.parallel_config` chooses backend and
         number of jobs); without, the last recording, or the last third of the only one.
@@ -73,9 +64,11 @@ def diagnose(
     model
         Learned weights as the baseline, in place of `bench` (structured ones: see `baseline`).
     columns
-        Which column of a .csv, .parquet or .mat file is what: see `columns`.
+        Which column of a file, or field or topic of a bag, is what: see `columns`.
     without
         Causes that it cannot be, by id or by id and options (`friction_viscous:directional`): they are not tried.
+    as_wired
+        Go on where channels contradict each other or the bench file (`wiring`), instead of saying what is wrong.
     settings
         Of the search.
     progress
@@ -93,7 +86,7 @@ def diagnose(
     believed = base.bench
     progress("reading")
     candidates = [effect.adapted(believed) for effect in _candidates(without)]
-    fitted, held, quality = taken(recordings, holdout, believed, ColumnMap.load(columns))
+    fitted, held, quality = taken(recordings, holdout, believed, ColumnMap.load(columns), as_wired=as_wired)
     problem = Problem(fitted, believed, claims_of(believed))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
@@ -118,13 +111,15 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     progress("searching")
     outcome = search.run()
     progress("judging")
-    assessment = assess(problem, outcome.fit, outcome.nothing)
+    assessment, bounds = _judged(problem, outcome)
     late = current_is_late(problem, assessment)
     models = [SegmentModel(segment, believed) for segment in held]
     progress("checking on held-out recordings")
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.set_doubt(assessment.fit.claims)
-    effects = describe(problem, unseen, outcome, assessment)
+    effects = describe(problem, unseen, outcome, assessment, bounds)
+    hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
+    notes = (late, current_is_early(problem, effects), hidden)
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
@@ -134,9 +129,19 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         next_recording=next_recording(problem, outcome, assessment),
         seconds=time.monotonic() - begun,
         steps=_steps(search),
-        **{**facts, "data_quality": [*facts["data_quality"], *([late] if late else [])]},
+        **{**facts, "data_quality": [*facts["data_quality"], *(note for note in notes if note)]},
     )
     return Diagnosis(report, believed, problem, assessment, outcome, models)
+
+
+def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
+    """What may be said, and intervals; a claim whose interval holds nothing is none, and the rest is judged anew."""
+    assessment = assess(problem, outcome.fit, outcome.nothing)
+    while True:
+        sure, bounds = surely(problem, assessment.fit)
+        if len(sure.claims) == len(assessment.fit.claims):
+            return assessment, bounds
+        assessment = assess(problem, sure, outcome.nothing)
 
 
 def _unfinished(search: Search, facts: Mapping[str, Any], begun: float) -> Report:

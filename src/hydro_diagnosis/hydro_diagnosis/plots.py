@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from hydro_diagnosis.diagnosis import Diagnosis
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.freeform import variable_of
-from hydro_diagnosis.pipeline import Diagnosis
 from hydro_diagnosis.problem import CHANNELS
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend
 

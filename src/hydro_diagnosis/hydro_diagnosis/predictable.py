@@ -65,7 +65,7 @@ def _scatter(plant: Plant, state: FloatArray, begins: Indices, length: int, nois
 
 def _doubt(plant: Plant, noise: dict[str, float]) -> FloatArray:
     """Standard deviation [m, m/s, Pa, Pa] of a state as the sensors give it at one instant, smoothed."""
-    position, step = noise.get("piston_position", 0.0), plant.model.step
+    position, step = noise.get("piston_position", 0.0), plant.model.step * plant.model.spacing
     pressures = (TOTAL_NOISE_GAIN * noise.get("pressure_" + chamber, 0.0) for chamber in "ab")
     return np.array([POSITION_NOISE_GAIN * position, VELOCITY_NOISE_GAIN * position / step, *pressures])
 

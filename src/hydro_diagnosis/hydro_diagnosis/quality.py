@@ -2,7 +2,7 @@
 """Checks on what was read: repaired and listed where that is honest, refused in one sentence where it is not.
 
 The outcome is contiguous segments on an even grid: a recording is cut where samples, numbers or a sensor are missing
-for longer than `BRIDGED`, and straight lines bridge what is shorter.
+for longer than `BRIDGED`, and what is shorter is bridged (`box_clock`).
 """
 
 from __future__ import annotations
@@ -10,14 +10,17 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hydro_diagnosis.box_clock import SAME, on_box_clock, rate_note
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.frozen import Mask, frozen_encoder, repeats
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
+from hydro_diagnosis.stamps import counted, placed_by_stamps, stamped, uneven
 from hydro_diagnosis.table import RawTable, UnusableRecordingError
 from hydro_sim.bench import Bench
+from hydro_sim.timing import SAMPLE
 
 BRIDGED = 5
-"""Samples, the longest gap that is bridged by a straight line."""
+"""Rows, the longest gap that is bridged."""
 SHORTEST = 1.5
 """s, the shortest segment that is used."""
 STOP_MARGIN = 5e-4
@@ -46,22 +49,28 @@ def checked(table: RawTable, bench: Bench) -> Recording:
         Too short, clock broken, nothing moves, or saturated throughout.
     """
     notes: list[str] = []
-    step, index = _grid(table, notes)
-    columns = _alive(table, notes)
+    columns, shaken = _alive(table, notes), False
+    if table.sample is None and uneven(table.time):
+        step, index = counted(table.time)
+        placed = placed_by_stamps(columns, table.time, index, step)
+        columns, shaken = placed or columns, placed is not None
+        notes += stamped(table.time, index, step, taken_there=shaken)
+    else:
+        step, index = _grid(table, notes)
     if not any(name in columns for name in MEASURED):
         raise UnusableRecordingError(f"{table.name}: no sensor in it is alive")
     _refuse_useless(table.name, columns, bench)
     bad = _bad_samples(columns, step, bench, notes)
     outside = _outside_equations(columns, bench, notes)
     bad |= outside
-    segments = _segments(table.name, step, index, columns, bad, notes)
+    segments = _segments(table.name, step, index, columns, bad, notes, shaken)
     if not segments:
         raise UnusableRecordingError(
             f"{table.name}: the bench moves without a gap for less than {SHORTEST:g} s: too short to be diagnosed"
             + (f" ({'; '.join(notes)})" if notes else "")
             + (f"; {REMEDY}" if outside.any() or _stands(columns) else "")
         )
-    return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in notes))
+    return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in (*table.notes, *notes)))
 
 
 def _grid(table: RawTable, notes: list[str]) -> tuple[float, npt.NDArray[np.int64]]:
@@ -174,6 +183,7 @@ def _segments(
     columns: dict[str, FloatArray],
     bad: Mask,
     notes: list[str],
+    shaken: bool,
 ) -> list[Segment]:
     good = np.flatnonzero(~bad)
     if len(good) < 2:
@@ -192,15 +202,17 @@ def _segments(
         if len(even) * step < SHORTEST:
             short += len(even)
             continue
-        channels = {key: np.interp(even, at, values[rows[begin:end]]) for key, values in columns.items()}
-        if "piston_position" in channels and np.ptp(channels["piston_position"]) < MOVING:
+        found = {key: values[rows[begin:end]] for key, values in columns.items()}
+        if "piston_position" in found and np.ptp(found["piston_position"]) < MOVING:
             still += len(even)
             continue
         bridged += len(even) - len(at)
         start = float(min(at[0] - origin, 10**5) * step)
-        segments.append(Segment(name, start, step, channels))
+        segments.append(on_box_clock(name, start, step, at, found, shaken=shaken))
     if bridged:
-        notes.append(f"{bridged} missing samples were bridged by straight lines")
+        notes.append(f"{bridged} missing samples were bridged by splines; they and their neighbours are not judged")
+    if segments and abs(step - SAMPLE) > SAME * SAMPLE:
+        notes.append(rate_note(step, segments[0]))
     if still:
         notes.append(f"{still} samples in which the piston stands still were not used")
     if short:

@@ -4,9 +4,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import FloatArray
 
@@ -41,6 +42,12 @@ class Segment:
     """s between samples."""
     channels: Mapping[str, FloatArray]
     """By field name, each of shape (n,)."""
+    spacing: int = 1
+    """Samples from one row that the logger recorded to the next: 1 at 1 kHz, 5 at 200 Hz; between them splines."""
+    measured: npt.NDArray[np.bool_] | None = None
+    """Whether a row was recorded, shape (n,); None: every one was."""
+    thinner: Segment | None = None
+    """The same stretch from half of the rows, where rows are missing: what that changes, the missing ones may too."""
 
     def __len__(self) -> int:
         return len(next(iter(self.channels.values())))
@@ -50,10 +57,20 @@ class Segment:
         """s since the start of the recording, shape (n,)."""
         return self.start + self.step * np.arange(len(self), dtype=np.float64)
 
+    @property
+    def phase(self) -> int:
+        """First sample that lies at one of the logger's rows."""
+        return 0 if self.measured is None else int(np.argmax(self.measured)) % self.spacing
+
     def cut(self, begin: int, end: int) -> Segment:
         """The samples from `begin` up to `end`."""
-        channels = {name: values[begin:end] for name, values in self.channels.items()}
-        return Segment(self.recording, self.start + self.step * begin, self.step, channels)
+        return replace(
+            self,
+            start=self.start + self.step * begin,
+            channels={name: values[begin:end] for name, values in self.channels.items()},
+            measured=None if self.measured is None else self.measured[begin:end],
+            thinner=None if self.thinner is None else self.thinner.cut(begin, end),
+        )
 
 
 @dataclass(frozen=True)

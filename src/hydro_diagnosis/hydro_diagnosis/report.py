@@ -9,10 +9,23 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from hydro_diagnosis.heldout import ChannelError
-
 INTERRUPTED = "interrupted"
 """In place of a verdict where there is none."""
+
+
+@dataclass(frozen=True)
+class ChannelError:
+    """Root mean square error of one channel on held-out recordings, in its unit."""
+
+    unit: str
+    rmse_before: float
+    """Over the windows that can be predicted."""
+    rmse_after: float
+    """Likewise, over the same windows."""
+    noise_floor: float
+    rmse_before_all: float
+    """Over all windows."""
+    rmse_after_all: float
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,9 +13,7 @@ from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.model import SegmentModel
 from hydro_diagnosis.observer import OBSERVER_MEMORY
 from hydro_diagnosis.problem import CHANNELS, Problem
-from hydro_diagnosis.segment_record import BLOCK
-from hydro_diagnosis.smoothing import finish, smooth
-from hydro_sim.bench import LOAD_CELL_DAMPING
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 
 UNIT_SIZE = {"pressure_a": 1e-7, "pressure_b": 1e-7, "actuation": 1e-4, "motion": 1.0, "load": 1.0}
 """Scale of the basis functions, so that columns are of similar length."""
@@ -74,7 +72,7 @@ class Responses:
         if self.equation in ("pressure_a", "pressure_b", "actuation"):
             return self._chambers(k, model, hidden)
         if self.equation == "motion":
-            return {"motion": -model.kept(finish(hidden))}
+            return {"motion": -model.kept(model.finish(hidden))}
         if self.equation == "load":
             return self._load(k, model, hidden)
         return self._sensor(k, model, hidden)
@@ -89,29 +87,28 @@ class Responses:
             if self.equation == "actuation":
                 flow = flow * self._benches[k].valve_gain * self._roots[k][index] * (1.0 if index == 0 else -1.0)
             built = np.concatenate([[0.0], np.cumsum((self._stiff[k][index] * flow)[:-1])])
-            shown[name] = -model.kept(smooth(forget(built, model.step)))
+            shown[name] = -model.kept(model.smooth(forget(built, model.step)))
         return shown
 
     def _load(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
         bandwidth = self._benches[k].load_cell_bandwidth
         seen = hidden if bandwidth is None else model.memory.low_pass("", hidden, bandwidth, LOAD_CELL_DAMPING)
-        shown = {"load": -model.kept(smooth(seen))}
+        shown = {"load": -model.kept(model.smooth(seen))}
         if "motion" in self.problem.blocks:
-            shown["motion"] = -model.kept(finish(hidden))
+            shown["motion"] = -model.kept(model.finish(hidden))
         return shown
 
     def _sensor(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
         shown: dict[str, FloatArray] = {}
-        settled = hidden[model.settle :]
-        means = settled[: len(settled) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+        means = model.means(hidden)
         area = self._benches[k].piston_area
         if self.sensor == "load_force":
-            return {"load": model.kept(smooth(hidden))}
+            return {"load": model.kept(model.smooth(hidden))}
         if self.sensor == "hydraulic_force":
-            shown["motion"] = model.kept(smooth(hidden))
+            shown["motion"] = model.kept(model.smooth(hidden))
             shown["hydraulic"] = means
         else:
-            shown[self.sensor] = model.kept(smooth(forget(hidden, model.step))) * 1e4
+            shown[self.sensor] = model.kept(model.smooth(forget(hidden, model.step))) * 1e4
             share = 1.0 if self.sensor == "pressure_a" else -self._benches[k].area_ratio
             shown["hydraulic"] = -area * share * means * 1e4
         present = {CHANNELS[index] for index in np.unique(self.problem.layout.channel)}

@@ -7,26 +7,34 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hydro_diagnosis.box_clock import Rows, judged
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
 from hydro_diagnosis.memory import RecordMemory
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.smoothing import STRIDE, kinematics
+from hydro_diagnosis.smoothing import STRIDE, finish, kinematics, smooth
 from hydro_sim.bench import Bench
 
-BLOCK = 100
-"""Samples per mean of the hydraulic balance."""
+BLOCK = 0.1
+"""s per mean of the hydraulic balance."""
+TAIL = 20
+"""Recorded rows at its end that are not judged, and `MARGIN` before and after one that is missing."""
+MARGIN = 6
 SETTLE = 0.3
 """s at the start of a segment that are not judged: filters and observer settle."""
 
 
 class SegmentRecord:
-    """A segment, the bench that is believed, and the piston's smoothed motion."""
+    """A segment, the bench that is believed, and the piston's smoothed motion.
 
-    def __init__(self, segment: Segment, bench: Bench) -> None:
+    `like`: the same stretch with more rows, whose judged samples are judged here too.
+    """
+
+    def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
         self.segment = segment
         self.base = bench
         """The bench as believed, no claim written into it."""
         self.step = segment.step
+        self.spacing = segment.spacing
         self.time = segment.time
         self.memory = RecordMemory(segment.step)
         channels = segment.channels
@@ -34,8 +42,11 @@ class SegmentRecord:
         self.has_position = "piston_position" in channels
         self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
         self.settle = min(round(SETTLE / self.step), len(segment) // 4)
+        end = len(segment) - TAIL * self.spacing
+        self.rows: Rows | slice = like.rows if like else judged(segment, self.settle, end, STRIDE, MARGIN)
+        """Samples that are judged."""
         if self.has_position:
-            self.x, self.v, self.a = kinematics(channels["piston_position"], self.step)
+            self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
             self.kinematics = Kinematics(self.time, self.x, self.v)
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v)
 
@@ -60,8 +71,21 @@ class SegmentRecord:
         return signal
 
     def kept(self, signal: FloatArray) -> FloatArray:
-        """What of a signal, shape (n,), is judged: settled, and every fifth sample."""
-        return signal[self.settle : len(signal) - 20 : STRIDE]
+        """What of a signal, shape (n,), is judged: settled, and every fifth recorded row."""
+        return signal[self.rows]
+
+    def smooth(self, signal: FloatArray) -> FloatArray:
+        """A measured signal through the test function, shape (n,)."""
+        return smooth(signal, self.spacing)
+
+    def finish(self, signal: FloatArray) -> FloatArray:
+        """What was computed from the smoothed motion, brought to the test function's width, shape (n,)."""
+        return finish(signal, self.spacing)
+
+    def means(self, signal: FloatArray) -> FloatArray:
+        """Means over blocks of `BLOCK` of a settled signal."""
+        length, settled = round(BLOCK / self.step), signal[self.settle :]
+        return settled[: len(settled) // length * length].reshape(-1, length).mean(axis=1)
 
     def kept_time(self) -> FloatArray:
         """s, of the decimated residuals."""
@@ -69,5 +93,6 @@ class SegmentRecord:
 
     def block_time(self) -> FloatArray:
         """s, of the means over blocks."""
-        count = (len(self.time) - self.settle) // BLOCK
-        return self.time[self.settle] + (np.arange(count) + 0.5) * BLOCK * self.step
+        length = round(BLOCK / self.step)
+        count = (len(self.time) - self.settle) // length
+        return self.time[self.settle] + (np.arange(count) + 0.5) * length * self.step

@@ -18,8 +18,8 @@ from hydro_diagnosis.chambers import Oil
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics
 from hydro_diagnosis.memory import RecordMemory, StepMemory
 from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.smoothing import smooth
-from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
+from hydro_sim.bench import Bench
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
@@ -109,7 +109,7 @@ class Plant:
     def start(self, begins: Indices) -> FloatArray:
         """States at samples, from smoothed recordings, shape (4, windows)."""
         model = self.model
-        p_a, p_b = (smooth(model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
+        p_a, p_b = (model.smooth(model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
         return np.stack([model.x[begins], model.v[begins], p_a[begins], p_b[begins]])
 
     def run(self, state: FloatArray, begins: Indices, length: int) -> FloatArray:
@@ -194,7 +194,7 @@ class Plant:
             return self.model.channels[name]
         if name == "load_force":
             return self.model.spring_force(self.bench, self.claims, self.model.recorded)
-        p_a, p_b = (smooth(self.model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
+        p_a, p_b = (self.model.smooth(self.model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
         if name == "hydraulic_force":
             return self.bench.piston_area * (p_a - self.bench.area_ratio * p_b)
         return p_a if name == "pressure_a" else p_b

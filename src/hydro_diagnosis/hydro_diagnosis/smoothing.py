@@ -1,26 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
 """Weak form: signals and derivatives seen through Gaussian test functions; nothing noisy is differentiated.
 
-Two Gaussians follow each other. The first (1 ms) makes position, velocity and acceleration out of the recorded
-position;
-the second brings everything, forces computed from these and forces measured, to the same total width of 1.5 ms.
+Two Gaussians follow each other. The first (1 recorded row) makes position, velocity and acceleration out of the
+recorded position; the second brings everything, forces computed from these and forces measured, to the same total width
+of 1.5 rows: 1.5 ms at 1 kHz. Where a logger recorded every n-th row of the box's clock alone, `spacing` is n.
 """
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 from scipy.ndimage import correlate1d
+from scipy.signal import oaconvolve
 
 from hydro_diagnosis.effects.base import FloatArray
 
 KINEMATIC_WIDTH = 1.0
-"""Samples, of the Gaussian behind position, velocity and acceleration."""
+"""Recorded rows, of the Gaussian behind position, velocity and acceleration."""
 TOTAL_WIDTH = 1.5
-"""Samples, of the Gaussian behind every residual."""
+"""Recorded rows, of the Gaussian behind every residual."""
+LONG = 60
+"""Weights, from which on a convolution is quicker by Fourier transforms."""
 STRIDE = 5
-"""Samples between the residuals that are kept: at this distance their noise is all but independent."""
+"""Recorded rows between the residuals that are kept: at this distance their noise is all but independent."""
 
 
+@lru_cache(maxsize=64)
 def _taps(width: float, derivative: int) -> FloatArray:
     reach = int(np.ceil(5.0 * width)) + 1
     at = np.arange(-reach, reach + 1, dtype=np.float64)
@@ -34,8 +40,9 @@ def _taps(width: float, derivative: int) -> FloatArray:
     return scaled
 
 
+_REST_WIDTH = float(np.sqrt(TOTAL_WIDTH**2 - KINEMATIC_WIDTH**2))
 _KINEMATIC = tuple(_taps(KINEMATIC_WIDTH, derivative) for derivative in range(3))
-_REST = _taps(float(np.sqrt(TOTAL_WIDTH**2 - KINEMATIC_WIDTH**2)), 0)
+_REST = _taps(_REST_WIDTH, 0)
 _TOTAL = _taps(TOTAL_WIDTH, 0)
 
 TOTAL_NOISE_GAIN = float(np.sqrt(np.sum(_TOTAL**2)))
@@ -48,17 +55,25 @@ ACCELERATION_NOISE_GAIN = float(np.sqrt(np.sum(np.convolve(_KINEMATIC[2], _REST)
 """The same of the finished acceleration, times the sampling time squared."""
 
 
-def kinematics(position: FloatArray, step: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Position, velocity, acceleration through the first Gaussian; shapes as given, `step` in s."""
-    x, v, a = (correlate1d(position, taps, mode="nearest") for taps in _KINEMATIC)
+    x, v, a = (_through(position, KINEMATIC_WIDTH * spacing, derivative) for derivative in range(3))
     return x, v / step, a / step**2
 
 
-def finish(signal: FloatArray) -> FloatArray:
+def finish(signal: FloatArray, spacing: int = 1) -> FloatArray:
     """What was computed from `kinematics`, brought to the total width."""
-    return np.asarray(correlate1d(signal, _REST, mode="nearest"))
+    return _through(signal, _REST_WIDTH * spacing)
 
 
-def smooth(signal: FloatArray) -> FloatArray:
+def smooth(signal: FloatArray, spacing: int = 1) -> FloatArray:
     """A measured signal, brought to the total width."""
-    return np.asarray(correlate1d(signal, _TOTAL, mode="nearest"))
+    return _through(signal, TOTAL_WIDTH * spacing)
+
+
+def _through(signal: FloatArray, width: float, derivative: int = 0) -> FloatArray:
+    taps = _taps(width, derivative)
+    if len(taps) <= LONG:
+        return np.asarray(correlate1d(signal, taps, mode="nearest"))
+    reach = len(taps) // 2
+    return np.asarray(oaconvolve(np.pad(signal, reach, mode="edge"), taps[::-1], mode="valid"))

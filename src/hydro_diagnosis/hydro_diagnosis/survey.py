@@ -7,18 +7,19 @@ together visit most of position and velocity, of current and pressure, and of th
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from hydro_bridge.recording import RecordingError, stream_bag
-from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, StateArray
+from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import InputError, Recording, Segment, UnusableRecordingError
-from hydro_diagnosis.table import RawTable
+from hydro_diagnosis.table import RawTable, mapped
 from hydro_diagnosis.windows import WINDOW, Visits, telling
 from hydro_sim.bench import Bench
 
@@ -41,8 +42,15 @@ class Stretch:
     table: RawTable
 
 
-def read_bag_within(path: Path, bench: Bench) -> Recording:
+def read_bag_within(
+    path: Path,
+    bench: Bench,
+    columns: ColumnMap | None = None,
+    inspected: Callable[[RawTable], RawTable] = lambda table: table,
+) -> Recording:
     """A recording that can be diagnosed, whole if it is short, else its telling windows.
+
+    `columns` turns its fields (`table.mapped`); `inspected` sees its first stretches, may refuse it and add notes.
 
     Raises
     ------
@@ -50,17 +58,47 @@ def read_bag_within(path: Path, bench: Bench) -> Recording:
         In one sentence that names the path.
     """
     try:
-        stretches = _stretches(path)
+        stretches = _stretches(path, columns)
         head = list(islice(stretches, WHOLE + 1))
         if len(head) <= WHOLE:
-            return checked(_joined(path, head), bench)
-        del head, stretches
-        return _kept(path, bench, *_surveyed(_stretches(path), bench))
+            return checked(inspected(_joined(path, head)), bench)
+        first = head[0].table
+        notes = tuple(f"{path.name}: {note}" for note in inspected(first).notes[len(first.notes) :])
+        del head, stretches, first
+        found = _telling(path.name, bench, lambda: _stretches(path, columns))
+        return replace(found, quality=(*notes, *found.quality))
     except RecordingError as error:
         raise InputError(str(error)) from None
 
 
-def _stretches(path: Path) -> Iterator[Stretch]:
+def table_within(table: RawTable, bench: Bench) -> Recording:
+    """The same of a file that is held as it was read: what is checked and kept of it stays small.
+
+    Raises
+    ------
+    InputError
+        In one sentence that names the recording.
+    """
+    steps = np.diff(table.time)
+    step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else SAMPLE_PERIOD
+    rows = max(round(STRETCH * SAMPLE_PERIOD / step), STRETCH)
+    if len(table.time) <= WHOLE * rows:
+        return checked(table, bench)
+    return _telling(table.name, bench, lambda: _slices(table, rows))
+
+
+def _slices(table: RawTable, rows: int) -> Iterator[Stretch]:
+    """Views of a table, so many rows each; its notes come with the first."""
+    for begin in range(0, len(table.time), rows):
+        part = slice(begin, begin + rows)
+        columns = {name: values[part] for name, values in table.columns.items()}
+        sample = None if table.sample is None else table.sample[part]
+        notes = table.notes if begin == 0 else ()
+        start = float(table.time[begin] - table.time[0])
+        yield Stretch(start, RawTable(table.name, table.time[part], sample, columns, notes))
+
+
+def _stretches(path: Path, columns: ColumnMap | None) -> Iterator[Stretch]:
     """The recording in stretches; samples are numbered on from one to the next."""
     first = last = number = None
     for states in _pieces(path):
@@ -69,8 +107,10 @@ def _stretches(path: Path) -> Iterator[Stretch]:
         steps = np.diff(counter).view(np.int32).astype(np.float64)
         samples = np.concatenate([[0.0], np.cumsum(steps)]) if number is None else number + np.cumsum(steps)
         number, last = float(samples[-1]), states["sequence"][-1:].copy()
-        columns = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
-        yield Stretch(float(states["time"][0]) - first, RawTable(path.name, states["time"].copy(), samples, columns))
+        fields = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
+        table = RawTable(path.name, states["time"].copy(), samples, fields)
+        turned = table if columns is None else mapped(path, table, columns)
+        yield Stretch(float(states["time"][0]) - first, turned)
 
 
 def _pieces(path: Path) -> Iterator[StateArray]:
@@ -91,8 +131,10 @@ def _joined(path: Path, stretches: list[Stretch]) -> RawTable:
         raise InputError(f"{path}: the recording is empty")
     tables = [one.table for one in stretches]
     columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in tables[0].columns}
-    samples = np.concatenate([table.sample for table in tables if table.sample is not None])
-    return RawTable(path.name, np.concatenate([table.time for table in tables]), samples, columns)
+    numbers = [table.sample for table in tables if table.sample is not None]
+    samples = np.concatenate(numbers) if len(numbers) == len(tables) else None
+    time = np.concatenate([table.time for table in tables])
+    return RawTable(path.name, time, samples, columns, tables[0].notes)
 
 
 @dataclass(frozen=True)
@@ -110,7 +152,7 @@ def _surveyed(stretches: Iterator[Stretch], bench: Bench) -> tuple[list[_Window]
     """Every window with where it takes the bench, notes, and the recording's length in s; the samples are forgotten."""
     windows, visits, notes, reasons, idle, end = [], Visits(bench), [], [], 0, 0.0
     for number, stretch in enumerate(stretches):
-        end = stretch.start + 1e-3 * len(stretch.table.time)
+        end = stretch.start + float(stretch.table.time[-1] - stretch.table.time[0])
         try:
             recording = checked(stretch.table, bench)
         except UnusableRecordingError as error:
@@ -135,10 +177,9 @@ def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
         yield begin, segment.cut(begin, begin + length)
 
 
-def _kept(
-    path: Path, bench: Bench, windows: list[_Window], visits: Visits, notes: list[str], seconds: float
-) -> Recording:
-    """The telling windows, read again."""
+def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]) -> Recording:
+    """The telling windows, found in a first pass and read again in a second."""
+    windows, visits, notes, seconds = _surveyed(stretches(), bench)
     early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
     late = [k for k in range(len(windows)) if k not in set(early)]
     chosen = {*telling(visits, FITTED, early), *telling(visits, HELD, late)}
@@ -146,17 +187,15 @@ def _kept(
     for k in sorted(chosen):
         by_stretch.setdefault(windows[k].stretch, []).append(windows[k])
     segments = []
-    for number, stretch in enumerate(_stretches(path)):
+    for number, stretch in enumerate(stretches()):
         found = checked(stretch.table, bench).segments if number in by_stretch else ()
         for window in by_stretch.get(number, []):
             segment = found[window.segment]
-            length = round(WINDOW / segment.step)
-            channels = {
-                name: values[window.begin : window.begin + length].copy() for name, values in segment.channels.items()
-            }
-            segments.append(Segment(path.name, window.start, segment.step, channels))
+            kept = segment.cut(window.begin, window.begin + round(WINDOW / segment.step))
+            channels = {name: values.copy() for name, values in kept.channels.items()}
+            segments.append(replace(kept, start=window.start, channels=channels))
     notes.append(
-        f"{path.name}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
+        f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
         "positions, velocities, currents and pressures; no other sample was judged"
     )
-    return Recording(path.name, tuple(segments), tuple(notes))
+    return Recording(recording, tuple(segments), tuple(notes))

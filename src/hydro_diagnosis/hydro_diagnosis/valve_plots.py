@@ -9,9 +9,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from hydro_diagnosis import chambers
+from hydro_diagnosis.diagnosis import Diagnosis
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.pipeline import Diagnosis
 from hydro_diagnosis.plots import binned, svg
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, legend
 

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
+from hydro_diagnosis.diagnosis import Diagnosis
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.locate import Place
-from hydro_diagnosis.pipeline import Diagnosis
 from hydro_diagnosis.plots import svg
 from hydro_diagnosis.problem import CHANNELS
 from hydro_sim.plotting import BLUE, ORANGE, RED, legend

@@ -41,7 +41,7 @@ class Visits:
         here: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
         there: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
         if "piston_position" in channels:
-            position, velocity, _ = kinematics(channels["piston_position"], window.step)
+            position, velocity, _ = kinematics(channels["piston_position"], window.step, window.spacing)
             here = np.digitize(position / bench.stroke, _PLACES) * 9 + np.digitize(velocity, _SPEEDS)
         if "valve_current" in channels:
             there = np.digitize(channels["valve_current"] / bench.valve_current_max, _OPENINGS)

@@ -5,15 +5,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Parameter
+from hydro_diagnosis.effects.base import Claim, FloatArray, Parameter
 from hydro_diagnosis.fit import Fit
 from hydro_diagnosis.locate import noticeable
 from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.rates import shifts
 
 ABSENT = 0.05
 """Of a shape's neutral value: so near to it an effect without amplitudes is not there."""
 ATTENUATIONS = 2.0
-"""Times `Problem.attenuation` that a claim must be."""
+"""Times `Problem.attenuation`, and times what half of the rows would change, that a claim must be."""
 
 
 def worth_claiming(claim: Claim) -> bool:
@@ -32,8 +33,17 @@ def worth_claiming(claim: Claim) -> bool:
 
 
 def all_worth(problem: Problem, found: Fit) -> bool:
-    """Whether every claim of a fit is worth making, and more than noise in what its parameter multiplies."""
-    return all(worth_claiming(claim) and _beyond_attenuation(problem, claim) for claim in found.claims)
+    """Whether every claim is worth making, and more than noise in what it multiplies or missing rows may hide."""
+    if not all(worth_claiming(claim) and _beyond_attenuation(problem, claim) for claim in found.claims):
+        return False
+    return all(_beyond(claim, shift) for claim, shift in zip(found.claims, shifts(problem, found), strict=True))
+
+
+def _beyond(claim: Claim, shift: FloatArray) -> bool:
+    """Whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
+    pairs = list(zip(claim.effect.parameters, shift, strict=True))
+    amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
+    return any(abs(claim.values[one.name] - one.neutral) >= ATTENUATIONS * moved for one, moved in amplitudes)
 
 
 def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:

@@ -12,7 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.column_source import UNITS
+from hydro_diagnosis.column_source import UNITS, source_of
 from hydro_diagnosis.columns import ColumnMap
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import InputError
@@ -100,12 +100,15 @@ def test_matrices_and_structs_become_columns(tmp_path: Path) -> None:
             "'piston_positon' is no field of a recording, did you mean 'piston_position'",
         ),
         ("time=clock,foo=pos", "there are time, hydraulic_force"),
-        ("time=clock,load_force=vir[lbf]", "unit 'lbf' is unknown; there are s, ms"),
+        ("time=clock,load_force=vir[furlong]", "unit 'furlong' is unknown; there are s, ms"),
         ("time=clock,load_force", "'load_force' is not FIELD=COLUMN"),
         ("time=clock,load_force=vir**2", "cannot be read from '\\*\\*2' on"),
         ("time=3,load_force=vir", "the time cannot be a constant"),
         ("load_force=vir", "no column is the time"),
-        ({"time": {"column": "clock", "factor": 2}}, "'factor' is unknown; there are column, unit, scale, offset"),
+        (
+            {"time": {"column": "clock", "factor": 2}},
+            "'factor' is unknown; there are column, unit, scale, offset, delay",
+        ),
     ],
 )
 def test_wrong_map_is_one_sentence_that_helps(given: object, said: str, tmp_path: Path) -> None:
@@ -114,12 +117,30 @@ def test_wrong_map_is_one_sentence_that_helps(given: object, said: str, tmp_path
     assert "\n" not in str(raised.value)
 
 
-def test_newer_matlab_format_is_refused_with_a_way_out(tmp_path: Path) -> None:
+def test_damaged_matlab_73_file_is_one_sentence(tmp_path: Path) -> None:
     path = tmp_path / "new.mat"
     header = b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM"
     path.write_bytes(header.ljust(512, b"\x00") + b"\x89HDF\r\n\x1a\n")
-    with pytest.raises(InputError, match=r"save\(\.\.\., '-v7'\)"):
+    with pytest.raises(InputError, match=r"new.mat: .") as raised:
         read_table(path)
+    assert "\n" not in str(raised.value)
+
+
+def test_map_without_a_time_corrects_what_carries_the_fields_names(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    pd.DataFrame({"time": [0, 1, 2], "load_force": [1, 2, 3], "pressure_a": [4, 5, 6], "pressure_b": [7, 8, 9]}).to_csv(
+        path
+    )
+    columns = ColumnMap.load("load_force=load_force*-1,pressure_a=none")
+    assert columns is not None and str(columns) == "load_force=load_force*-1,pressure_a=none"
+    same(read_table(path, columns), {"time": [0, 1, 2], "load_force": [-1, -2, -3], "pressure_b": [7, 8, 9]})
+
+
+@pytest.mark.parametrize("text", ["p_a=pressure_a", "'p a [bar]'[bar]*2-1", "out.p.0[kPa]@20ms", "pos[mm]-40+0.5*gtau"])
+def test_source_is_written_as_it_is_read(text: str) -> None:
+    text = text.split("=")[0]
+    source = source_of("pressure_a", text)
+    assert source_of("pressure_a", str(source)) == source
 
 
 def test_damaged_matlab_file_is_one_sentence(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from hydro_diagnosis.constancy import without_varying
 from hydro_diagnosis.effects import CANDIDATES, Claim, Effect
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.fit import fit
+from hydro_diagnosis.intervals import intervals
 from hydro_diagnosis.outcome import Outcome, score
 from hydro_diagnosis.problem import Problem
 from hydro_diagnosis.recording import Segment
@@ -98,7 +99,8 @@ def test_wrong_bulk_modulus_is_no_hoses(problem_of: Callable[..., Problem]) -> N
     rival = fit(problem, [claim(HOSES)])
     assert score(problem, rival) > score(problem, outcome.fit) + 100.0
     assert HOSES in [one.claims[-1].effect.label for one in outcome.rivals[BULK]]
-    (effect,) = describe(problem, problem, outcome, assess(problem, outcome.fit, outcome.nothing))
+    judgement = assess(problem, outcome.fit, outcome.nothing)
+    (effect,) = describe(problem, problem, outcome, judgement, intervals(problem, judgement.fit))
     assert HOSES not in [one.id for one in effect.rivals]  # the table has no such id
     (alike,) = effect.look_alikes
     assert "hoses that widen" in alike.likeness

@@ -13,7 +13,7 @@ from hydro_diagnosis import intake, survey
 from hydro_diagnosis.quality import checked
 from hydro_diagnosis.recording import Recording, UnusableRecordingError
 from hydro_diagnosis.survey import read_bag_within
-from hydro_diagnosis.table import read_table
+from hydro_diagnosis.table import RawTable, read_table
 from hydro_diagnosis.windows import Visits, telling
 from hydro_sim.bench import Bench
 
@@ -68,6 +68,22 @@ def test_windows_of_a_long_bag_are_what_it_holds(
         begin = round((one.start - long.start) / long.step)
         np.testing.assert_array_equal(one.channels["pressure_a"], long.channels["pressure_a"][begin : begin + len(one)])
         assert one.channels["pressure_a"].base is None  # no view that holds a stretch in memory
+
+
+@pytest.mark.parametrize("thinned", [1, 4])
+def test_windows_of_a_long_table_are_what_it_holds(
+    thinned: int, minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = read_table(minute[0])
+    columns = {name: values[::thinned] for name, values in whole.columns.items()}
+    table = RawTable("long", whole.time[::thinned], None, columns, ("read by hand",))
+    monkeypatch.setattr(survey, "STRETCH", 5_000)
+    monkeypatch.setattr(survey, "WHOLE", 2)
+    monkeypatch.setattr(survey, "WINDOW", 2.0)
+    kept = survey.table_within(table, BENCH)
+    assert len(kept.segments) == survey.FITTED + survey.HELD
+    assert any("read by hand" in note for note in kept.quality)
+    assert all(one.channels["pressure_a"].base is None for one in kept.segments)
 
 
 def test_long_bag_in_which_nothing_moves_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

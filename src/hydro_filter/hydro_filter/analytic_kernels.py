@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The analytic bench as `dynamics` has it, compiled: x' = f(x, u), exact A and B written out, and a sample of both.
+"""The analytic bench as `dynamics` has it, compiled: x' = f(x, u), exact A and B written out.
 
 Row by row as in `dynamics`. With F(x, u) = h + g u, f_h' of eq. q13, row f_h'' takes the slopes of F, times how x_p,
 x_p', p_a, p_b change, and the second derivatives of F. Source: paper eq. q13-q15 with docs/physics.md's erratum.
@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 from numba import njit
 
 from hydro_filter.state import (
@@ -24,10 +23,6 @@ from hydro_filter.state import (
     VELOCITY,
 )
 from hydro_sim.hydraulics import flow_gains, input_gain, pressure_rates, velocity_term, volumes
-from hydro_sim.timing import SAMPLE
-
-SUBSTEPS = 4
-"""Runge-Kutta steps of a sample's transition."""
 
 SMALLEST_DROP = 1e3
 """Pa; the slope of a square root is taken no nearer to zero pressure drop than this: it is infinite there."""
@@ -117,41 +112,6 @@ def linearize(constants, state, current, state_matrix, input_vector):
     input_vector[HYDRAULIC_FORCE_RATE] = by_a * input_vector[PRESSURE_A] + by_b * input_vector[PRESSURE_B]
     # ... then how the slopes change, times those four
     _bend(bench, state, current, state_matrix, input_vector)
-
-
-@njit(cache=True)
-def transition(constants, state, current, state_matrix, input_vector, after):
-    """Write x_{k+1}, A_d, B_d: a sample of x' = f(x, u) and of the variational equation d' = A d (+ B), together.
-
-    Classic Runge-Kutta steps of 250 us; the derivative is that of the very steps taken.
-    """
-    columns = STATES + 1
-    step = SAMPLE / SUBSTEPS
-    slopes, rates = np.empty((STATES, STATES)), np.empty(STATES)
-    input_slopes, probe, total = np.empty(STATES), np.empty(STATES), np.empty(STATES)
-    d, nudged, moved, summed = (
-        np.eye(STATES, columns),
-        np.empty((STATES, columns)),
-        np.empty((STATES, columns)),
-        np.empty((STATES, columns)),
-    )
-    after[:] = state
-    for _ in range(SUBSTEPS):
-        probe[:], nudged[:] = after, d
-        for stage in range(4):
-            state_rate(constants, probe, current, rates)
-            linearize(constants, probe, current, slopes, input_slopes)
-            moved[:] = np.dot(slopes, nudged)
-            moved[:, STATES] += input_slopes
-            weight, reach = 1.0 if stage == 0 or stage == 3 else 2.0, step if stage == 2 else 0.5 * step
-            if stage == 0:
-                total[:], summed[:] = 0.0, 0.0
-            total += weight * rates
-            summed += weight * moved
-            probe[:], nudged[:] = after + reach * rates, d + reach * moved
-        after += step / 6.0 * total
-        d += step / 6.0 * summed
-    state_matrix[:], input_vector[:] = d[:, :STATES], d[:, STATES]
 
 
 @njit(cache=True)

@@ -39,25 +39,11 @@ class Linearization(NamedTuple):
     """x' = f(x, u), shape (8,)."""
 
 
-class Transition(NamedTuple):
-    """A sample of 1 ms under a held current, and its Jacobians, SI units."""
-
-    state_matrix: FloatArray
-    """A_d = dx_{k+1}/dx_k, shape (8, 8)."""
-    input_vector: FloatArray
-    """B_d = dx_{k+1}/du_k, shape (8,)."""
-    after: FloatArray
-    """x_{k+1}, shape (8,)."""
-
-
 class Dynamics(Protocol):
-    """A differentiable model of the bench: the analytic one here, learned ones in `model_dynamics`."""
+    """A differentiable model of the bench."""
 
     def linearize(self, state: FloatArray, current: float) -> Linearization:
         """A, B and x' at state x, shape (8,), and valve current [A]."""
-
-    def transition(self, state: FloatArray, current: float) -> Transition:
-        """A_d, B_d and x a sample later, from state x, shape (8,), under a held current [A]."""
 
 
 class AnalyticDynamics:
@@ -72,9 +58,3 @@ class AnalyticDynamics:
         analytic_kernels.linearize(self.constants, state, current, linear.state_matrix, linear.input_vector)
         analytic_kernels.state_rate(self.constants, state, current, linear.state_rate)
         return linear
-
-    def transition(self, state: FloatArray, current: float) -> Transition:
-        """See `Dynamics.transition`."""
-        step = Transition(np.empty((STATES, STATES)), np.empty(STATES), np.empty(STATES))
-        analytic_kernels.transition(self.constants, state, current, *step)
-        return step

@@ -21,7 +21,6 @@ from hydro_filter.hidden_states import HIDDEN
 from hydro_filter.loop_model import LOOP, LoopModel, linearize, loop_step
 from hydro_filter.metric_network import ENTRIES
 from hydro_sim.hydraulics import rest_state
-from hydro_sim.timing import SAMPLE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,11 +112,3 @@ def factor_entries(weight: FloatArray) -> FloatArray:
     entries = lower[np.tril_indices(LOOP)]
     assert entries.shape == (ENTRIES,)
     return np.asarray(entries)
-
-
-def decay_rate(transition: FloatArray, weight: FloatArray) -> float:
-    """Largest lambda [1/s] with F'PF <= exp(-2 lambda T) P; negative if v'Pv can grow."""
-    lower = np.linalg.cholesky(weight)
-    moved = np.linalg.solve(lower, (transition.T @ weight @ transition))
-    ratio = np.linalg.eigvalsh(np.linalg.solve(lower, moved.T))[-1]
-    return float(-0.5 * np.log(ratio) / SAMPLE)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.console import UserError
-from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
+from hydro_bridge.signals import STATE_DTYPE, Flag, FloatArray, StateArray
 from hydro_filter import validate
 from hydro_filter.learn_metric import arguments, correction
 from hydro_filter.learned_metric import LearnedMetric
@@ -28,7 +28,7 @@ from hydro_filter.metric_data import (
     roll_out,
     windows_of,
 )
-from hydro_filter.metric_design import MetricDesign, decay_rate, rest_loop
+from hydro_filter.metric_design import MetricDesign, rest_loop
 from hydro_filter.metric_loss import Samples
 from hydro_filter.metric_polish import polish
 from hydro_filter.metric_training import TrainingSettings, judge, network_of, questions, train
@@ -36,8 +36,17 @@ from hydro_filter.metric_words import begun
 from hydro_sim.bench import Bench
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.timing import SAMPLE
 
 DATA = DataSettings(rollouts=8, windows=10)
+
+
+def decay_rate(transition: FloatArray, weight: FloatArray) -> float:
+    """Largest lambda [1/s] with F'PF <= exp(-2 lambda T) P; negative if v'Pv can grow."""
+    lower = np.linalg.cholesky(weight)
+    moved = np.linalg.solve(lower, (transition.T @ weight @ transition))
+    ratio = np.linalg.eigvalsh(np.linalg.solve(lower, moved.T))[-1]
+    return float(-0.5 * np.log(ratio) / SAMPLE)
 
 
 @pytest.fixture(scope="module")

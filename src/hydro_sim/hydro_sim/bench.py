@@ -8,7 +8,7 @@ compiled code reads) is derived from them. Values: docs/physics.md, "The nominal
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from importlib import resources
 from math import inf, isfinite, pi, sqrt
 from pathlib import Path
@@ -21,9 +21,6 @@ import yaml
 from hydro_bridge import bench_file
 from hydro_sim.effects import program
 from hydro_sim.effects.record import EFFECTS_DTYPE
-
-LOAD_CELL_DAMPING = sqrt(0.5)
-"""Of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
 
 
 def _quantity(unit: str, low: float, high: float) -> Any:
@@ -149,13 +146,21 @@ class Bench:
 
     def constants(self) -> npt.NDArray[np.void]:
         """What compiled code reads: one record of `BENCH_DTYPE`, shape (1,)."""
-        numbers, record = program.in_numbers(self), np.zeros(1, BENCH_DTYPE)
+        numbers, record = self._with_corrected_numbers(), np.zeros(1, BENCH_DTYPE)
         for name in record.dtype.names or ():
             value = getattr(numbers, name, None)
             record[name] = 0.0 if value is None or name == "effects" else value
         record["load_cell_omega"] = 2.0 * pi * (numbers.load_cell_bandwidth or 0.0)
         record["effects"] = program.program(self.effects)
         return record
+
+    def _with_corrected_numbers(self) -> Bench:
+        """Without effects, those that are wrong numbers of the bench file written into its numbers."""
+        limits = {
+            entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in fields(self) if entry.metadata
+        }
+        numbers = program.corrected({name: getattr(self, name) for name in limits}, limits, self.effects)
+        return replace(self, effects=(), **numbers)
 
 
 BENCH_DTYPE = np.dtype(

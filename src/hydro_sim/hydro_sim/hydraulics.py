@@ -22,11 +22,13 @@ import numpy as np
 from numba import njit
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.bench import LOAD_CELL_DAMPING
 from hydro_sim.timing import SAMPLE as SAMPLE
 
 STATES = 6
 """Length of the physical state y."""
+
+LOAD_CELL_DAMPING = math.sqrt(0.5)
+"""Of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
 
 SUBSTEPS = 20
 """Runge-Kutta steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""

@@ -11,9 +11,9 @@ import numpy as np
 from numba import njit
 
 from hydro_sim import hydraulics
-from hydro_sim.bench import LOAD_CELL_DAMPING
 from hydro_sim.effects import motion, oil, sensing, valve
 from hydro_sim.effects.record import SUBSTEPS
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 from hydro_sim.timing import SAMPLE
 
 STATES = hydraulics.STATES + 1

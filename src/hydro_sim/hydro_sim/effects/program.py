@@ -4,8 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,9 +14,6 @@ from hydro_sim.effects.catalogue import form_of, label
 from hydro_sim.effects.forms import Form
 from hydro_sim.effects.record import CAPACITY, COMMAND, EFFECTS_DTYPE, HISTORY, HOOKS, LAG, SUBSTEPS
 from hydro_sim.timing import SAMPLE
-
-if TYPE_CHECKING:
-    from hydro_sim.bench import Bench
 
 Entry = tuple[Form, tuple[float, ...]]
 
@@ -41,43 +37,45 @@ def check(effects: Sequence[Mapping[str, Any]]) -> None:
         raise ValueError(f"dead times add up to more than {HISTORY - 2} ms")
 
 
-def in_numbers(bench: Bench) -> Bench:
-    """The bench without effects, those that are wrong numbers of the bench file written into its numbers."""
-    numbers = replace(bench, effects=())
-    for effect in bench.effects:
+Numbers = dict[str, float | None]
+
+
+def corrected(
+    numbers: Numbers, limits: Mapping[str, tuple[float, float]], effects: Sequence[Mapping[str, Any]]
+) -> Numbers:
+    """A bench's numbers with those effects applied that say a number is wrong, one after the other, within `limits`."""
+    result = dict(numbers)
+    for effect in effects:
         form, values = form_of(effect)
-        changes = _changes(numbers, effect, values) if form.hook is None or form.hook == LAG else {}
-        inside: dict[str, Any] = {name: _inside(name, value, numbers) for name, value in changes.items()}
-        numbers = replace(numbers, **inside)
-    return numbers
+        changes = _changes(result, effect, values) if form.hook is None or form.hook == LAG else {}
+        result |= {name: _inside(value, *limits[name]) for name, value in changes.items()}
+    return result
 
 
-def _changes(bench: Bench, effect: Mapping[str, Any], values: tuple[float, ...]) -> dict[str, float | None]:
-    """Fields of the bench that an effect replaces."""
+def _changes(numbers: Mapping[str, Any], effect: Mapping[str, Any], values: tuple[float, ...]) -> Numbers:
+    """Numbers of the bench that an effect replaces."""
     value = values[0]
-    names = {"piston_area", "area_ratio", "supply_pressure", "spring_stiffness"}
     match effect["id"]:
         case "friction_viscous":
-            return {"viscous_friction": bench.viscous_friction + value}
+            return {"viscous_friction": numbers["viscous_friction"] + value}
         case "moving_mass":
-            return {"moving_mass": bench.moving_mass + value}
+            return {"moving_mass": numbers["moving_mass"] + value}
         case "spring_rest":
             return {"spring_rest_position": value}
         case "tank_pressure":
             return {"tank_pressure": value}
         case "dead_volume":
             name = f"dead_volume_{effect['chamber']}"
-            return {name: getattr(bench, name) * value}
+            return {name: numbers[name] * value}
         case "sensor_lag":  # takes the place of the amplifier that the bench file states
             return {"load_cell_bandwidth": None} if effect["sensor"] == "load_force" else {}
-        case str(name) if name in names:
-            return {name: getattr(bench, name) * value}
+        case "piston_area" | "area_ratio" | "supply_pressure" | "spring_stiffness" as name:
+            return {name: numbers[name] * value}
     return {}
 
 
-def _inside(name: str, value: float | None, bench: Bench) -> float | None:
-    limits = next(entry.metadata for entry in fields(bench) if entry.name == name)
-    return value if value is None else min(max(value, limits["low"]), limits["high"])
+def _inside(value: float | None, low: float, high: float) -> float | None:
+    return value if value is None else min(max(value, low), high)
 
 
 def program(effects: Sequence[Mapping[str, Any]]) -> npt.NDArray[np.void]:

@@ -14,7 +14,8 @@ from math import pi
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.bench import LOAD_CELL_DAMPING, Bench
+from hydro_sim.bench import Bench
+from hydro_sim.hydraulics import LOAD_CELL_DAMPING
 
 
 @dataclass(frozen=True, kw_only=True)

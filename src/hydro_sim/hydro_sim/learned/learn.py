@@ -19,7 +19,7 @@ from tqdm import tqdm
 from hydro_bridge.console import UserError, command, progress, writable
 from hydro_bridge.resuming import given, refuse_changes
 from hydro_sim.bench import Bench
-from hydro_sim.learned import adam, engine, identification, recordings, training
+from hydro_sim.learned import adam, engines, identification, recordings, training
 from hydro_sim.learned.checkpoint import Checkpoint
 from hydro_sim.learned.curves import draw_curves
 from hydro_sim.learned.model import Model
@@ -148,7 +148,7 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--hidden names {len(options.hidden)} layers, --structure structured has two")
     if deep and (options.device == "cuda" or options.printed_loss):
         raise ValueError("--device cuda and --printed-loss are for a network alone of two layers, and for structured")
-    engine.engines(options.device)
+    engines.engines(options.device)
 
 
 def _settings(options: argparse.Namespace) -> training.Settings:
@@ -183,7 +183,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--seed", type=int, default=0, help="of first weights and shuffles")
     result.add_argument("--printed-loss", action="store_true", help="network: eq. loss as printed (errors may cancel)")
     result.add_argument("--resume", action="store_true", help=RESUME_HELP)
-    result.add_argument("--device", choices=engine.DEVICES, default="auto", help=DEVICE_HELP)
+    result.add_argument("--device", choices=engines.DEVICES, default="auto", help=DEVICE_HELP)
     result.add_argument("--threads", type=int, default=0, help="cores to use; 0: all")
     return result
 

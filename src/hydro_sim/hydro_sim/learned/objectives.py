@@ -11,7 +11,8 @@ import numpy.typing as npt
 from hydro_bridge.signals import FloatArray
 from hydro_sim.learned import structured
 from hydro_sim.learned.deep_model import DeepModel
-from hydro_sim.learned.engine import Compiled, Engine
+from hydro_sim.learned.engine import Engine
+from hydro_sim.learned.engines import Compiled
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.recordings import READING_COLUMNS, Run
 from hydro_sim.learned.structured_model import StructuredModel

@@ -17,8 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydro_sim.bench import Bench
-from hydro_sim.learned import adam, engine
+from hydro_sim.learned import adam, engines
 from hydro_sim.learned.deep_model import DeepModel
+from hydro_sim.learned.engine import Engine
 from hydro_sim.learned.model import Learned, Model
 from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.objectives import NetworkObjective, StructuredObjective, Windows
@@ -86,20 +87,20 @@ def objective(model: Model, data: Data, settings: Settings) -> NetworkObjective 
         )
     else:
         target = StructuredObjective(model, training, validation, batch=min(settings.batch, 2048), seed=settings.seed)
-    target.engine = _engine(target, engine.engines("cpu" if isinstance(model, DeepModel) else settings.device))
+    target.engine = _engine(target, engines.engines("cpu" if isinstance(model, DeepModel) else settings.device))
     return target
 
 
-def _engine(target: NetworkObjective | StructuredObjective, choice: tuple[engine.Engine, ...]) -> engine.Engine:
+def _engine(target: NetworkObjective | StructuredObjective, choice: tuple[Engine, ...]) -> Engine:
     """The quicker one of several, on the first batch."""
     if len(choice) > 1:
         target.refresh(target.model.flat)
 
-    def gradient(one: engine.Engine) -> None:
+    def gradient(one: Engine) -> None:
         target.engine = one
         next(target.gradients(target.model.flat, 0))
 
-    return engine.quickest(choice, gradient)
+    return engines.quickest(choice, gradient)
 
 
 def steps(

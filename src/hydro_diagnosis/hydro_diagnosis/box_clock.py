@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings of any rate on the box's clock: the valve current changes once a millisecond, whatever the logger's rate.
+
+Of a faster logger the rows at the box's milliseconds are taken. Of a slower one, or one that lost rows, those that are
+missing are interpolated by splines and never judged; and the same stretch is made once more from half of the rows
+(`Segment.thinner`): what that changes in a residual or a parameter, the rows that are missing may change too.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+from scipy.interpolate import CubicSpline
+
+from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.recording import MEASURED, Segment
+from hydro_sim.timing import SAMPLE
+
+Mask = npt.NDArray[np.bool_]
+Rows = npt.NDArray[np.int64]
+SAME = 0.05
+"""Share of the box's period by which a logger's may differ and still be the box's."""
+_SMOOTH = (*MEASURED, "valve_current")
+"""What is interpolated by splines; everything else by straight lines."""
+
+
+def on_box_clock(
+    name: str, start: float, step: float, rows: Rows, columns: Mapping[str, FloatArray], *, shaken: bool = False
+) -> Segment:
+    """One stretch without a long gap.
+
+    Parameters
+    ----------
+    name, start, step
+        The recording, s since its start, and s between the logger's rows.
+    rows
+        Number of each recorded row by the logger's even count, ascending, shape (m,).
+    columns
+        What was recorded there, by BenchState field, each of shape (m,).
+    shaken
+        Whether the samples were not taken evenly, but placed since.
+    """
+    rows, skipped = rows - rows[0], round(SAMPLE / step)
+    if skipped > 1:
+        begin = _ticks(rows, columns, skipped)
+        at = (rows >= begin) & ((rows - begin) % skipped == 0)
+        rows, step, start = (rows[at] - begin) // skipped, step * skipped, start + begin * step
+        columns = {key: values[at] for key, values in columns.items()}
+        start, rows = start + rows[0] * step, rows - rows[0]
+    step = SAMPLE if abs(step - SAMPLE) < SAME * SAMPLE else step
+    spacing, count = max(round(step / SAMPLE), 1), int(rows[-1]) + 1
+    whole = len(rows) == count
+    if whole and step == SAMPLE and not shaken:
+        return Segment(name, start, step, {key: np.asarray(one, np.float64) for key, one in columns.items()})
+    place = (name, start, step / spacing, spacing, (count - 1) * spacing + 1)
+    if step == SAMPLE and not shaken:
+        thinner = _placed(*place, *_fewer(rows, columns, _gaps_doubled(rows)))
+    else:
+        thinner = _placed(name, start, step / spacing, 2 * spacing, place[-1], *_halved(rows, columns, spacing))
+    return _placed(*place, rows * spacing, columns, thinner)
+
+
+def _placed(
+    name: str, start: float, step: float, spacing: int, count: int, at: Rows, columns: Mapping[str, FloatArray],
+    thinner: Segment | None = None,
+) -> Segment:  # fmt: skip
+    """`count` samples on the box's clock, of which those `at` were recorded."""
+    even, measured = np.arange(count), np.zeros(count, dtype=np.bool_)
+    measured[at] = True
+    channels = {
+        key: CubicSpline(at, values)(even) if key in _SMOOTH else np.interp(even, at, values)
+        for key, values in columns.items()
+    }
+    for key, values in columns.items():
+        channels[key][at] = values
+    return Segment(name, start, step, channels, spacing, measured, thinner)
+
+
+def _ticks(rows: Rows, columns: Mapping[str, FloatArray], skipped: int) -> int:
+    """First row at one of the box's milliseconds: there the current changes, and is held until the next."""
+    if "valve_current" not in columns:
+        return 0
+    changed = rows[1:][np.diff(columns["valve_current"]) != 0.0]
+    return int(np.argmax(np.bincount(changed % skipped, minlength=skipped)))
+
+
+def _fewer(rows: Rows, columns: Mapping[str, FloatArray], kept: Mask) -> tuple[Rows, dict[str, FloatArray]]:
+    return rows[kept], {key: values[kept] for key, values in columns.items()}
+
+
+def _halved(rows: Rows, columns: Mapping[str, FloatArray], spacing: int) -> tuple[Rows, dict[str, FloatArray]]:
+    fewer, values = _fewer(rows, columns, rows % 2 == 0)
+    return fewer * spacing, values
+
+
+def _gaps_doubled(rows: Rows) -> Mask:
+    """Rows without as many after each gap as the gap has."""
+    kept = np.ones(len(rows), dtype=np.bool_)
+    for k in np.flatnonzero(np.diff(rows) > 1):
+        lost = int(rows[k + 1] - rows[k]) - 1
+        kept[k + 1 : k + 1 + lost] = False
+    kept[-4:] = True
+    return kept
+
+
+def judged(segment: Segment, begin: int, end: int, stride: int, margin: int) -> Rows | slice:
+    """Samples that are judged: recorded ones, `stride` recorded rows apart, none missing within `margin` rows of them.
+
+    A slice where every row was recorded.
+    """
+    if segment.measured is None:
+        return slice(begin, end, stride)
+    spacing = segment.spacing
+    phase = segment.phase
+    recorded = segment.measured[phase::spacing]
+    lost = np.convolve(~recorded, np.ones(2 * margin + 1), mode="same") > 0.5
+    open_ = phase + spacing * np.flatnonzero(~lost)
+    open_ = open_[(open_ >= begin) & (open_ < end)]
+    chosen, at = [], 0
+    while at < len(open_):
+        chosen.append(open_[at])
+        at = int(np.searchsorted(open_, open_[at] + stride * spacing))
+    return np.array(chosen, dtype=np.int64)
+
+
+def rate_note(step: float, segment: Segment) -> str:
+    """What a recording's `step` [s] means for what can be told, in a sentence."""
+    rate = f"recorded at {1.0 / step:.4g} Hz"
+    if segment.thinner is None:
+        return f"{rate}: of every {round(SAMPLE / step)} rows that at the box's millisecond was taken"
+    return (
+        f"{rate}, not the box's {1.0 / SAMPLE:.4g} Hz: what happens between two rows is not known; nothing is claimed "
+        "that half of the rows would not show too"
+    )

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a file holds: columns by name, their units, and the clock by which each was sampled."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import FloatArray
+
+_TIME = re.compile(
+    r"^(.*[./\\ _-])?(time|t|zeit|timestamp|timestamps|time_?s|x-?axis|xaxis|elapsed)([ _.]*[\[(].*[\])])?(\.\d+)?$",
+    re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What a file holds."""
+
+    series: Mapping[str, FloatArray]
+    """Columns by name, each of shape (n,); n may differ between clocks."""
+    constants: Mapping[str, float] = field(default_factory=dict)
+    """Single numbers by name (of .mat and HDF5 files)."""
+    other: tuple[str, ...] = ()
+    """Names of what is neither: texts, columns of another length."""
+    units: Mapping[str, str] = field(default_factory=dict)
+    """Units that the file states, as `units.UNITS` spells them; only those that are known."""
+    clocks: Mapping[str, str] = field(default_factory=dict)
+    """By column, the name of the column that holds its times; none for a table in which every row is one instant."""
+    notes: tuple[str, ...] = ()
+    """What has to be known about these times, one sentence each."""
+
+
+def named_like_time(name: str) -> bool:
+    """Whether a column's name says that it is the time."""
+    return _TIME.match(name.strip()) is not None
+
+
+def runs_forward(values: FloatArray) -> bool:
+    """Whether the numbers grow from each row to the next but for rare exceptions, as times do."""
+    steps = np.diff(values[np.isfinite(values)])
+    return len(steps) > 0 and float(np.mean(steps > 0.0)) > 0.9
+
+
+def with_clocks_of_equal_length(
+    series: Mapping[str, FloatArray], constants: Mapping[str, float], other: tuple[str, ...], units: Mapping[str, str]
+) -> Columns:
+    """Columns of several lengths: those that share it with one column of times have that one as their clock.
+
+    The time beside a column, in the same struct or group, comes before one elsewhere. Columns of one length need no
+    clock; of several lengths, the longest does without, and what has neither is listed under `other`.
+    """
+    lengths = {len(values) for values in series.values()}
+    if len(lengths) <= 1:
+        return Columns(series, constants, other, units)
+    times = [name for name, values in series.items() if named_like_time(name) and runs_forward(values)]
+    longest, clocks, left = max(lengths), {}, []
+    for name, values in series.items():
+        alike = [time for time in times if len(series[time]) == len(values)]
+        if alike:
+            clocks[name] = max(alike, key=lambda time: _kinship(time, name))
+        elif len(values) != longest:
+            left.append(name)
+    kept = {name: values for name, values in series.items() if name not in left}
+    if len({clocks.get(name) for name in kept}) == 1:
+        clocks = {}
+    return Columns(kept, constants, (*other, *left), units, clocks)
+
+
+def _kinship(one: str, other: str) -> int:
+    """How many leading parts of two dotted names are the same."""
+    parts = zip(one.split(".")[:-1], other.split(".")[:-1], strict=False)
+    count = 0
+    for mine, yours in parts:
+        if mine != yours:
+            break
+        count += 1
+    return count
+
+
+def unique(name: str, taken: Mapping[str, object]) -> str:
+    """The name, or with a number behind it if it is taken: `time`, `time.2`, `time.3`."""
+    if name not in taken:
+        return name
+    number = 2
+    while f"{name}.{number}" in taken:
+        number += 1
+    return f"{name}.{number}"

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Loggers of any rate, with uneven stamps, with rows lost: nothing is claimed that comes of the logger."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_diagnosis.box_clock import judged
+from hydro_diagnosis.convention import current_is_early
+from hydro_diagnosis.effects import CANDIDATES, Claim
+from hydro_diagnosis.fit import fit
+from hydro_diagnosis.intervals import intervals, surely
+from hydro_diagnosis.locate import mean_squares
+from hydro_diagnosis.outcome import SearchSettings
+from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.quality import checked
+from hydro_diagnosis.rates import shifts, untold
+from hydro_diagnosis.recording import Recording
+from hydro_diagnosis.report import EffectReport, ParameterEstimate
+from hydro_diagnosis.smoothing import TOTAL_WIDTH, smooth
+from hydro_diagnosis.stamps import counted, uneven
+from hydro_diagnosis.table import RawTable
+from hydro_diagnosis.worth import all_worth
+from hydro_sim.bench import Bench
+
+BENCH = Bench.nominal()
+THRESHOLD = SearchSettings().threshold
+MASS = next(effect for effect in CANDIDATES if effect.id == "moving_mass")
+FRICTION = next(effect for effect in CANDIDATES if effect.id == "friction_coulomb" and not effect.options)
+
+
+def logged(states: StateArray, rows: object = slice(None), time: np.ndarray | None = None) -> Recording:
+    """What a logger makes of a run whose rows it takes, without the box's count."""
+    columns = {name: states[name][rows].copy() for name in STATE_FIELDS}
+    stamps = (states["time"] if time is None else time)[rows].copy()
+    return checked(RawTable("run", stamps, None, columns), BENCH)
+
+
+def test_rate_of_the_box_is_left_alone(nominal: StateArray) -> None:
+    (segment,) = logged(nominal).segments
+    assert segment.spacing == 1 and segment.measured is None and segment.thinner is None
+    for name in STATE_FIELDS:
+        assert np.array_equal(segment.channels[name], nominal[name])
+
+
+@pytest.mark.parametrize("late", [0, 1])
+def test_fast_logger_gives_the_rows_at_the_box_s_milliseconds(nominal: StateArray, late: int) -> None:
+    fine = np.arange(4 * len(nominal) - 4)
+    columns = {name: np.interp(fine / 4.0, np.arange(len(nominal)), nominal[name]) for name in STATE_FIELDS}
+    columns["valve_current"] = nominal["valve_current"][fine // 4]
+    table = RawTable("run", 2.5e-4 * fine[late:], None, {name: one[late:] for name, one in columns.items()})
+    (segment,) = checked(table, BENCH).segments
+    assert segment.step == 1e-3 and segment.thinner is None
+    assert np.allclose(segment.channels["piston_position"], nominal["piston_position"][late : len(segment) + late])
+
+
+@pytest.mark.parametrize("spacing", [2, 5, 20])
+def test_slow_clean_recordings_are_noise(nominal: StateArray, spacing: int) -> None:
+    """Without the doubt of missing rows the chambers at 200 Hz are at 4 times the noise's mean square."""
+    problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
+    assert problem.models[0].spacing == spacing and problem.models[0].step == pytest.approx(1e-3)
+    assert max(mean_squares(problem, problem.residual(())).values()) < 1.35
+
+
+@pytest.mark.parametrize("spacing", [2, 4, 5])
+def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) -> None:
+    problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
+    found = fit(problem, [Claim(MASS, {"mass": 0.1})])
+    assert not all_worth(problem, found) or not surely(problem, found)[0].claims
+
+
+def test_half_of_the_rows_tell_how_far_a_parameter_may_be_off(nominal: StateArray) -> None:
+    slow, whole = (Problem(logged(nominal, slice(None, None, n)).segments, BENCH) for n in (5, 1))
+    found = fit(slow, [Claim(FRICTION, {"force": 1.0})])
+    (shift,) = shifts(slow, found)
+    assert shift[0] > 0.0
+    (bound,) = intervals(slow, found)
+    assert bound.high - bound.low >= shift[0]
+    assert np.array_equal(np.concatenate(shifts(whole, fit(whole, [Claim(FRICTION, {"force": 1.0})]))), [0.0])
+
+
+def test_lost_rows_and_their_neighbours_are_not_judged(nominal: StateArray) -> None:
+    kept = np.random.default_rng(1).uniform(size=len(nominal)) > 0.03
+    kept[[0, -1]] = True
+    recording = logged(nominal, kept)
+    (segment,) = recording.segments
+    assert any("missing samples were bridged" in note for note in recording.quality)
+    assert segment.measured is not None and np.array_equal(segment.measured, kept)
+    rows = judged(segment, 300, len(segment) - 20, 5, 6)
+    lost = np.flatnonzero(~kept)
+    assert isinstance(rows, np.ndarray) and len(rows) > 800 and np.min(np.diff(rows)) >= 5
+    assert np.min(np.abs(rows[:, None] - lost[None, :])) > 6
+    problem = Problem([segment], BENCH)
+    assert max(mean_squares(problem, problem.residual(())).values()) < 1.35
+
+
+def test_uneven_stamps_of_even_samples_change_nothing(nominal: StateArray) -> None:
+    shaken = np.sort(nominal["time"] + np.random.default_rng(2).uniform(-3e-4, 3e-4, len(nominal)))
+    recording = logged(nominal, time=shaken)
+    (segment,) = recording.segments
+    assert segment.measured is None and len(segment) == len(nominal)
+    assert np.array_equal(segment.channels["piston_position"], nominal["piston_position"])
+    assert any("the samples are even" in note for note in recording.quality)
+
+
+def test_rows_lost_under_uneven_stamps_are_found(nominal: StateArray) -> None:
+    random = np.random.default_rng(3)
+    kept = random.uniform(size=len(nominal)) > 0.05
+    shaken = np.sort(nominal["time"] + random.uniform(-3e-4, 3e-4, len(nominal)))
+    assert uneven(shaken[kept]) and not uneven(nominal["time"][kept])
+    _, rows = counted(shaken[kept])
+    true = np.flatnonzero(kept)
+    assert np.array_equal(rows - rows[0], true - true[0])
+
+
+def test_samples_taken_unevenly_are_placed_by_their_stamps(nominal: StateArray) -> None:
+    """Position between the box's rows by splines; the current, held for a millisecond, is of no use then."""
+    time = nominal["time"][3:-3] + np.random.default_rng(4).uniform(-3e-4, 3e-4, len(nominal) - 6)
+    columns = {name: np.interp(time, nominal["time"], nominal[name]) for name in STATE_FIELDS}
+    recording = checked(RawTable("run", time, None, columns), BENCH)
+    assert any("the samples were taken so" in note for note in recording.quality)
+    channels = recording.segments[0].channels
+    assert "valve_current" not in channels
+    off = channels["piston_position"][50:-50] - nominal["piston_position"][53:-53]
+    assert np.std(off) < 0.2 * np.std(columns["piston_position"][50:-50] - nominal["piston_position"][53:-53])
+
+
+def test_claim_whose_interval_holds_nothing_is_none(problem: Problem) -> None:
+    found = fit(problem, [Claim(FRICTION, {"force": 1e-4})], iterations=0)
+    assert intervals(problem, found)[0].low == 0.0
+    assert surely(problem, found)[0].claims == ()
+
+
+def test_what_a_rate_hides_is_said(nominal: StateArray) -> None:
+    slow = Problem(logged(nominal, slice(None, None, 20)).segments, BENCH)
+    note = untold(slow, fit(slow, ()), [effect.adapted(BENCH) for effect in CANDIDATES], THRESHOLD)
+    assert note is not None and "entrained_air under" in note
+    whole = Problem(logged(nominal).segments, BENCH)
+    assert untold(whole, fit(whole, ()), CANDIDATES, THRESHOLD) is None
+
+
+def test_recordings_of_two_rates_have_each_its_own_noise(nominal: StateArray) -> None:
+    whole, slow = logged(nominal).segments[0], logged(nominal, slice(None, None, 5)).segments[0]
+    problem = Problem([replace(slow, recording="slow"), whole], BENCH)
+    assert problem.sensor_noise == Problem([whole], BENCH).sensor_noise
+    assert np.max(problem.deviation("motion", 0)) != np.max(problem.deviation("motion", 1))
+    assert max(mean_squares(problem, problem.residual(())).values()) < 1.35
+
+
+@pytest.mark.parametrize("time, said", [(1e-3, True), (1.7e-3, False)])
+def test_dead_time_of_one_row_is_said_to_look_like_an_early_current(problem: Problem, time: float, said: bool) -> None:
+    parameters: Mapping[str, ParameterEstimate] = {
+        "time": ParameterEstimate(value=time, ci95=[time - 1e-6, time + 1e-6], unit="s")
+    }
+    effect = EffectReport(
+        id="transport_delay", equation="actuation", options={}, sentence="", parameters=dict(parameters), evidence={},
+        rivals=[], look_alikes=[],
+    )  # fmt: skip
+    assert (current_is_early(problem, [effect]) is not None) == said
+
+
+def test_wide_test_function_is_the_same_by_either_convolution() -> None:
+    signal = np.cumsum(np.random.default_rng(5).standard_normal(3000))
+    wide = smooth(signal, 10)
+    at = np.arange(-76, 77)
+    bell = np.exp(-0.5 * (at / (10.0 * TOTAL_WIDTH)) ** 2)
+    direct = np.convolve(np.pad(signal, 76, mode="edge"), bell / bell.sum(), mode="valid")
+    assert np.allclose(wide, direct, atol=1e-9)

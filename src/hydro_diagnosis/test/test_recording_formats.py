@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+import yaml
+
+from hydro_bridge.recording import read_bag
+from hydro_bridge.signals import StateArray
+from hydro_diagnosis import diagnose
+from hydro_diagnosis.columns import ColumnMap
+from hydro_diagnosis.importers import read_columns
+from hydro_diagnosis.mdf import NEEDED
+from hydro_diagnosis.proposal import proposed
+from hydro_diagnosis.quality import checked
+from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.report import Report
+from hydro_diagnosis.table import columns_of, read_table
+from hydro_sim.bench import Bench
+
+BENCH = Bench.nominal()
+
+
+def _loggers() -> ModuleType:
+    path = Path(__file__).with_name("loggers.py")
+    spec = importlib.util.spec_from_file_location("hydro_diagnosis_test_loggers", path)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+loggers = _loggers()
+FORMATS = sorted(loggers.FORMATS)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run of the emulated bench with 12 N of dry friction."""
+    folder = tmp_path_factory.mktemp("bag")
+    truth = {"profile": "nominal", "effects": {"friction_coulomb": {"force": 12.0}}}
+    segment = {"seconds": 14.0, "waveform": "multisine", "amplitude": 260.0, "frequency": 0.7, "kp": 60.0, "ki": 10.0}
+    (folder / "truth.yaml").write_text(yaml.safe_dump(truth))
+    (folder / "schedule.yaml").write_text(yaml.safe_dump({"segments": [segment]}))
+    command = ["ros2", "run", "hydro_sim", "emulator", "--offline", "--out", str(folder / "bag"), "--seed", "5"]
+    command += ["--truth", str(folder / "truth.yaml"), "--schedule", str(folder / "schedule.yaml")]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return folder / "bag"
+
+
+@pytest.fixture(scope="module")
+def states(bag: Path) -> StateArray:
+    return read_bag(bag).state
+
+
+@pytest.fixture(scope="module")
+def of_the_bag(bag: Path) -> Report:
+    return diagnose([bag]).report
+
+
+def written(name: str, folder: Path, states: StateArray) -> tuple[Path, ColumnMap]:
+    write, text = loggers.FORMATS[name]
+    path = write(folder, states)
+    columns = ColumnMap.load(text) if text else proposed(columns_of(path), BENCH)
+    assert columns is not None
+    return path, columns
+
+
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_holds_what_the_bag_holds(name: str, tmp_path: Path, states: StateArray) -> None:
+    short = states[:4000]
+    path, columns = written(name, tmp_path, short)
+    table = read_table(path, columns)
+    assert len(table.time) == len(short)
+    assert set(table.columns) == {field for field, _, _ in loggers.CHANNELS.values()}
+    np.testing.assert_allclose(np.diff(table.time), 1e-3, rtol=1e-3)
+    for field, values in table.columns.items():
+        np.testing.assert_allclose(values, short[field], rtol=1e-12, atol=1e-15, err_msg=field)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", FORMATS)
+def test_every_format_is_diagnosed_as_the_bag(
+    name: str, tmp_path: Path, of_the_bag: Report, states: StateArray
+) -> None:
+    path, columns = written(name, tmp_path, states)
+    found = diagnose([path], columns=columns).report
+    assert found.verdict == "explained"
+    (effect,) = found.effects
+    assert effect.id == "friction_coulomb"
+    bounds = effect.parameters["force"].ci95
+    assert bounds is not None and bounds[0] <= 12.0 <= bounds[1]
+    assert of_the_bag.verdict == found.verdict
+    (same,) = of_the_bag.effects
+    assert effect.parameters["force"].value == pytest.approx(same.parameters["force"].value, rel=1e-3)
+
+
+def test_proposed_map_of_control_desk_is_ready_to_use(tmp_path: Path, states: StateArray) -> None:
+    path = loggers.control_desk_csv(tmp_path, states[:3000])
+    command = [sys.executable, "-m", "hydro_diagnosis.listing", str(path), "--write", str(tmp_path / "map.yaml")]
+    shown = subprocess.run(command, capture_output=True, text=True, check=True).stdout
+    row = next(line for line in shown.splitlines() if "Model Root/pA/Out1" in line)
+    assert row.split()[-1] == "pressure_a?" and " bar " in row and " 1000 " in row
+    assert any(level in row for level in "▁▂▃▄▅▆▇█")
+    assert " 10 " in next(line for line in shown.splitlines() if "T_oil" in line)
+    table = read_table(path, ColumnMap.load(tmp_path / "map.yaml"))
+    np.testing.assert_allclose(table.columns["pressure_a"], states["pressure_a"][:3000], rtol=1e-12)
+    line = next(line for line in shown.splitlines() if "proposed, to be checked" in line)
+    again = read_table(path, ColumnMap.load(line.split('--columns "')[1].rstrip('"')))
+    np.testing.assert_array_equal(again.columns["pressure_a"], table.columns["pressure_a"])
+
+
+@pytest.mark.parametrize("decimal", [",", "."])
+def test_decimal_sign_is_found(decimal: str, tmp_path: Path, states: StateArray) -> None:
+    path = loggers.control_desk_csv(tmp_path, states[:500], decimal=decimal)
+    np.testing.assert_allclose(read_columns(path).series["Model Root/x/Out1"], 1e3 * states["piston_position"][:500])
+
+
+def test_units_that_the_file_states_are_listed(tmp_path: Path, states: StateArray) -> None:
+    path = loggers.mdf(tmp_path, states[:3000])
+    recording = checked(read_table(path, ColumnMap.load(loggers.MAP)), BENCH)
+    assert any("pressure_a is in bar, as the file says of 'pA'" in note for note in recording.quality)
+
+
+def test_messages_without_a_time_are_listed(tmp_path: Path, states: StateArray) -> None:
+    path = loggers.topics(tmp_path, states[:3000])
+    recording = checked(read_table(path, ColumnMap.load(loggers.TOPICS)), BENCH)
+    assert any("/valve" in note and "carry no time" in note for note in recording.quality)
+
+
+def test_current_of_a_faster_clock_is_averaged_over_each_row(tmp_path: Path) -> None:
+    time, fast = np.arange(0.0, 1.0, 2e-3), np.arange(0.0, 1.0, 1e-3)
+    path = tmp_path / "two.h5"
+    with loggers.h5py.File(path, "w") as file:
+        file["a/time"], file["a/x"], file["a/p"] = time, np.sin(time), np.cos(time)
+        file["b/time"], file["b/i"], file["b/f"] = fast, np.arange(len(fast), dtype=float), np.sin(fast)
+    columns = "time=a.time,piston_position=a.x,pressure_a=a.p,valve_current=b.i,load_force=b.f"
+    table = read_table(path, ColumnMap.load(columns))
+    np.testing.assert_allclose(table.columns["valve_current"][:-1], 0.5 + 2.0 * np.arange(len(time) - 1))
+    np.testing.assert_allclose(table.columns["load_force"], np.sin(time), atol=1e-12)
+    assert any(note.startswith("valve_current was recorded by the clock 'b.time'") for note in table.notes)
+
+
+def test_sensor_that_is_slower_than_the_others_is_left_out_and_listed(tmp_path: Path) -> None:
+    time, slow = np.arange(0.0, 4.0, 1e-3), np.arange(0.0, 4.0, 1e-2)
+    path = tmp_path / "two.h5"
+    with loggers.h5py.File(path, "w") as file:
+        file["a/time"], file["a/x"] = time, np.sin(time)
+        file["b/time"], file["b/f"] = slow, np.sin(slow)
+    table = read_table(path, ColumnMap.load("time=a.time,piston_position=a.x,load_force=b.f"))
+    assert set(table.columns) == {"piston_position"}
+    assert any("load_force is sampled 100 times a second" in note and "b.time" in note for note in table.notes)
+    other = read_table(path, ColumnMap.load("time=b.time,piston_position=a.x,load_force=b.f"))
+    np.testing.assert_allclose(other.columns["piston_position"], np.sin(slow), atol=1e-12)
+
+
+def test_delay_of_a_column_is_undone(tmp_path: Path, states: StateArray) -> None:
+    path = loggers.hdf5(tmp_path, states[:2000])
+    columns = "time=fast.time,pressure_a=fast.pA@20ms,pressure_b=fast.pB,piston_position=fast.x"
+    table = read_table(path, ColumnMap.load(columns))
+    np.testing.assert_allclose(table.columns["pressure_a"][:1900], states["pressure_a"][20:1920], rtol=1e-9)
+
+
+def test_mdf_library_that_is_named_is_the_one_that_is_tested() -> None:
+    pins = Path(__file__).resolve().parents[3] / "requirements-dev.txt"
+    assert NEEDED in pins.read_text().splitlines()
+
+
+def test_mdf_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "asammdf", None)
+    (tmp_path / "a.mf4").write_bytes(b"MDF     4.10    ")
+    with pytest.raises(InputError, match=r"asammdf, which is not installed: `python -m pip install asammdf"):
+        read_columns(tmp_path / "a.mf4")
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mat", ".h5", ".mf4", ".tdms", ".parquet"])
+def test_file_that_is_something_else_is_one_sentence(suffix: str, tmp_path: Path) -> None:
+    for content in (b"", b"\x00\x01garbage" * 40, b"words and more words\nwithout a number\n"):
+        path = tmp_path / f"odd{suffix}"
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=f"odd{suffix}: .") as raised:
+            read_columns(path)
+        assert "\n" not in str(raised.value)
