@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.guard import GuardSettings
+from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, FloatArray, ReferenceSignal, StateArray
-from hydro_filter.filter import Result
-from hydro_filter.loop_filter import LoopFilter
-from hydro_filter.sample import Sample
-from hydro_filter.trial import Corrector
-from hydro_policy.controllers import Controller
-from hydro_policy.offline import OfflineGraph
-from hydro_policy.watch import FALLBACK
-from hydro_sim.bench import Bench
-from hydro_sim.plant import Plant
+from hydro_filter.controller.filter import Result
+from hydro_filter.controller.loop_filter import LoopFilter
+from hydro_filter.model.sample import Sample
+from hydro_filter.validation.trial import Corrector
+from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.sessions.offline import OfflineGraph
+from hydro_policy.supervision.plant_supervisor import FALLBACK
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
 from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 WIDE = GuardSettings(

@@ -9,16 +9,17 @@ import numpy as np
 from numba import njit
 
 from benchmarks._truth_fleet import truth_fleet
-from hydro_bridge.console import progress
+from hydro_bridge.cli.console import progress
 from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, ReferenceSignal, StateArray, Waveform
-from hydro_filter import hidden_states, innovations
-from hydro_filter.innovations import COUNT, MONITOR_DTYPE
-from hydro_filter.loop_filter import default_filter
-from hydro_filter.validation_cases import CASES
-from hydro_policy.fleet import Fleet
-from hydro_policy.fleet_filter import fleet_filter
-from hydro_sim.bench import Bench
+from hydro_filter.controller import innovations
+from hydro_filter.controller.innovations import COUNT, MONITOR_DTYPE
+from hydro_filter.controller.loop_filter import default_filter
+from hydro_filter.model import hidden_states
+from hydro_filter.validation.cases import CASES
+from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
 from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 GAINS = ("wide", "wide-slow", "switched-slow", "switched", "unstable-slow", "high", "stable", "base")

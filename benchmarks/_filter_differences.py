@@ -10,15 +10,20 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hydro_filter import displacement, loop_decision, metric_network, model_kernels, sampled_certificate
-from hydro_filter.loop_decision import Problem
-from hydro_filter.loop_filter import FITS, NOT_FINITE, LoopFilter
-from hydro_filter.loop_model import LOOP, hydraulic_slopes, shares
-from hydro_filter.state import STATES
-from hydro_sim import force_law
-from hydro_sim.learned import integration, structured
-from hydro_sim.learned.physics import AREA, GAIN_H, GAIN_L, OFFSET, RATIO
-from hydro_sim.learned.structured import FULL
+from hydro_filter.certificate import sampled as sampled_certificate
+from hydro_filter.controller import loop_decision
+from hydro_filter.controller.loop_decision import Problem
+from hydro_filter.controller.loop_filter import FITS, NOT_FINITE, LoopFilter
+from hydro_filter.metric import network as metric_network
+from hydro_filter.model import displacement
+from hydro_filter.model import structured_kernels as model_kernels
+from hydro_filter.model.loop_model import LOOP, hydraulic_slopes, shares
+from hydro_filter.model.state import STATES
+from hydro_sim.box import force_law
+from hydro_sim.structured import integration
+from hydro_sim.structured import rollout as structured
+from hydro_sim.structured.physics import AREA, GAIN_H, GAIN_L, OFFSET, RATIO
+from hydro_sim.structured.rollout import FULL
 from hydro_sim.timing import SAMPLE
 
 STEP = 1e-4

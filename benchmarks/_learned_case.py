@@ -13,15 +13,19 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.signals import FloatArray, matrix
-from hydro_sim.bench import Bench
 from hydro_sim.emulator import jobs
 from hydro_sim.emulator.offline import Recording, record_offline
-from hydro_sim.learned import adam, evaluation, identification, mlp, recordings, structured, training
-from hydro_sim.learned.evaluation import Predictor, Scored
+from hydro_sim.excitation.drawn import draw
+from hydro_sim.files import recordings
+from hydro_sim.files.recordings import Data
+from hydro_sim.identification import adam, evaluation, training
+from hydro_sim.identification import stages as identification
+from hydro_sim.identification.evaluation import Predictor, Scored
 from hydro_sim.learned.model import Learned, Model
-from hydro_sim.learned.recordings import Data
-from hydro_sim.learned.schedule import draw
-from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.model.bench import Bench
+from hydro_sim.neural import mlp
+from hydro_sim.structured import rollout as structured
+from hydro_sim.structured.model import StructuredModel
 
 TRAINING, VALIDATION, HELD_OUT = (11, 12), 13, 21
 """Seeds of the schedules and of the noise."""

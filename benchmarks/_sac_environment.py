@@ -9,11 +9,11 @@ import gymnasium
 import numpy as np
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_policy.environment import Environment
-from hydro_policy.fleet import Fleet
-from hydro_policy.task import ACTIONS, OBSERVATIONS, TaskSettings
-from hydro_sim.bench import Bench
+from hydro_policy.envs.environment import Environment
+from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, TaskSettings
 from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
 
 REWARD_SCALE = 0.02
 """As `SacSettings.reward_scale`; here in the environment, so that every learner sees the same rewards."""

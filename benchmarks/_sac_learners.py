@@ -11,9 +11,9 @@ import torch
 from torch import nn
 
 from hydro_bridge.signals import FloatArray
-from hydro_policy.policy import Policy
-from hydro_policy.replay import ReplayBuffer
-from hydro_policy.sac import Sac, SacSettings
+from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.replay import ReplayBuffer
 
 WARMUP, CAPACITY, HIDDEN = 500, 100_000, (32, 32)
 
@@ -32,7 +32,7 @@ class Learner(Protocol):
 
 
 class Ours:
-    """`hydro_policy.sac` in the loop that everybody has."""
+    """`hydro_policy.sac.algorithm` in the loop that everybody has."""
 
     def __init__(self, batch: int, seed: int) -> None:
         self.sac = Sac(13, 2, SacSettings(batch_size=batch, reward_scale=1.0, seed=seed))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated bench as a plant of `hydro_policy.fleet`: many truth plants in one compiled loop. Import registers it.
+"""The emulated bench as a plant of `envs.vector_env`: many truth plants in one compiled loop. Import registers it.
 
 Benchmarks alone may do this: no package may import the truth (docs/emulator.md).
 """
@@ -13,14 +13,14 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 
-from hydro_policy import fleet_plants
-from hydro_policy.fleet import Fleet
-from hydro_policy.fleet_filter import FleetFilter
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
-from hydro_sim.emulator import truth
-from hydro_sim.emulator.truth import TruthPlant
-from hydro_sim.emulator.truth_config import TruthConfig, profile
+from hydro_policy.envs import vector_plants as fleet_plants
+from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_filter import FleetFilter
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.emulator.truth import plant as truth
+from hydro_sim.emulator.truth.config import TruthConfig, profile
+from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.model.bench import Bench
 
 
 class Truth(NamedTuple):

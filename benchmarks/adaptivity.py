@@ -19,20 +19,20 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks._truth_fleet import TruthPlant
-from hydro_bridge.console import Table, add_json_argument, progress
+from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_bridge.signals import FloatArray
-from hydro_policy import fleet_runs
-from hydro_policy.cases import EvaluationSettings
-from hydro_policy.fleet import Fleet
-from hydro_policy.fleet_filter import FILTERS, fleet_filter
-from hydro_policy.fleet_runs import Chooser, PolicyChooser, fixed
-from hydro_policy.policy import load_policy
-from hydro_policy.randomisation import Randomisation, draw
-from hydro_policy.task import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE
-from hydro_sim.bench import Bench
-from hydro_sim.emulator.truth_config import profile
+from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs.randomisation import Randomisation, draw
+from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_filter import FILTERS, fleet_filter
+from hydro_policy.envs.vector_runs import Chooser, PolicyChooser, fixed
+from hydro_policy.sac.policy import load_policy
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE
+from hydro_sim.emulator.truth.config import profile
 from hydro_sim.learned.model import Learned
-from hydro_sim.plant import Plant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
 
 SETTINGS = EvaluationSettings()
 KP = (60.0, 75.0, 90.0, 100.0, 105.0, 110.0, 115.0, 120.0, 150.0, 200.0, 300.0)

@@ -15,10 +15,10 @@ import numpy as np
 
 from benchmarks._report import finish, parser
 from hydro_bridge.signals import Flag, ReferenceSignal, Waveform
-from hydro_sim.bench import Bench
-from hydro_sim.box import Box
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.box.box import Box
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)
 GAINS = ((15.0, 5.0), (90.0, 15.0), (120.0, 15.0))

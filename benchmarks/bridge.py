@@ -15,14 +15,14 @@ from pathlib import Path
 import numpy as np
 import rclpy
 
-from hydro_bridge.clock import BoxClock
-from hydro_bridge.console import Table, add_json_argument, progress
-from hydro_bridge.guard import CommandGuard
-from hydro_bridge.protocol import encode_command, encode_state
-from hydro_bridge.recording import BagWriter, read_bag, stream_bag
+from hydro_bridge.bags.recording import BagWriter, read_bag, stream_bag
+from hydro_bridge.cli.console import Table, add_json_argument, progress
+from hydro_bridge.link.clock import BoxClock
 from hydro_bridge.ros import GRAPH, STATE, StateMessage
+from hydro_bridge.safety.guard import CommandGuard
+from hydro_bridge.serial.protocol import encode_command, encode_state
+from hydro_bridge.serial.stream import Decoder, SequenceTracker
 from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, Command, CorrectionStatus
-from hydro_bridge.stream import Decoder, SequenceTracker
 
 CALLS = 50_000
 PIECE = 100_000

@@ -26,23 +26,23 @@ import numpy as np
 import torch
 
 from benchmarks._truth_fleet import truth_fleet
-from hydro_bridge.console import Table, add_json_argument, command, progress
-from hydro_bridge.guard import GuardSettings
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress
+from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import FloatArray
-from hydro_policy import fleet_runs
-from hydro_policy.cases import EvaluationSettings
-from hydro_policy.fleet_runs import Chooser, PolicyChooser
-from hydro_policy.grid import Gains, GridSearch, GridSettings
-from hydro_policy.offline import InlineLearner, OfflineGraph
-from hydro_policy.policy import Policy
-from hydro_policy.run import TrainingSettings
-from hydro_policy.snapshot import actor_parameters
-from hydro_policy.start import Start, load_start
-from hydro_policy.task import GainRange
-from hydro_policy.training import TrainingSession
-from hydro_sim.bench import Bench
-from hydro_sim.emulator.truth import TruthPlant
-from hydro_sim.emulator.truth_config import TruthConfig, truth_from_mapping
+from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
+from hydro_policy.evaluation.gain_search import Gains, GridSearch, GridSettings
+from hydro_policy.runs.initial_agent import Start, load_start
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
+from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import GainRange
+from hydro_sim.emulator.truth.config import TruthConfig, truth_from_mapping
+from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.model.bench import Bench
 
 PAPER_III = (90.0, 15.0)
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_wide"))

@@ -20,13 +20,13 @@ import yaml
 
 from benchmarks._report import finish, parser
 from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
-from hydro_sim.bench import Bench
-from hydro_sim.effects.catalogue import label
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.truth_config import truth_from_mapping
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
-from hydro_sim.schedules import Segment
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects.catalogue import label
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 TRUTHS: dict[str, dict[str, Any]] = {
     "worn valve": {

@@ -24,12 +24,12 @@ import numpy as np
 from joblib import Parallel, delayed
 
 from benchmarks import _report
-from hydro_bridge.console import Table, UserError, command, progress
-from hydro_diagnosis.proof.blind import ANSWER
-from hydro_diagnosis.proof.cases import Case
-from hydro_diagnosis.proof.facts import Result
-from hydro_diagnosis.proof.prove import BLIND, SEALED
-from hydro_diagnosis.proof.seal import DIGEST, opened
+from hydro_bridge.cli.console import Table, UserError, command, progress
+from hydro_diagnosis.blind_benchmark.blind import ANSWER
+from hydro_diagnosis.blind_benchmark.cases import Case
+from hydro_diagnosis.blind_benchmark.facts import Result
+from hydro_diagnosis.blind_benchmark.prove import BLIND, SEALED
+from hydro_diagnosis.blind_benchmark.seal import DIGEST, opened
 
 PEERS = "peers"
 """Folder of what they say, within that of the proof."""

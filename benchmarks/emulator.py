@@ -14,20 +14,20 @@ import time
 from pathlib import Path
 
 from benchmarks._report import finish, parser
-from hydro_bridge.port import Port, PortLostError, PortSettings
-from hydro_bridge.protocol import State, encode_command, encode_hello
+from hydro_bridge.serial.port import Port, PortLostError, PortSettings
+from hydro_bridge.serial.protocol import State, encode_command, encode_hello
+from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import Command, ReferenceSignal, Waveform
-from hydro_bridge.stream import Decoder
-from hydro_sim.bench import Bench
-from hydro_sim.box import EMULATED_BOX, BoxConfig, box_info
-from hydro_sim.emulator.faults import LinkFaults
-from hydro_sim.emulator.link import BoxLink
+from hydro_sim.box.box import EMULATED_BOX, BoxConfig, box_info
+from hydro_sim.emulator.line.faults import LinkFaults
+from hydro_sim.emulator.line.link import BoxLink
+from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.realtime import RealTime, raise_priority
-from hydro_sim.emulator.terminal import Terminal
-from hydro_sim.emulator.truth_config import profile
-from hydro_sim.schedules import Segment
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 

@@ -19,21 +19,21 @@ import numpy as np
 
 from benchmarks._filter_differences import DifferencedLoopFilter
 from benchmarks._report import percentiles
-from hydro_bridge.console import Table, add_json_argument, progress
+from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_bridge.ros import be_prompt
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
-from hydro_filter import dynamics
-from hydro_filter.choice import CONSTANT, LEARNED, Choice, Filter, warm_up
-from hydro_filter.controller import ForceLaw
-from hydro_filter.dynamics import AnalyticDynamics, Linearization
-from hydro_filter.filter import ContractionFilter
-from hydro_filter.loop_filter import LoopFilter
-from hydro_filter.sample import Sample
-from hydro_filter.state import LOAD_FORCE, STATES, state_scale
-from hydro_filter.trial import Trial, run
-from hydro_sim import force_law
-from hydro_sim.bench import Bench
-from hydro_sim.plant import AnalyticPlant
+from hydro_filter.controller.factory import CONSTANT, LEARNED, Choice, Filter, warm_up
+from hydro_filter.controller.filter import ContractionFilter
+from hydro_filter.controller.loop_filter import LoopFilter
+from hydro_filter.model import dynamics
+from hydro_filter.model.dynamics import AnalyticDynamics, Linearization
+from hydro_filter.model.force_law import ForceLaw
+from hydro_filter.model.sample import Sample
+from hydro_filter.model.state import LOAD_FORCE, STATES, state_scale
+from hydro_filter.validation.trial import Trial, run
+from hydro_sim.box import force_law
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 DEADLINE = 1e-3
 """s: the next sample is there."""

@@ -14,14 +14,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydro_bridge.console import Table, add_json_argument, progress
+from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_filter.filter import ContractionFilter, FilterSettings
-from hydro_filter.trial import Run, Trial, gammas, run
-from hydro_sim.bench import Bench
-from hydro_sim.emulator.truth import TruthPlant
-from hydro_sim.emulator.truth_config import profile
-from hydro_sim.plant import AnalyticPlant, Plant
+from hydro_filter.controller.filter import ContractionFilter, FilterSettings
+from hydro_filter.validation.trial import Run, Trial, gammas, run
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
 
 STEPS = 1800
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)

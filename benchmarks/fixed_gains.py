@@ -14,8 +14,8 @@ from benchmarks._report import finish, parser
 from hydro_bridge.signals import Flag
 from hydro_sim.emulator.jobs import truth
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.truth_config import TruthConfig
-from hydro_sim.schedules import Segment
+from hydro_sim.emulator.truth.config import TruthConfig
+from hydro_sim.excitation.schedules import Segment
 
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)
 SETTLING = 2000

@@ -23,19 +23,19 @@ from typing import Any, get_args
 import numpy as np
 
 from benchmarks._truth_fleet import truth_fleet
-from hydro_bridge.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import STATE_FIELDS, Command, FloatArray, ReferenceSignal, StateArray
-from hydro_policy import fleet_runs
-from hydro_policy.cases import EvaluationSettings
-from hydro_policy.fleet import Fleet, records
-from hydro_policy.fleet_filter import FILTERS, fleet_filter
-from hydro_policy.fleet_runs import Chooser, PolicyChooser
-from hydro_policy.monitor import SafetyMonitor
-from hydro_policy.policy import load_policy
-from hydro_policy.steps import StepClock
-from hydro_policy.task import ACTIONS
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig, Integral, fill_command
+from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs.vector_env import Fleet, records
+from hydro_policy.envs.vector_filter import FILTERS, fleet_filter
+from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
+from hydro_policy.sac.policy import load_policy
+from hydro_policy.supervision.monitor import SafetyMonitor
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import ACTIONS
+from hydro_policy.task.step_aggregator import StepClock
+from hydro_sim.box.box import BoxConfig, Integral, fill_command
+from hydro_sim.model.bench import Bench
 from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 EVALUATION = EvaluationSettings()

@@ -24,8 +24,8 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool
 
-from hydro_bridge.console import Table, UserError, add_json_argument, command
-from hydro_bridge.recording import continuity, read_bag
+from hydro_bridge.bags.recording import continuity, read_bag
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
 from hydro_bridge.ros import (
     ARM_SERVICE,
     DIAGNOSTICS,

@@ -22,15 +22,20 @@ import torch
 
 from benchmarks._report import finish, parser
 from hydro_bridge.signals import Flag, ReferenceSignal, StateArray, Waveform
-from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
-from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import identification, mlp, network, observer, recordings, structured, torch_gradients, training
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.excitation.drawn import draw
+from hydro_sim.files import recordings
+from hydro_sim.identification import stages as identification
+from hydro_sim.identification import torch_gradients, training
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.learned.schedule import draw
-from hydro_sim.learned.structured_model import StructuredModel
-from hydro_sim.offline import Schedule, simulate
+from hydro_sim.model.bench import Bench
+from hydro_sim.neural import mlp, network
+from hydro_sim.simulation.offline import Schedule, simulate
+from hydro_sim.structured import observer
+from hydro_sim.structured import rollout as structured
+from hydro_sim.structured.model import StructuredModel
 
 HORIZON = 70
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)

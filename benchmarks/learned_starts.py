@@ -15,13 +15,13 @@ import numpy as np
 
 from benchmarks._learned_case import HORIZON, STRIDE, Case
 from benchmarks._report import parser
-from hydro_bridge.console import Table
+from hydro_bridge.cli.console import Table
 from hydro_bridge.signals import PLANT_FIELDS
-from hydro_sim.learned import evaluation
-from hydro_sim.learned.evaluation import Scales
+from hydro_sim.files.recordings import Run
+from hydro_sim.identification import evaluation
+from hydro_sim.identification.evaluation import Scales
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.recordings import Run
-from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.structured.model import StructuredModel
 
 TRUSTS = (0.1, 0.01, 0.003, 0.001)
 RATE = PLANT_FIELDS.index("hydraulic_force_rate")

@@ -18,14 +18,14 @@ from threadpoolctl import threadpool_limits
 
 from benchmarks._learned_case import ALONE, HORIZON, Case, Row
 from benchmarks._report import parser
-from hydro_bridge.console import Table
+from hydro_bridge.cli.console import Table
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray
-from hydro_sim.bench import Bench
-from hydro_sim.learned import evaluation
-from hydro_sim.learned.analytic import AnalyticModel
-from hydro_sim.learned.evaluation import Predictor, Scales
+from hydro_sim.identification import evaluation
+from hydro_sim.identification.analytic import AnalyticModel
+from hydro_sim.identification.evaluation import Predictor, Scales
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.model.bench import Bench
+from hydro_sim.structured.model import StructuredModel
 
 ROWS = (
     Row(structure="network", hidden=(32, 32)),

@@ -17,12 +17,12 @@ import torch
 from torch import Tensor, nn
 
 from benchmarks._report import line, percentiles
-from hydro_bridge.console import Table, add_json_argument
+from hydro_bridge.cli.console import Table, add_json_argument
 from hydro_bridge.signals import FloatArray
-from hydro_policy.policy import Policy
-from hydro_policy.replay import Batch, ReplayBuffer
-from hydro_policy.sac import Sac, SacSettings
-from hydro_policy.task import OBSERVATIONS, GainRange, observe
+from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.replay import Batch, ReplayBuffer
+from hydro_policy.task.mdp import OBSERVATIONS, GainRange, observe
 
 ROUNDS, UPDATES, STEPS = 5, 400, 50_000
 

@@ -25,7 +25,7 @@ import pandas as pd
 from benchmarks import _report
 from benchmarks.foreign_truth.logger import logged
 from benchmarks.foreign_truth.plant import FloatArray
-from hydro_bridge.console import Table, command, progress
+from hydro_bridge.cli.console import Table, command, progress
 from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.recording import InputError
 

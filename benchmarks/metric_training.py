@@ -20,23 +20,26 @@ import torch
 
 from benchmarks._report import finish, parser
 from hydro_bridge.signals import FloatArray, matrix
-from hydro_filter import metric_loss, model_kernels
-from hydro_filter.displacement import MEMORY_DTYPE, displace, follow, settle
-from hydro_filter.learned_metric import LearnedMetric
-from hydro_filter.loop_model import LOOP, LoopModel, hydraulic_slopes, linearize, loop_model, loop_step, shares
-from hydro_filter.metric_data import SIGNALS, DataSettings, roll_out
-from hydro_filter.metric_loss import LossSettings, Samples
-from hydro_filter.metric_network import GAIN_UNIT, INPUTS
-from hydro_filter.metric_training import network_of, table_rows
-from hydro_filter.state import STATES
-from hydro_sim import force_law
-from hydro_sim.bench import Bench
-from hydro_sim.learned import integration, structured, torch_gradients
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.network import GAIN_UNIT, INPUTS
+from hydro_filter.model import structured_kernels as model_kernels
+from hydro_filter.model.displacement import MEMORY_DTYPE, displace, follow, settle
+from hydro_filter.model.loop_model import LOOP, LoopModel, hydraulic_slopes, linearize, loop_model, loop_step, shares
+from hydro_filter.model.state import STATES
+from hydro_filter.training import loss as metric_loss
+from hydro_filter.training.data import SIGNALS, DataSettings, roll_out
+from hydro_filter.training.loss import LossSettings, Samples
+from hydro_filter.training.training import network_of, table_rows
+from hydro_sim.box import force_law
+from hydro_sim.identification import torch_gradients
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.physics import AREA, GAIN_H, GAIN_L, RATIO
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.learned.structured import INPUTS as MODEL_INPUTS
-from hydro_sim.learned.structured import OUTPUTS
+from hydro_sim.model.bench import Bench
+from hydro_sim.structured import integration
+from hydro_sim.structured import rollout as structured
+from hydro_sim.structured.physics import AREA, GAIN_H, GAIN_L, RATIO
+from hydro_sim.structured.rollout import INPUTS as MODEL_INPUTS
+from hydro_sim.structured.rollout import OUTPUTS
 
 PLACES = {1: 4, 2: 5, 3: 6, 4: 7, 5: 2, 6: 3, 7: 11}
 """Where loop coordinates 1 to 7 stand in the full state."""

@@ -24,15 +24,15 @@ import numpy as np
 
 from benchmarks import _false_alarms
 from benchmarks._changing_bench import Unwatched, outcome, play
-from hydro_bridge.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_filter.innovations import EQUATIONS
-from hydro_filter.loop_filter import default_filter
-from hydro_filter.trial import Corrector
-from hydro_filter.validation_plants import ChangingPlant, changed
-from hydro_policy.controllers import Controller, FixedGains, policy_controller
-from hydro_sim.bench import Bench
-from hydro_sim.plant import Plant
+from hydro_filter.controller.innovations import EQUATIONS
+from hydro_filter.controller.loop_filter import default_filter
+from hydro_filter.validation.plants import ChangingPlant, changed
+from hydro_filter.validation.trial import Corrector
+from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
 
 CHANGES: Mapping[str, Mapping[str, Any]] = {
     **{f"spring {k:g} kN/m": {"bench": {"spring_stiffness": 1e3 * k}} for k in (10.0, 14.0, 28.0, 30.0, 40.0, 50.0)},

@@ -22,15 +22,15 @@ from tempfile import TemporaryDirectory
 
 import yaml
 
-from hydro_bridge.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.ros import executable_path
-from hydro_filter import learned_metric
-from hydro_policy.start import shipped_start
-from hydro_sim.bench import Bench
-from hydro_sim.learned import weights
+from hydro_filter.metric import learned as learned_metric
+from hydro_policy.runs.initial_agent import shipped_start
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import MadeFor
+from hydro_sim.files.stamping import stamped
 from hydro_sim.learned.model import Learned
-from hydro_sim.pairing import MadeFor
-from hydro_sim.stamping import stamped
+from hydro_sim.model.bench import Bench
 
 COLUMNS = {
     "command": "",

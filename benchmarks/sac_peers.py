@@ -22,7 +22,7 @@ os.environ.setdefault("JAX_PLATFORMS", "cpu")
 import numpy as np
 import torch
 
-from hydro_bridge.console import Table, add_json_argument, progress
+from hydro_bridge.cli.console import Table, add_json_argument, progress
 
 PEERS = ("gymnasium", "stable_baselines3", "skrl", "sbx")
 FREQUENCIES = (0.5, 1.0, 1.5, 2.0)

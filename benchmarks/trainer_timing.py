@@ -23,8 +23,8 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.console import Table, UserError, add_json_argument, command
-from hydro_bridge.recording import read_bag
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
 from hydro_bridge.ros import GAINS, TRAINING, executable_path
 from hydro_bridge.signals import FloatArray
 

@@ -17,15 +17,15 @@ import numpy as np
 import torch
 
 from benchmarks._truth_fleet import TruthPlant
-from hydro_bridge.console import Table, add_json_argument, progress
-from hydro_policy.cases import EvaluationSettings
-from hydro_policy.configurations import CONFIGURATIONS, configuration
-from hydro_policy.environment import Transitions
-from hydro_policy.pretraining import Pretraining, PretrainSettings, Simulated
-from hydro_policy.start import Start, shipped_start
-from hydro_sim.bench import Bench
-from hydro_sim.emulator.truth_config import profile
+from hydro_bridge.cli.console import Table, add_json_argument, progress
+from hydro_policy.envs.environment import Transitions
+from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
+from hydro_policy.pretraining.training import Pretraining, PretrainSettings, Simulated
+from hydro_policy.runs.initial_agent import Start, shipped_start
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_sim.emulator.truth.config import profile
 from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
 
 EXAM = EvaluationSettings(settle=1.0, measure=1.0)
 

@@ -20,9 +20,9 @@ import numpy as np
 from demo import page, stages, trial
 from demo.stages import Plan
 from demo.story import Entry, Story
-from hydro_bridge.console import Table, add_json_argument, command, progress, writable_folder
-from hydro_policy.controllers import Controller, FixedGains, policy_controller
-from hydro_sim.bench import Bench
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress, writable_folder
+from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
+from hydro_sim.model.bench import Bench
 
 BEFORE, AFTER = "pretrained", "retrained"
 PAPER = (90.0, 15.0)

@@ -14,8 +14,8 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.console import UserError
-from hydro_sim.bench import Bench
+from hydro_bridge.cli.console import UserError
+from hydro_sim.model.bench import Bench
 
 DRIVES: tuple[Mapping[str, Any], ...] = (
     {"seconds": 20, "waveform": "multisine", "amplitude": 260, "frequency": 0.7, "kp": 60, "ki": 10},

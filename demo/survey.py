@@ -18,12 +18,12 @@ from typing import Any
 import numpy as np
 
 from demo.stages import believed_bench
-from hydro_bridge.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import Flag
-from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.truth_config import truth_from_mapping
-from hydro_sim.schedules import Segment
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
 
 GAINS = (60.0, 90.0, 120.0, 200.0, 300.0)
 """1/s, K_p; K_i = 15 1/s^2."""

@@ -9,18 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.guard import GuardSettings
+from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
-from hydro_policy import fleet_runs
-from hydro_policy.configurations import WIDE
-from hydro_policy.controllers import Controller
-from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
-from hydro_policy.fleet import Fleet
-from hydro_policy.offline import OfflineGraph
-from hydro_sim.bench import Bench
-from hydro_sim.emulator.truth import TruthPlant
-from hydro_sim.emulator.truth_config import load_truth
-from hydro_sim.plant import AnalyticPlant, Plant
+from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.pretraining.configurations import WIDE
+from hydro_policy.sessions.offline import OfflineGraph
+from hydro_sim.emulator.truth.config import load_truth
+from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
 
 SETTINGS = EvaluationSettings()
 GRID = (15.0, 30.0, 45.0, 60.0, 75.0, 90.0, 105.0, 120.0, 150.0, 200.0, 250.0, 300.0)

@@ -18,10 +18,10 @@ from random import Random
 
 from cobs import cobs
 
-from hydro_bridge.console import Table, add_json_argument, progress
-from hydro_bridge.protocol import MAX_ENCODED, BoxInfo, Frame, decode, encode_command, encode_hello, encode_state
+from hydro_bridge.cli.console import Table, add_json_argument, progress
+from hydro_bridge.serial.protocol import MAX_ENCODED, BoxInfo, Frame, decode, encode_command, encode_hello, encode_state
+from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import Command, ReferenceSignal, Waveform
-from hydro_bridge.stream import Decoder
 
 BATCH = 2000
 

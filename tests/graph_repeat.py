@@ -15,7 +15,7 @@ from collections import Counter
 from pathlib import Path
 from xml.etree import ElementTree
 
-from hydro_bridge.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 
 COLUMNS = {
     "test": "",

@@ -10,9 +10,9 @@ import pytest
 
 from demo import page, stages, trial
 from demo.__main__ import AFTER, BEFORE, Entry, Story
-from hydro_policy.controllers import FixedGains
-from hydro_policy.evaluation import EvaluationSettings
-from hydro_sim.bench import Bench
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.session import EvaluationSettings
+from hydro_sim.model.bench import Bench
 
 TRUTH = Path(trial.__file__).parent / "truth.yaml"
 BELIEVED = replace(Bench.nominal(), load_cell_bandwidth=None)

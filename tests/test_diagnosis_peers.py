@@ -15,14 +15,14 @@ from benchmarks.peers import terms
 from benchmarks.peers.neural import _windows
 from benchmarks.peers.run import Corrected, held_out, signals
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
-from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.noise import sensor_noise
-from hydro_diagnosis.quality import checked
-from hydro_diagnosis.simulate import Plant
-from hydro_diagnosis.table import RawTable
-from hydro_sim.bench import Bench
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.model.noise_floor import sensor_noise
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from hydro_bridge import protocol
+from hydro_bridge.serial import protocol
 from tests.fuzz_link import DAMAGES, fuzz
 
 

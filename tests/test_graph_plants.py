@@ -30,7 +30,7 @@ from hydro_bridge.ros import (
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Gains
 from hydro_policy.nodes.companions import PlantOptions, start_companions
-from hydro_policy.task import GainRange
+from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import Probe, own_domain
 
 pytestmark = pytest.mark.graph

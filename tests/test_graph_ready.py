@@ -14,12 +14,12 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.recording import read_bag
+from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros import GAINS, STATE, Companion
 from hydro_bridge.signals import Flag
-from hydro_policy.arming import HOW_TO_ARM
-from hydro_policy.run import RunDirectory
-from hydro_policy.watch import TOO_EARLY
+from hydro_policy.runs.run import RunDirectory
+from hydro_policy.supervision.arming import HOW_TO_ARM
+from hydro_policy.supervision.plant_supervisor import TOO_EARLY
 from tests.graph_probe import Probe, own_domain, trainer
 
 pytestmark = pytest.mark.graph

@@ -17,12 +17,12 @@ pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray
 
-from hydro_bridge.recording import read_bag
+from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros import DIAGNOSTICS, DIAGNOSTICS_QOS, GAINS, TRAINING, executable_path
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
-from hydro_policy.checkpoint import load_checkpoint
-from hydro_policy.run import RunDirectory
+from hydro_policy.runs.checkpoint import load_checkpoint
+from hydro_policy.runs.run import RunDirectory
 from tests.graph_probe import Probe, own_domain, trainer
 
 pytestmark = pytest.mark.graph

@@ -16,19 +16,19 @@ from benchmarks.pairings import WRONG, Wrong, make_files
 from hydro_filter.nodes.filter import arguments
 from hydro_policy.nodes.guarding import asked_filter
 from hydro_policy.nodes.planned import refuse_policy, refuse_start
-from hydro_policy.pretrain_source import Source
-from hydro_policy.start import load_start
-from hydro_sim.learned import weights
+from hydro_policy.pretraining.source import Source
+from hydro_policy.runs.initial_agent import load_start
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import Believed
 from hydro_sim.learned.model import Learned
-from hydro_sim.pairing import Believed
 
 MODULES = {
     "hydro_filter filter": "hydro_filter.nodes.filter",
-    "hydro_filter validate": "hydro_filter.validate",
-    "hydro_filter learn_metric": "hydro_filter.learn_metric",
+    "hydro_filter validate": "hydro_filter.validation.validate",
+    "hydro_filter learn_metric": "hydro_filter.training.learn_metric",
     "hydro_sim sim": "hydro_sim.nodes.sim",
-    "hydro_sim validate": "hydro_sim.learned.validate",
-    "hydro_policy pretrain": "hydro_policy.pretrain",
+    "hydro_sim validate": "hydro_sim.identification.validate",
+    "hydro_policy pretrain": "hydro_policy.pretraining.pretrain",
     "hydro_policy trainer": "hydro_policy.nodes.trainer",
     "hydro_policy evaluate": "hydro_policy.nodes.evaluate",
 }

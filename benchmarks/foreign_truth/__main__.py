@@ -26,7 +26,7 @@ from benchmarks.foreign_truth.cases import CASES, KINDS, Case
 from benchmarks.foreign_truth.plant import SUBSTEPS
 from benchmarks.foreign_truth.recordings import COLUMNS, SECONDS, recorded
 from benchmarks.foreign_truth.score import scored, table
-from hydro_bridge.console import Table, UserError, add_json_argument, command, progress, writable_folder
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
 
 RESULT = "result.json"
 

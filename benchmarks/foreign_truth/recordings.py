@@ -12,7 +12,7 @@ from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.box import PERIOD
 from benchmarks.foreign_truth.cases import Case
 from benchmarks.foreign_truth.plant import SUBSTEPS, FloatArray, run
-from hydro_bridge.recording import BagWriter
+from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
 
 SECONDS = 25.0

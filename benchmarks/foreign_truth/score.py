@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from benchmarks.foreign_truth.cases import Case
-from hydro_bridge.console import Table
+from hydro_bridge.cli.console import Table
 
 COLUMNS = {
     "case": "",

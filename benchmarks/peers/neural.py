@@ -17,8 +17,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from benchmarks.peers.run import DYNAMIC, READ, Corrected, Correction, Recordings, Signals, held_out, signals
 from benchmarks.peers.weak import targets
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model import SegmentModel
-from hydro_sim.bench import Bench
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_sim.model.bench import Bench
 
 HALF, STRIDE = 25, 5
 """Samples: half width of a test function, and between two of them."""

@@ -16,11 +16,11 @@ from scipy.optimize import least_squares
 
 from benchmarks.peers.run import Recordings, held_out
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.simulate import Plant
-from hydro_diagnosis.smoothing import smooth
-from hydro_sim.bench import Bench
-from hydro_sim.hydraulics import LOAD_CELL_DAMPING, SAMPLE, advance, hydraulic_force
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.preprocessing.smoothing import smooth
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING, SAMPLE, advance, hydraulic_force
 
 LENGTH, WINDOWS, STEPS = 70, 24, 5
 NAMES = {
@@ -44,7 +44,7 @@ _UNIT = {"tank_pressure": 1e6, "spring_rest_position": 0.04}
 _STATE = np.array([1e-6, 1e-4, 1e3, 1e3, 0.1, 10.0])[:, None]
 """Steps of x_p, x_p', p_a, p_b, the load cell's amplifier and its rate."""
 _ORDER = np.array([2, 3, 0, 1, 4, 5])
-"""Where those are in the state of `hydro_sim.hydraulics`."""
+"""Where those are in the state of `hydro_sim.model.hydraulics`."""
 SIGNIFICANT, WORTH = 3.1, 0.003
 CHANNELS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 

@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from scipy.signal import lfilter
 
+from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
+from hydro_diagnosis.dataset.loading import taken
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.heldout import HORIZON, WINDOWS, errors
-from hydro_diagnosis.intake import taken
-from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.noise import sensor_noise
-from hydro_diagnosis.proof.cases import FITTED, HELD
-from hydro_diagnosis.simulate import Plant
-from hydro_sim.bench import Bench
+from hydro_diagnosis.model.noise_floor import sensor_noise
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.validation.heldout import HORIZON, WINDOWS, errors
+from hydro_sim.model.bench import Bench
 
 DYNAMIC = ("velocity", "pressure_a", "pressure_b")
 """Equations that are integrated."""

@@ -15,7 +15,7 @@ from benchmarks.peers.run import DYNAMIC, READ, Corrected, Recordings, Signals, 
 from benchmarks.peers.terms import readings
 from benchmarks.peers.weak import candidates, dynamic_candidates, targets
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 WORKER = Path(__file__).with_name("sindy_worker.py")
 

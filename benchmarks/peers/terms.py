@@ -11,9 +11,9 @@ import numpy as np
 
 from benchmarks.peers.run import DROOPS, LAGS, Signals
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model import SegmentModel
-from hydro_sim.bench import Bench
-from hydro_sim.hydraulics import LOAD_CELL_DAMPING
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
 
 Terms = dict[str, FloatArray]
 

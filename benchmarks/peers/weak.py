@@ -6,8 +6,8 @@ from __future__ import annotations
 from benchmarks.peers import terms
 from benchmarks.peers.run import Signals, signals
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model import SegmentModel
-from hydro_sim.bench import Bench
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_sim.model.bench import Bench
 
 Equations = dict[str, dict[str, FloatArray]]
 

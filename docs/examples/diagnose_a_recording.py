@@ -17,10 +17,10 @@ import pandas as pd
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_diagnosis import Diagnosis, diagnose
-from hydro_diagnosis.corrected import corrected_bench
-from hydro_sim.bench import Bench
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_diagnosis.report.corrected_bench import corrected_bench
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 BELIEVED = Bench.nominal()
 WORN = replace(

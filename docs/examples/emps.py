@@ -22,9 +22,9 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.signal import butter, decimate, filtfilt
 
-from hydro_bridge.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_diagnosis import Diagnosis, InputError, diagnose
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 HERE = Path(__file__).parent
 NO_CELL = ("load_cell_bias", "spring_rest")

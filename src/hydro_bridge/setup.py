@@ -9,7 +9,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "schemas.json", "ros/this_machine.xml"]},
+    package_data={name: ["py.typed", "bags/schemas.json", "ros/this_machine.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -24,10 +24,10 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "arm = hydro_bridge.start:main_of.hydro_bridge.nodes.arm",
-            "bridge = hydro_bridge.start:main_of.hydro_bridge.nodes.bridge",
-            "recorder = hydro_bridge.start:main_of.hydro_bridge.nodes.recorder",
-            "replayer = hydro_bridge.start:main_of.hydro_bridge.nodes.replayer",
+            "arm = hydro_bridge.process.start:main_of.hydro_bridge.nodes.arm",
+            "bridge = hydro_bridge.process.start:main_of.hydro_bridge.nodes.bridge",
+            "recorder = hydro_bridge.process.start:main_of.hydro_bridge.nodes.recorder",
+            "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
         ],
     },
 )

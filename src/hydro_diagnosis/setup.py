@@ -20,10 +20,10 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "diagnose = hydro_bridge.start:main_of.hydro_diagnosis.cli",
-            "calibrate = hydro_bridge.start:main_of.hydro_diagnosis.calibrate",
-            "prove = hydro_bridge.start:main_of.hydro_diagnosis.proof.prove",
-            "inspect = hydro_bridge.start:main_of.hydro_diagnosis.listing",
+            "diagnose = hydro_bridge.process.start:main_of.hydro_diagnosis.cli",
+            "calibrate = hydro_bridge.process.start:main_of.hydro_diagnosis.calibration.calibrate",
+            "prove = hydro_bridge.process.start:main_of.hydro_diagnosis.blind_benchmark.prove",
+            "inspect = hydro_bridge.process.start:main_of.hydro_diagnosis.io.listing",
         ],
     },
 )

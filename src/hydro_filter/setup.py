@@ -24,9 +24,9 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "filter = hydro_bridge.start:main_of.hydro_filter.nodes.filter",
-            "learn_metric = hydro_bridge.start:main_of.hydro_filter.learn_metric",
-            "validate = hydro_bridge.start:main_of.hydro_filter.validate",
+            "filter = hydro_bridge.process.start:main_of.hydro_filter.nodes.filter",
+            "learn_metric = hydro_bridge.process.start:main_of.hydro_filter.training.learn_metric",
+            "validate = hydro_bridge.process.start:main_of.hydro_filter.validation.validate",
         ],
     },
 )

@@ -24,10 +24,10 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "pretrain = hydro_bridge.start:main_of.hydro_policy.pretrain",
-            "trainer = hydro_bridge.start:main_of.hydro_policy.nodes.trainer",
-            "evaluate = hydro_bridge.start:main_of.hydro_policy.nodes.evaluate",
-            "override = hydro_bridge.start:main_of.hydro_policy.nodes.override",
+            "pretrain = hydro_bridge.process.start:main_of.hydro_policy.pretraining.pretrain",
+            "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer",
+            "evaluate = hydro_bridge.process.start:main_of.hydro_policy.nodes.evaluate",
+            "override = hydro_bridge.process.start:main_of.hydro_policy.nodes.override",
         ],
     },
 )

@@ -24,12 +24,12 @@ setup(
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
     entry_points={
         "console_scripts": [
-            "sim = hydro_bridge.start:main_of.hydro_sim.nodes.sim",
-            "emulator = hydro_bridge.start:main_of.hydro_sim.emulator.command",
-            "collect = hydro_bridge.start:main_of.hydro_sim.nodes.collect",
-            "learn = hydro_bridge.start:main_of.hydro_sim.learned.learn",
-            "validate = hydro_bridge.start:main_of.hydro_sim.learned.validate",
-            "stamp = hydro_bridge.start:main_of.hydro_sim.stamp",
+            "sim = hydro_bridge.process.start:main_of.hydro_sim.nodes.sim",
+            "emulator = hydro_bridge.process.start:main_of.hydro_sim.emulator.command",
+            "collect = hydro_bridge.process.start:main_of.hydro_sim.nodes.collect",
+            "learn = hydro_bridge.process.start:main_of.hydro_sim.identification.learn",
+            "validate = hydro_bridge.process.start:main_of.hydro_sim.identification.validate",
+            "stamp = hydro_bridge.process.start:main_of.hydro_sim.files.stamp",
         ],
     },
 )

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The outside world as topics and arrays.
+"""The outside world as topics and arrays: serial line, bags, terminal, and what goes to the valve.
 
-`signals` names what travels, `protocol` frames it for the serial line, `port` keeps the line open, `guard` decides
-what may go down, `clock` maps the box's time, `recording` reads and writes bags, `ros` holds what all nodes share,
-`console` what all commands share; `nodes` are the executables `bridge`, `recorder` and `replayer`.
+`signals` names what travels. Stages: `serial` (bytes), `safety` (what may go down), `link` (the bridge's end of the
+line), `bags` (recordings), `ros` (what all nodes share), `nodes` (executables). Beside them: `files`, `cli`, `process`.
 """

@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from hydro_bridge.protocol import BoxInfo, CommandFrame, Hello, encode_hello, encode_state
+from hydro_bridge.serial.protocol import BoxInfo, CommandFrame, Hello, encode_hello, encode_state
+from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, Flag, StateArray
-from hydro_bridge.stream import Decoder
 
 
 @pytest.fixture

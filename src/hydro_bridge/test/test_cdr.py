@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hydro_bridge.cdr import STATE_TYPE, NotFixedError, encode_states, fixed_layout
-from hydro_bridge.schema import PACKAGED, UnknownTypeError, definition, installed_definition
+from hydro_bridge.bags.cdr import STATE_TYPE, NotFixedError, encode_states, fixed_layout
+from hydro_bridge.bags.schema import PACKAGED, UnknownTypeError, definition, installed_definition
 from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
 
 
@@ -87,7 +87,7 @@ def test_what_is_no_message_of_the_type_is_refused(make_states, damage):
 def test_packaged_definitions_are_those_of_the_installed_messages(name):
     if not os.environ.get("AMENT_PREFIX_PATH"):
         pytest.skip("no ROS environment: nothing is installed to compare with")
-    assert definition(name) == installed_definition(name), "renew it: python -m hydro_bridge.schema"
+    assert definition(name) == installed_definition(name), "renew it: python -m hydro_bridge.bags.schema"
 
 
 def test_packaged_hashes_agree_with_an_independent_computation(typestore):

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.clock import BoxClock, HostClock
+from hydro_bridge.link.clock import BoxClock, HostClock
 
 OFFSET = 1_700_000_000_000_000_000
 

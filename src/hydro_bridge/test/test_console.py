@@ -7,8 +7,8 @@ import json
 import numpy as np
 import pytest
 
-from hydro_bridge.bag_writer import RecordingError
-from hydro_bridge.console import Table, UserError, add_json_argument, command, writable, writable_folder
+from hydro_bridge.bags.writer import RecordingError
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable, writable_folder
 
 
 def test_table_is_aligned_and_its_json_has_documented_keys(tmp_path, capsys):

@@ -14,7 +14,7 @@ import pytest
 BEGINNING = """
 import os, signal, sys, time
 from hydro_bridge import endings
-from hydro_bridge.console import command
+from hydro_bridge.cli.console import command
 
 def me(number):
     os.kill(os.getpid(), number)

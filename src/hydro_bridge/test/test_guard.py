@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.frames import BoxInfo
-from hydro_bridge.guard import MISMATCHED, CommandGuard, GuardSettings, narrowed
+from hydro_bridge.safety.guard import MISMATCHED, CommandGuard, GuardSettings, narrowed
+from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.signals import Command, CorrectionStatus, ReferenceSignal, Waveform
 
 anything = st.floats(allow_nan=True, allow_infinity=True)

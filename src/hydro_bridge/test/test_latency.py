@@ -5,7 +5,7 @@ from math import isnan
 
 import numpy as np
 
-from hydro_bridge.latency import Latency
+from hydro_bridge.process.latency import Latency
 
 
 def test_percentiles_are_exact_to_a_microsecond():

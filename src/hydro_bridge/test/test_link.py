@@ -11,10 +11,10 @@ from itertools import pairwise
 
 import pytest
 
-from hydro_bridge.guard import CommandGuard
-from hydro_bridge.link import Link, LinkState
-from hydro_bridge.port import Port, PortSettings
-from hydro_bridge.protocol import BoxInfo
+from hydro_bridge.link.link import Link, LinkState
+from hydro_bridge.safety.guard import CommandGuard
+from hydro_bridge.serial.port import Port, PortSettings
+from hydro_bridge.serial.protocol import BoxInfo
 from hydro_bridge.signals import Command, CorrectionStatus, Flag
 
 

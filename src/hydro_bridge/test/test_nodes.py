@@ -26,12 +26,10 @@ from rclpy.publisher import Publisher  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 
-from hydro_bridge import bench_file  # noqa: E402
+from hydro_bridge.bags.recording import STATE_TOPIC, BagWriter, continuity, objects, read_bag  # noqa: E402
+from hydro_bridge.files import bench_file  # noqa: E402
 from hydro_bridge.nodes.arm import parser as arm_parser  # noqa: E402
 from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
-from hydro_bridge.port import PortSettings  # noqa: E402
-from hydro_bridge.protocol import BoxInfo as BoxFrame  # noqa: E402
-from hydro_bridge.recording import STATE_TOPIC, BagWriter, continuity, objects, read_bag  # noqa: E402
 from hydro_bridge.ros import (  # noqa: E402
     ARM_SERVICE,
     BOX,
@@ -47,6 +45,8 @@ from hydro_bridge.ros import (  # noqa: E402
     executable_path,
     reference_to_message,
 )
+from hydro_bridge.serial.port import PortSettings  # noqa: E402
+from hydro_bridge.serial.protocol import BoxInfo as BoxFrame  # noqa: E402
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform  # noqa: E402
 from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains  # noqa: E402
 

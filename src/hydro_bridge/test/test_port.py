@@ -9,7 +9,7 @@ from contextlib import suppress
 
 import pytest
 
-from hydro_bridge.port import Port, PortLostError, PortSettings
+from hydro_bridge.serial.port import Port, PortLostError, PortSettings
 
 
 @pytest.fixture

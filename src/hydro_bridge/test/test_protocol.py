@@ -9,8 +9,8 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.frames import INTEGRAL_FORMS
-from hydro_bridge.protocol import (
+from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_bridge.serial.protocol import (
     HANDSHAKE,
     MAX_ENCODED,
     VERSION,

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import pytest
 
-from hydro_bridge.readiness import HINT_AFTER, NotReadyError, Readiness, Requirement
+from hydro_bridge.safety.readiness import HINT_AFTER, NotReadyError, Readiness, Requirement
 
 
 class Scene:

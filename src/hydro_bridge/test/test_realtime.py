@@ -11,14 +11,14 @@ import time
 
 import pytest
 
-from hydro_bridge.realtime import KILLED_AT, RUN_MAX
+from hydro_bridge.process.realtime import KILLED_AT, RUN_MAX
 
 pytest.importorskip("rclpy")
 
 NODE = """
 import time
 from rclpy.node import Node
-from hydro_bridge.console import command
+from hydro_bridge.cli.console import command
 from hydro_bridge.ros import be_prompt, run_node
 
 class Spinning(Node):
@@ -44,7 +44,7 @@ main()
 """
 COMPILED = """
 import itertools, os
-from hydro_bridge.realtime import limit_run
+from hydro_bridge.process.realtime import limit_run
 
 limit_run()
 os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
@@ -98,7 +98,7 @@ def test_a_compiled_loop_that_spins_is_killed() -> None:
 @needs_fifo
 def test_a_process_that_pauses_may_run_by_sched_fifo_for_as_long_as_it_wants() -> None:
     program = (
-        "import os, time; from hydro_bridge.realtime import limit_run; limit_run();"
+        "import os, time; from hydro_bridge.process.realtime import limit_run; limit_run();"
         "os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1)); end = time.process_time() + 1.5\n"
         "while time.process_time() < end: sum(range(10000)); time.sleep(1e-4)\n"
         "print('done')"

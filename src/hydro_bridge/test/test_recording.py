@@ -14,8 +14,8 @@ from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from hydro_bridge.cdr import STATE_TYPE, encode_states
-from hydro_bridge.recording import (
+from hydro_bridge.bags.cdr import STATE_TYPE, encode_states
+from hydro_bridge.bags.recording import (
     STATE_TOPIC,
     BagWriter,
     RecordingError,
@@ -27,7 +27,7 @@ from hydro_bridge.recording import (
     repair,
     stream_bag,
 )
-from hydro_bridge.schema import definition
+from hydro_bridge.bags.schema import definition
 
 GAINS = "/hydro/gains"
 GAINS_TYPE = "hydro_msgs/msg/Gains"

@@ -7,9 +7,9 @@ import time
 import numpy as np
 import pytest
 
-from hydro_bridge.recording import STATE_TOPIC, BagWriter
-from hydro_bridge.recording_run import sequence_of
-from hydro_bridge.replaying import Replay, restamp
+from hydro_bridge.bags.recording import STATE_TOPIC, BagWriter
+from hydro_bridge.bags.recording_run import sequence_of
+from hydro_bridge.bags.replaying import Replay, restamp
 from hydro_bridge.settings import SettingsError
 
 

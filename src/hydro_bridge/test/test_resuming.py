@@ -5,8 +5,8 @@ import argparse
 
 import pytest
 
-from hydro_bridge.console import UserError
-from hydro_bridge.resuming import NEW_ONLY, given, refuse_changes
+from hydro_bridge.cli.console import UserError
+from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
 
 
 def parser() -> argparse.ArgumentParser:

@@ -5,8 +5,8 @@ from dataclasses import fields
 
 import pytest
 
-from hydro_bridge.guard import GuardSettings
-from hydro_bridge.port import PortSettings
+from hydro_bridge.safety.guard import GuardSettings
+from hydro_bridge.serial.port import PortSettings
 from hydro_bridge.settings import SettingsError, check, describe
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.protocol import MAX_ENCODED, State, encode_state
-from hydro_bridge.stream import Decoder, SequenceTracker
+from hydro_bridge.serial.protocol import MAX_ENCODED, State, encode_state
+from hydro_bridge.serial.stream import Decoder, SequenceTracker
 
 
 def wire(sequence: int) -> bytes:

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.tensors import UnsoundError, check_numbers, check_shapes
-from hydro_bridge.whole_files import write_whole
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.tensors import UnsoundError, check_numbers, check_shapes
 
 
 @contextmanager

@@ -4,7 +4,7 @@
     python src/hydro_diagnosis/benchmarks/retakes.py --folder runs/retakes --json runs/retakes.json
 
 Drawn are benches whose valve passes more than bench.yaml says, in one way or another, and references as in a proof.
-Each run is recorded anew, attempt after attempt, until an operator would take it (`hydro_diagnosis.proof.retake`).
+Each run is recorded anew, attempt after attempt, until an operator would take it (`blind_benchmark.retake`).
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 import yaml
 
-from hydro_bridge.console import Table, add_json_argument, progress
+from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_diagnosis import InputError, diagnose
-from hydro_diagnosis.proof.cases import FITTED, HELD, Case, draw_parts
-from hydro_diagnosis.proof.recording import clear, fresh, run_emulator, run_seed, whole, written
-from hydro_diagnosis.proof.retake import ATTEMPTS, usable
+from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD, Case, draw_parts
+from hydro_diagnosis.blind_benchmark.recording import clear, fresh, run_emulator, run_seed, whole, written
+from hydro_diagnosis.blind_benchmark.retake import ATTEMPTS, usable
 
 GROUPS: Mapping[str, Mapping[str, tuple[str, float, float]]] = {
     "valve gain": {"valve_gain": ("ratio", 1.05, 1.15)},

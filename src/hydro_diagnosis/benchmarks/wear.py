@@ -18,9 +18,9 @@ from typing import Any
 
 import yaml
 
-from hydro_bridge.console import Table, add_json_argument, progress
+from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_diagnosis import diagnose
-from hydro_sim.learned.weights import shipped
+from hydro_sim.files.weights import shipped
 
 DRIVES = (
     {"seconds": 20, "waveform": "multisine", "amplitude": 260, "frequency": 0.7, "kp": 60, "ki": 10},

@@ -1,16 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find, name, size and model the physics that the simulation leaves out.
+"""Find, name, size and model the physics that the simulation leaves out. `pipeline.diagnose` puts the stages together.
 
-`intake`, `table`, `quality`: recordings; `effects`: the physics library; `model`, `chambers`, `problem`: residuals;
-`screen`, `fit`, `search`: naming; `freeform`, `responses`, `locate`, `verdict`: what remains and where; `intervals`,
-`heldout`, `simulate`: how sure, how good;
-`report`, `page`, `corrected`: what is written. `pipeline.diagnose` puts them together.
+Stages: `formats`, `io`, `preprocessing`, `wiring`, `dataset` (recordings); `effects` (the physics library), `model`
+(residuals), `estimation` (fits), `selection` (names, places, verdict), `validation` (held-out recordings),
+`experiment_design` (what to record next), `report`; `calibration` and `blind_benchmark` measure the diagnosis itself.
 """
 
 from __future__ import annotations
 
+from hydro_diagnosis.findings import Report
+from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.pipeline import Diagnosis, diagnose
-from hydro_diagnosis.report import Report
-from hydro_diagnosis.table import InputError
 
 __all__ = ["Diagnosis", "InputError", "Report", "diagnose"]

@@ -8,13 +8,13 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from hydro_bridge.console import command, writable_folder
-from hydro_diagnosis.corrected import write_corrected
-from hydro_diagnosis.importers import SUFFIXES
-from hydro_diagnosis.page import write_page
+from hydro_bridge.cli.console import command, writable_folder
+from hydro_diagnosis.findings import DiagnosisInterrupted
+from hydro_diagnosis.formats.importers import SUFFIXES
+from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.pipeline import Diagnosis, diagnose
-from hydro_diagnosis.report import DiagnosisInterrupted
-from hydro_diagnosis.table import InputError
+from hydro_diagnosis.report.corrected_bench import write_corrected
+from hydro_diagnosis.report.page import write_page
 
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
 

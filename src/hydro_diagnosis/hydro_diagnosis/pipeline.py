@@ -12,28 +12,28 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from hydro_diagnosis.baseline import baseline
-from hydro_diagnosis.columns import ColumnMap
-from hydro_diagnosis.conclude import describe, location_of
-from hydro_diagnosis.convention import current_is_early, current_is_late
-from hydro_diagnosis.corrected import claims_of
-from hydro_diagnosis.diagnosis import Diagnosis
+from hydro_diagnosis.dataset.loading import taken
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
-from hydro_diagnosis.equations import held_out
-from hydro_diagnosis.intake import taken
-from hydro_diagnosis.intervals import Interval, surely
-from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.nextrec import next_recording
-from hydro_diagnosis.outcome import Outcome, SearchSettings
-from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.rates import untold
+from hydro_diagnosis.estimation.intervals import Interval, surely
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.unrecorded_rows import untold
+from hydro_diagnosis.experiment_design.next_recording import next_recording
+from hydro_diagnosis.findings import INTERRUPTED, DiagnosisInterrupted, Report
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.table import InputError
+from hydro_diagnosis.model.baseline import baseline
+from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.report import INTERRUPTED, DiagnosisInterrupted, Report
-from hydro_diagnosis.search import Search
-from hydro_diagnosis.table import InputError
-from hydro_diagnosis.verdict import Assessment, assess
-from hydro_sim.bench import Bench
+from hydro_diagnosis.report.corrected_bench import claims_of
+from hydro_diagnosis.report.diagnosis import Diagnosis
+from hydro_diagnosis.selection.current_alignment import current_is_early, current_is_late
+from hydro_diagnosis.selection.effect_summary import describe, location_of
+from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
+from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.verdict import Assessment, assess
+from hydro_diagnosis.validation.equations import held_out
+from hydro_sim.model.bench import Bench
 
 Progress = Callable[[str], None]
 

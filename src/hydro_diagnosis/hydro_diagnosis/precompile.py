@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hydro_diagnosis.memory import RecordMemory
+from hydro_diagnosis.model.memory import RecordMemory
 
 
 def _memory() -> None:

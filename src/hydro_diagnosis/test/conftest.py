@@ -10,13 +10,13 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, StateArray, Waveform
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.quality import checked
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.table import RawTable
-from hydro_sim.bench import Bench
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 
 def record(truth: Bench, seed: int = 1, seconds: float = 10.0, waveform: Waveform = Waveform.MULTISINE) -> StateArray:

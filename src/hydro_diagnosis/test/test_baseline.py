@@ -14,14 +14,14 @@ import pytest
 import yaml
 
 from hydro_diagnosis import InputError, Report, diagnose
-from hydro_diagnosis.baseline import baseline
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.corrected import claims_of
-from hydro_sim.bench import Bench
+from hydro_diagnosis.model.baseline import baseline
+from hydro_diagnosis.report.corrected_bench import claims_of
+from hydro_sim.files.recordings import Run
+from hydro_sim.files.weights import shipped
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.network_model import NetworkModel
-from hydro_sim.learned.recordings import Run
-from hydro_sim.learned.weights import shipped
+from hydro_sim.model.bench import Bench
+from hydro_sim.neural.network_model import NetworkModel
 
 DRIVES = (
     {"seconds": 15, "waveform": "multisine", "amplitude": 260, "frequency": 0.7, "kp": 60, "ki": 10},

@@ -12,12 +12,12 @@ import pytest
 from scipy.io import savemat
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.column_source import UNITS, source_of
-from hydro_diagnosis.columns import ColumnMap
-from hydro_diagnosis.quality import checked
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.column_source import UNITS, source_of
+from hydro_diagnosis.io.table import RawTable, read_table
+from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import InputError
-from hydro_diagnosis.table import RawTable, read_table
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 Frame = Callable[[StateArray], pd.DataFrame]
 MAP = "time=clock[ms],piston_position=pos[mm]-40,pressure_a='p a [bar]'[bar],hydraulic_force=vir*gtau,load_force=0"
@@ -159,7 +159,7 @@ def test_every_unit_is_a_number_of_si() -> None:
 def test_inspect_lists_columns_and_what_they_may_be(tmp_path: Path) -> None:
     path = tmp_path / "run.csv"
     pd.DataFrame({"Time": [0, 1], "load_force": [1, 2], "Piston_Position": [1, 2], "foo": ["a", "b"]}).to_csv(path)
-    command = [sys.executable, "-m", "hydro_diagnosis.listing", str(path)]
+    command = [sys.executable, "-m", "hydro_diagnosis.io.listing", str(path)]
     ended = subprocess.run(command, capture_output=True, text=True, check=True)
     rows = {line.split()[1]: line.split() for line in ended.stdout.splitlines() if line.startswith("run.csv")}
     assert rows["Time"][-1] == "time?" and rows["load_force"][-1] == "load_force"

@@ -9,18 +9,18 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.conclude import describe
-from hydro_diagnosis.constancy import without_varying
 from hydro_diagnosis.effects import CANDIDATES, Claim, Effect
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.fit import fit
-from hydro_diagnosis.intervals import intervals
-from hydro_diagnosis.outcome import Outcome, score
-from hydro_diagnosis.problem import Problem
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.intervals import intervals
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.search import Search
-from hydro_diagnosis.verdict import assess
-from hydro_sim.bench import Bench
+from hydro_diagnosis.selection.constancy import without_varying
+from hydro_diagnosis.selection.effect_summary import describe
+from hydro_diagnosis.selection.outcome import Outcome, score
+from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.verdict import assess
+from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 EFFECTS = {effect.label: effect.adapted(BENCH) for effect in CANDIDATES}

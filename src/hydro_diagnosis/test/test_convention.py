@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.convention import current_is_late
-from hydro_diagnosis.fit import fit
-from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.quality import checked
-from hydro_diagnosis.table import RawTable
-from hydro_diagnosis.verdict import assess
-from hydro_sim.bench import Bench
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.selection.current_alignment import current_is_late
+from hydro_diagnosis.selection.verdict import assess
+from hydro_sim.model.bench import Bench
 
 
 @pytest.mark.parametrize("rows, late", [(1, True), (0, False), (-1, False), (2, False)])

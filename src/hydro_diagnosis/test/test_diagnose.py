@@ -15,12 +15,12 @@ import pytest
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
-from hydro_diagnosis.corrected import claims_of, corrected_bench
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.table import InputError
-from hydro_sim.bench import Bench
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import InputError
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
+from hydro_sim.model.bench import Bench
 
 Record = Callable[..., StateArray]
 Frame = Callable[[StateArray], pd.DataFrame]

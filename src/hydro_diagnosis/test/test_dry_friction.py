@@ -9,11 +9,11 @@ from scipy.special import ndtr
 
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, finish
 from hydro_diagnosis.recording import Segment
-from hydro_diagnosis.simulate import Plant
-from hydro_diagnosis.smoothing import TOTAL_WIDTH, finish
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 STEP = 1e-3

@@ -9,8 +9,8 @@ import pytest
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.fluid import EntrainedAir
 from hydro_diagnosis.effects.valve_dynamics import TransportDelay, ValveLag, ValveLagFirstOrder
-from hydro_diagnosis.problem import Problem
-from hydro_sim.bench import Bench
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_sim.model.bench import Bench
 
 TABLE = {
     "friction_coulomb", "friction_viscous", "friction_stribeck", "leakage_internal", "leakage_external",
@@ -47,8 +47,8 @@ def test_probes_lie_inside_the_bounds(effect: Effect) -> None:
 
 @pytest.mark.parametrize("effect", [e for e in ADAPTED if not e.needs], ids=lambda effect: effect.label)
 def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(effect: Effect, problem: Problem) -> None:
-    from hydro_diagnosis.model import BLOCKS
-    from hydro_diagnosis.problem import CHANNELS
+    from hydro_diagnosis.estimation.problem import CHANNELS
+    from hydro_diagnosis.model.segment_model import BLOCKS
 
     change = problem.residual([Claim(effect, values_at(effect, "probe"))]) - problem.residual([])
     power = np.bincount(problem.layout.channel, np.square(change), len(CHANNELS))

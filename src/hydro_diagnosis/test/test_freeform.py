@@ -10,10 +10,10 @@ import pytest
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
-from hydro_diagnosis.fit import fit
-from hydro_diagnosis.freeform import free_forms
-from hydro_diagnosis.problem import Problem
-from hydro_sim.bench import Bench
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.free_form import free_forms
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_sim.model.bench import Bench
 
 
 def test_free_form_of_viscous_friction_has_its_place_and_slope(problem_of: Callable[..., Problem]) -> None:

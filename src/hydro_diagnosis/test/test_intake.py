@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_diagnosis.intake import ENOUGH, taken
-from hydro_diagnosis.table import InputError
-from hydro_sim.bench import Bench
+from hydro_diagnosis.dataset.loading import ENOUGH, taken
+from hydro_diagnosis.io.table import InputError
+from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 

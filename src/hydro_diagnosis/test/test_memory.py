@@ -4,8 +4,8 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import cont2discrete
 
-from hydro_diagnosis.memory import RecordMemory, StepMemory, amplifier
-from hydro_diagnosis.smoothing import finish, kinematics
+from hydro_diagnosis.model.memory import RecordMemory, StepMemory, amplifier
+from hydro_diagnosis.preprocessing.smoothing import finish, kinematics
 
 
 def test_amplifier_equals_scipys_first_order_hold() -> None:

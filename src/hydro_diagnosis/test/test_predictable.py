@@ -11,13 +11,13 @@ import pytest
 
 from hydro_bridge.signals import StateArray, Waveform
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.heldout import HORIZON, Comparison, compare
-from hydro_diagnosis.model import SegmentModel
-from hydro_diagnosis.noise import sensor_noise
-from hydro_diagnosis.predictable import MOST
-from hydro_diagnosis.quality import checked
-from hydro_diagnosis.table import RawTable
-from hydro_sim.bench import Bench
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.model.noise_floor import sensor_noise
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.validation.heldout import HORIZON, Comparison, compare
+from hydro_diagnosis.validation.predictability import MOST
+from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 RISE = {"breakaway_force": 8.0, "velocity": 0.012}

@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.console import UserError
-from hydro_bridge.recording import read_bag
-from hydro_diagnosis.proof import seal
-from hydro_diagnosis.proof.cases import FITTED, HELD, PARTS, Case, draw, shares
-from hydro_diagnosis.proof.facts import Result
-from hydro_diagnosis.proof.prove import run
-from hydro_diagnosis.proof.recording import record, run_emulator
-from hydro_diagnosis.proof.retake import ATTEMPTS, usable
-from hydro_diagnosis.proof.standards import failures, standards, wilson
-from hydro_sim.bench import Bench
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.cli.console import UserError
+from hydro_diagnosis.blind_benchmark import seal
+from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD, PARTS, Case, draw, shares
+from hydro_diagnosis.blind_benchmark.facts import Result
+from hydro_diagnosis.blind_benchmark.prove import run
+from hydro_diagnosis.blind_benchmark.recording import record, run_emulator
+from hydro_diagnosis.blind_benchmark.retake import ATTEMPTS, usable
+from hydro_diagnosis.blind_benchmark.standards import failures, standards, wilson
+from hydro_sim.model.bench import Bench
 
 SEED = 4  # of development; no figure is reported from it
 
@@ -120,18 +120,18 @@ PEEKS = {
     "open(hidden / 'blind' / 'link')": False,
     "os.listdir(hidden)": False,
     "list(os.scandir(hidden / 'sealed'))": False,
-    "importlib.import_module('hydro_sim.emulator.truth_config')": False,
+    "importlib.import_module('hydro_sim.emulator.truth.config')": False,
     "subprocess.run(['cat', hidden / 'sealed' / 'answers.json'])": False,
     "os.system('true')": False,
     "open(hidden / 'blind' / 'bench.yaml').read()": True,
     "os.listdir(hidden / 'blind')": True,
-    "importlib.import_module('hydro_sim.hydraulics')": True,
+    "importlib.import_module('hydro_sim.model.hydraulics')": True,
 }
 
 
 PEEKING = """
 import importlib, json, os, pathlib, subprocess, sys
-from hydro_diagnosis.proof import blindfold
+from hydro_diagnosis.blind_benchmark import blindfold
 hidden = pathlib.Path(sys.argv[1])
 blindfold.put_on(hidden, hidden / "blind")
 seen = {}

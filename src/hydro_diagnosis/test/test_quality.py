@@ -10,15 +10,15 @@ import pandas as pd
 import pytest
 
 from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
-from hydro_diagnosis.corrected import corrected_bench
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.frozen import FROZEN, frozen_encoder, repeats
-from hydro_diagnosis.quality import checked
+from hydro_diagnosis.io.table import InputError, read_table
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.preprocessing.sensor_faults import FROZEN, frozen_encoder, repeats
 from hydro_diagnosis.recording import Recording
-from hydro_diagnosis.table import InputError, read_table
-from hydro_sim.bench import Bench
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_diagnosis.report.corrected_bench import corrected_bench
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
 Frame = Callable[[StateArray], pd.DataFrame]

@@ -16,7 +16,7 @@ import hydro_diagnosis
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import LIBRARY
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 SCHEMA = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
 

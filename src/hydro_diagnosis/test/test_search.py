@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import StateArray
-from hydro_diagnosis.corrected import corrected_bench
 from hydro_diagnosis.effects import LIBRARY, Claim
-from hydro_diagnosis.fit import fit
-from hydro_diagnosis.locate import mean_squares, noticeable
-from hydro_diagnosis.outcome import Outcome, SearchSettings, score
-from hydro_diagnosis.problem import CHANNELS, Problem
-from hydro_diagnosis.quality import checked
-from hydro_diagnosis.search import Search
-from hydro_diagnosis.table import RawTable
-from hydro_sim.bench import Bench
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.report.corrected_bench import corrected_bench
+from hydro_diagnosis.selection.localisation import mean_squares, noticeable
+from hydro_diagnosis.selection.outcome import Outcome, SearchSettings, score
+from hydro_diagnosis.selection.search import Search
+from hydro_sim.model.bench import Bench
 
 NOMINAL = Bench.nominal()
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulation's effects (`hydro_sim.effects`) and the diagnosis' forward simulation, written apart, say the same."""
+"""The simulation's effects (`model.effects`) and the diagnosis' forward simulation, written apart, say the same."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import pytest
 from hydro_bridge.signals import PLANT_FIELDS, ReferenceSignal, Waveform
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import FloatArray
-from hydro_diagnosis.model import SegmentModel
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.recording import MEASURED, Segment
-from hydro_diagnosis.simulate import Plant
-from hydro_sim.bench import Bench
-from hydro_sim.effects.catalogue import CATALOGUE, label
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects.catalogue import CATALOGUE, label
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
 EFFECTS = [effect.adapted(BENCH) for effect in LIBRARY]

@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_diagnosis import intake, survey
-from hydro_diagnosis.quality import checked
+from hydro_diagnosis.dataset import loading as intake
+from hydro_diagnosis.dataset import streaming as survey
+from hydro_diagnosis.dataset.informative_windows import Visits, telling
+from hydro_diagnosis.dataset.streaming import read_bag_within
+from hydro_diagnosis.io.table import RawTable, read_table
+from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Recording, UnusableRecordingError
-from hydro_diagnosis.survey import read_bag_within
-from hydro_diagnosis.table import RawTable, read_table
-from hydro_diagnosis.windows import Visits, telling
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from hydro_bridge.console import UserError
-from hydro_diagnosis.calibrate import run
-from hydro_diagnosis.trials import Trial, calibrated, keep, kept, needed, trial
-from hydro_sim.bench import Bench
+from hydro_bridge.cli.console import UserError
+from hydro_diagnosis.calibration.calibrate import run
+from hydro_diagnosis.calibration.null_simulations import Trial, calibrated, keep, kept, needed, trial
+from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 TRIALS = {3: Trial(0.5, -inf, "none"), 7: Trial(2.0, 8.25, "valve_gain"), 8: Trial(0.1, -15.5, "backlash")}

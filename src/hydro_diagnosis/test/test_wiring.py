@@ -13,16 +13,16 @@ import pandas as pd
 import pytest
 import yaml
 
-from hydro_bridge.recording import read_bag
+from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
-from hydro_diagnosis.columns import ColumnMap
-from hydro_diagnosis.intake import taken
-from hydro_diagnosis.proof.cases import Case
-from hydro_diagnosis.proof.magnitudes import FORMS, OUTSIDE, SINGLES, VALUES, Pick, Shape, Size
-from hydro_diagnosis.proof.recording import run_emulator, truth_of
-from hydro_diagnosis.table import RawTable, read_table
-from hydro_diagnosis.wiring import WiringError, mistakes, wiring_checked
-from hydro_sim.bench import Bench
+from hydro_diagnosis.blind_benchmark.cases import Case
+from hydro_diagnosis.blind_benchmark.magnitudes import FORMS, OUTSIDE, SINGLES, VALUES, Pick, Shape, Size
+from hydro_diagnosis.blind_benchmark.recording import run_emulator, truth_of
+from hydro_diagnosis.dataset.loading import taken
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.table import RawTable, read_table
+from hydro_diagnosis.wiring.wiring import WiringError, mistakes, wiring_checked
+from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 Channels = dict[str, npt.NDArray[np.float64]]

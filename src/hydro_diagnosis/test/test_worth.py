@@ -9,14 +9,14 @@ import pytest
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.effects.base import Parameter
-from hydro_diagnosis.fit import fit
-from hydro_diagnosis.locate import noticeable
-from hydro_diagnosis.outcome import SearchSettings
-from hydro_diagnosis.problem import Problem
-from hydro_diagnosis.quality import checked
-from hydro_diagnosis.table import RawTable
-from hydro_diagnosis.worth import form_error, worth_claiming
-from hydro_sim.bench import Bench
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.selection.localisation import noticeable
+from hydro_diagnosis.selection.outcome import SearchSettings
+from hydro_diagnosis.selection.significance import form_error, worth_claiming
+from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
 ADAPTED = [effect.adapted(BENCH) for effect in LIBRARY]

@@ -7,19 +7,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from hydro_filter import metric_levels
-from hydro_filter.choice import CONSTANT, LEARNED, Choice, warm_up
-from hydro_filter.learned_metric import LearnedMetric
-from hydro_filter.loop_model import loop_model
-from hydro_filter.metric_data import DataSettings, collect
-from hydro_filter.metric_design import rest_loop
-from hydro_filter.validation import FILTERS, Task, outcome
-from hydro_filter.validation_cases import CASES
-from hydro_filter.validation_plants import PLANTS
-from hydro_sim.bench import Bench
+from hydro_filter.controller.factory import CONSTANT, LEARNED, Choice, warm_up
+from hydro_filter.metric.design import rest_loop
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.loop_model import loop_model
+from hydro_filter.training import levels as metric_levels
+from hydro_filter.training.data import DataSettings, collect
+from hydro_filter.validation.cases import CASES
+from hydro_filter.validation.plants import PLANTS
+from hydro_filter.validation.runs import FILTERS, Task, outcome
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.model.bench import Bench
+from hydro_sim.structured.model import StructuredModel
 
 
 def _filter(metric: str) -> None:

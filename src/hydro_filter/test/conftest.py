@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.state import STATES
-from hydro_sim.bench import Bench
+from hydro_filter.model.state import STATES
+from hydro_sim.model.bench import Bench
 
 LOW = np.array([-800.0, -2e4, -800.0, -2e4, 1e6, 1e6, 0.005, -0.4])
 HIGH = np.array([800.0, 2e4, 800.0, 2e4, 15e6, 15e6, 0.075, 0.4])

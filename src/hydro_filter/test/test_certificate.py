@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.certificate import Certificate, dead_zone
-from hydro_filter.filter import ContractionFilter, FilterSettings
-from hydro_filter.metric import gain_floor
-from hydro_filter.sample import Sample
-from hydro_sim.bench import Bench
-from hydro_sim.hydraulics import input_gain
+from hydro_filter.certificate.continuous import Certificate, dead_zone
+from hydro_filter.controller.filter import ContractionFilter, FilterSettings
+from hydro_filter.metric.constant import gain_floor
+from hydro_filter.model.sample import Sample
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.hydraulics import input_gain
 
 
 class VaryingMetric:

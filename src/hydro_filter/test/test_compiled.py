@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, CorrectionStatus, FloatArray, StateArray
-from hydro_filter.compiled import FilterBank, filter_parts
-from hydro_filter.filter import ContractionFilter, FilterSettings
-from hydro_filter.sample import Sample
-from hydro_sim.bench import Bench
+from hydro_filter.controller.compiled import FilterBank, filter_parts
+from hydro_filter.controller.filter import ContractionFilter, FilterSettings
+from hydro_filter.model.sample import Sample
+from hydro_sim.model.bench import Bench
 
 WITHIN = 1e-6  # A
 

@@ -12,12 +12,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.certificate import Certificate, HalfLine
-from hydro_filter.filter import ContractionFilter, FilterSettings, Result
-from hydro_filter.sample import Sample
-from hydro_filter.trial import Run, Trial, gammas, run
-from hydro_sim.bench import Bench
-from hydro_sim.plant import AnalyticPlant
+from hydro_filter.certificate.continuous import Certificate, HalfLine
+from hydro_filter.controller.filter import ContractionFilter, FilterSettings, Result
+from hydro_filter.model.sample import Sample
+from hydro_filter.validation.trial import Run, Trial, gammas, run
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 U_MAX = 0.05
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)

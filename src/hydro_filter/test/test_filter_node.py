@@ -44,15 +44,15 @@ from hydro_bridge.signals import (  # noqa: E402
     ReferenceSignal,
     Waveform,
 )
-from hydro_filter.choice import Choice  # noqa: E402
-from hydro_filter.filter import ContractionFilter  # noqa: E402
-from hydro_filter.loop_filter import LoopFilterSettings  # noqa: E402
-from hydro_filter.sample import Sample  # noqa: E402
-from hydro_filter.validation_plants import ChangingPlant, changed  # noqa: E402
+from hydro_filter.controller.factory import Choice  # noqa: E402
+from hydro_filter.controller.filter import ContractionFilter  # noqa: E402
+from hydro_filter.controller.loop_filter import LoopFilterSettings  # noqa: E402
+from hydro_filter.model.sample import Sample  # noqa: E402
+from hydro_filter.validation.plants import ChangingPlant, changed  # noqa: E402
 from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
-from hydro_sim.bench import Bench  # noqa: E402
-from hydro_sim.offline import Schedule, simulate  # noqa: E402
-from hydro_sim.plant import AnalyticPlant  # noqa: E402
+from hydro_sim.model.bench import Bench  # noqa: E402
+from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
+from hydro_sim.simulation.offline import Schedule, simulate  # noqa: E402
 
 
 class Source:

@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.innovations import EQUATIONS, RETURN
-from hydro_filter.loop_filter import LoopFilter, default_filter
-from hydro_filter.sample import Sample
-from hydro_filter.trial import Run, Trial, run
-from hydro_filter.validation_cases import CASES
-from hydro_filter.validation_plants import ChangingPlant, changed
-from hydro_sim.bench import Bench
+from hydro_filter.controller.innovations import EQUATIONS, RETURN
+from hydro_filter.controller.loop_filter import LoopFilter, default_filter
+from hydro_filter.model.sample import Sample
+from hydro_filter.validation.cases import CASES
+from hydro_filter.validation.plants import ChangingPlant, changed
+from hydro_filter.validation.trial import Run, Trial, run
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.plant import Plant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 CHANGE = 1500

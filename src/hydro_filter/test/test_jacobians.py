@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter import analytic_kernels
-from hydro_filter.controller import ForceLaw
-from hydro_filter.dynamics import AnalyticDynamics
-from hydro_filter.sample import Sample
-from hydro_filter.state import STATES, state_scale
-from hydro_sim import force_law, hydraulics
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
+from hydro_filter.model import analytic_kernels
+from hydro_filter.model.dynamics import AnalyticDynamics
+from hydro_filter.model.force_law import ForceLaw
+from hydro_filter.model.sample import Sample
+from hydro_filter.model.state import STATES, state_scale
+from hydro_sim.box import force_law
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.model import hydraulics
+from hydro_sim.model.bench import Bench
 
 CURRENTS = (-0.04, -0.004, 0.003, 0.05)
 

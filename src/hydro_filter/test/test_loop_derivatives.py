@@ -9,18 +9,22 @@ import pytest
 import torch
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter import loop_model, model_kernels
-from hydro_filter.learned_metric import LearnedMetric
-from hydro_filter.loop_model import LOOP, LoopModel, hydraulic_slopes, shares
-from hydro_filter.metric_design import MetricDesign
-from hydro_filter.metric_network import ENTRIES, GAIN_UNIT, INPUTS
-from hydro_sim import force_law, hydraulics
-from hydro_sim.bench import Bench
-from hydro_sim.learned import integration, mlp, structured
+from hydro_filter.metric.design import MetricDesign
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.network import ENTRIES, GAIN_UNIT, INPUTS
+from hydro_filter.model import loop_model
+from hydro_filter.model import structured_kernels as model_kernels
+from hydro_filter.model.loop_model import LOOP, LoopModel, hydraulic_slopes, shares
+from hydro_sim.box import force_law
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.physics import AREA, GAIN_H, GAIN_L, OFFSET, RATIO
-from hydro_sim.learned.structured import FULL
-from hydro_sim.learned.structured_model import StructuredModel
+from hydro_sim.model import hydraulics
+from hydro_sim.model.bench import Bench
+from hydro_sim.neural import mlp
+from hydro_sim.structured import integration
+from hydro_sim.structured import rollout as structured
+from hydro_sim.structured.model import StructuredModel
+from hydro_sim.structured.physics import AREA, GAIN_H, GAIN_L, OFFSET, RATIO
+from hydro_sim.structured.rollout import FULL
 
 LIMIT = 1e-6
 COUNT = 40

@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_DTYPE, CorrectionStatus, ReferenceSignal, StateArray, Waveform
-from hydro_filter.loop_filter import LoopBank, LoopFilter, LoopFilterSettings, default_filter
-from hydro_filter.sample import Sample
-from hydro_filter.trial import Run, Trial, gammas, run
-from hydro_sim.bench import Bench
+from hydro_filter.controller.loop_filter import LoopBank, LoopFilter, LoopFilterSettings, default_filter
+from hydro_filter.model.sample import Sample
+from hydro_filter.validation.trial import Run, Trial, gammas, run
 from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 

@@ -6,9 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydro_filter.loop_model import LoopModel, linearize, loop_model, loop_step
-from hydro_sim.bench import Bench
+from hydro_filter.model.loop_model import LoopModel, linearize, loop_model, loop_step
 from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 import pytest
 
-from hydro_filter.metric import (
+from hydro_filter.metric.constant import (
     READOUT,
     ConstantMetric,
     MetricDesign,
@@ -19,7 +19,7 @@ from hydro_filter.metric import (
     loop_matrix,
     loop_weight,
 )
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 GAINS, POSITIONS, DELAYS = (45.0, 90.0), (0.0, 0.08), (1.3e-3, 1.65e-3)
 

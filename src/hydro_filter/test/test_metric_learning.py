@@ -9,13 +9,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.console import UserError
+from hydro_bridge.cli.console import UserError
 from hydro_bridge.signals import STATE_DTYPE, Flag, FloatArray, StateArray
-from hydro_filter import validate
-from hydro_filter.learn_metric import arguments, correction
-from hydro_filter.learned_metric import LearnedMetric
-from hydro_filter.loop_model import LoopModel, loop_model
-from hydro_filter.metric_data import (
+from hydro_filter.metric.design import MetricDesign, rest_loop
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.loop_model import LoopModel, loop_model
+from hydro_filter.training.data import (
     NEITHER,
     STABLE,
     UNSTABLE,
@@ -28,14 +27,15 @@ from hydro_filter.metric_data import (
     roll_out,
     windows_of,
 )
-from hydro_filter.metric_design import MetricDesign, rest_loop
-from hydro_filter.metric_loss import Samples
-from hydro_filter.metric_polish import polish
-from hydro_filter.metric_training import TrainingSettings, judge, network_of, questions, train
-from hydro_filter.metric_words import begun
-from hydro_sim.bench import Bench
+from hydro_filter.training.learn_metric import arguments, correction
+from hydro_filter.training.lmi_refinement import polish
+from hydro_filter.training.loss import Samples
+from hydro_filter.training.options import begun
+from hydro_filter.training.training import TrainingSettings, judge, network_of, questions, train
+from hydro_filter.validation import validate
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
 from hydro_sim.timing import SAMPLE
 
 DATA = DataSettings(rollouts=8, windows=10)

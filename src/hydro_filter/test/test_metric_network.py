@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_filter.learned_metric import LearnedMetric
-from hydro_filter.loop_model import loop_model
-from hydro_filter.metric_design import MetricDesign
-from hydro_sim.bench import Bench
+from hydro_filter.metric.design import MetricDesign
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.loop_model import loop_model
+from hydro_sim.files.weights import WeightsError
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.weights import WeightsError
+from hydro_sim.model.bench import Bench
 
 GAINS = (12.0, 47.3, 90.0, -20.0, 300.0)
 
@@ -49,7 +49,7 @@ def test_save_load(metric: LearnedMetric, states: FloatArray, tmp_path: Path) ->
 
 
 def test_a_learned_bench_is_no_metric() -> None:
-    from hydro_sim.learned.weights import shipped
+    from hydro_sim.files.weights import shipped
 
     with pytest.raises(WeightsError, match="not a metric's"):
         LearnedMetric.load(shipped())

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import CorrectionStatus
-from hydro_filter.qp import LEAST_IMPROVEMENT, QpFilter, closed_form
+from hydro_filter.certificate.qp import LEAST_IMPROVEMENT, QpFilter, closed_form
 
 U_MAX = 0.05
 LIMIT = 1e-6  # A, of the 1e-4

@@ -6,10 +6,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydro_filter import qp, sampled_certificate
-from hydro_filter.learned_metric import LearnedMetric
-from hydro_filter.loop_model import LOOP, loop_step
-from hydro_filter.metric_network import metric_value
+from hydro_filter.certificate import qp
+from hydro_filter.certificate import sampled as sampled_certificate
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.network import metric_value
+from hydro_filter.model.loop_model import LOOP, loop_step
 
 T = 1e-3
 

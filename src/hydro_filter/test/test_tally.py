@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 from hydro_bridge.signals import CorrectionStatus
-from hydro_filter.qp import QpCounts
-from hydro_filter.tally import Tally, sentence
+from hydro_filter.certificate.qp import QpCounts
+from hydro_filter.controller.statistics import Tally, sentence
 
 
 def test_gaps_are_counted_across_the_wrap_and_restarts_are_none() -> None:

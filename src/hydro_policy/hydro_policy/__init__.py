@@ -1,12 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Soft Actor-Critic over the two gains of the force law: the task, the algorithm, the learner process, the run's files.
+"""Soft Actor-Critic over the two gains of the force law, in simulation and on the bench.
 
-Mathematics: `task` (observation, reward, gains), `mlp` and `sac` (networks, algorithm), `replay`, `policy` (acting).
-Sessions: `steps` (samples to steps), `watch` (plant and arming), `training` and `episode`, `evaluation`, `controllers`,
-`report`; `offline` runs them without a graph. Learning: `learner` (the process), `supervisor` (its handle), `shared`
-(memory between the two). Files: `run`, `checkpoint`, `snapshot`. The ROS side is under `nodes`.
-Pretraining: `fleet` (many benches, `fleet_plants`, `fleet_filter`, `fleet_runs`), `environment`, `randomisation`,
-`pretraining`, `configurations`; `pretrain` is the command, `sac_kernel` the compiled updates.
+Stages: `task` (the Markov decision process), `sac` (the algorithm), `envs` (vectorised benches), `supervision` (arming,
+safety monitor, rollback, override), `runs` (files), `learner_process`, `evaluation`, `pretraining`, `sessions` (what
+drives a plant, without ROS), `nodes` (executables).
 """
 
 from pathlib import Path

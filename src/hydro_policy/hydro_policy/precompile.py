@@ -11,15 +11,15 @@ import numpy as np
 import torch
 
 from hydro_bridge.signals import ReferenceSignal
-from hydro_policy.configurations import CONFIGURATIONS, configuration
-from hydro_policy.fleet import Fleet
-from hydro_policy.fleet_filter import FILTERS, fleet_filter
-from hydro_policy.learner import compile_updates
-from hydro_policy.task import ACTIONS
+from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_filter import FILTERS, fleet_filter
+from hydro_policy.learner_process.learner import compile_updates
+from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
+from hydro_policy.task.mdp import ACTIONS
 from hydro_sim import precompile
-from hydro_sim.bench import Bench
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.plant import AnalyticPlant, Plant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
 
 
 def _learner() -> None:

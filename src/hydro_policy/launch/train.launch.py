@@ -15,7 +15,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-from hydro_sim.emulator.terminal import default_link
+from hydro_sim.emulator.line.terminal import default_link
 
 
 def include(package: str, name: str, **arguments: str) -> IncludeLaunchDescription:

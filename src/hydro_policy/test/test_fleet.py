@@ -9,27 +9,27 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Command, Flag, ReferenceSignal, Waveform
-from hydro_filter.compiled import FilterBank
-from hydro_filter.filter import ContractionFilter
-from hydro_filter.loop_filter import LoopBank, default_filter
-from hydro_policy import fleet_runs
-from hydro_policy.cases import EvaluationSettings
-from hydro_policy.environment import Environment
-from hydro_policy.fleet import Fleet, records
-from hydro_policy.fleet_filter import fleet_filter
-from hydro_policy.fleet_runs import fixed
-from hydro_policy.offline import OfflineGraph
-from hydro_policy.steps import StepClock
-from hydro_policy.task import GainRange, TaskSettings, observe
-from hydro_sim.bench import Bench
-from hydro_sim.box import Box, BoxConfig, Integral
-from hydro_sim.learned.mlp import initial
+from hydro_filter.controller.compiled import FilterBank
+from hydro_filter.controller.filter import ContractionFilter
+from hydro_filter.controller.loop_filter import LoopBank, default_filter
+from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs.environment import Environment
+from hydro_policy.envs.vector_env import Fleet, records
+from hydro_policy.envs.vector_filter import fleet_filter
+from hydro_policy.envs.vector_runs import fixed
+from hydro_policy.sessions.offline import OfflineGraph
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import GainRange, TaskSettings, observe
+from hydro_policy.task.step_aggregator import StepClock
+from hydro_sim.box.box import Box, BoxConfig, Integral
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.network import INPUTS, STATES
-from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant, Plant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.neural.mlp import initial
+from hydro_sim.neural.network import INPUTS, STATES
+from hydro_sim.neural.network_model import NetworkModel
+from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.3)

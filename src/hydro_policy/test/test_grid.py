@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.guard import GuardSettings
+from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import Flag, ReferenceSignal
-from hydro_policy.cases import EvaluationSettings
-from hydro_policy.controllers import FixedGains
-from hydro_policy.evaluation import EvaluationSession
-from hydro_policy.grid import GridSearch, GridSession, GridSettings
-from hydro_policy.monitor import MonitorSettings, SafetyMonitor
-from hydro_policy.offline import OfflineGraph
-from hydro_policy.watch import CALM
-from hydro_sim.bench import Bench
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.gain_search import GridSearch, GridSession, GridSettings
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.sessions.offline import OfflineGraph
+from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
+from hydro_policy.supervision.plant_supervisor import CALM
+from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 LIMIT = 127.0
 

@@ -6,19 +6,19 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_bridge.signals import STATE_FIELDS, Flag
-from hydro_policy.cases import EvaluationSettings, ExamSettings
-from hydro_policy.controllers import FixedGains
-from hydro_policy.episode import Phase
-from hydro_policy.evaluation import EvaluationSession
-from hydro_policy.monitor import MonitorSettings, SafetyMonitor
-from hydro_policy.offline import InlineLearner, OfflineGraph
-from hydro_policy.run import TrainingSettings
-from hydro_policy.sac import SacSettings
-from hydro_policy.steps import StepClock
-from hydro_policy.task import TaskSettings
-from hydro_policy.training import TrainingSession
-from hydro_sim.bench import Bench
-from hydro_sim.plant import AnalyticPlant
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sessions.episode import Phase
+from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
+from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
+from hydro_policy.task.cases import EvaluationSettings, ExamSettings
+from hydro_policy.task.mdp import TaskSettings
+from hydro_policy.task.step_aggregator import StepClock
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 BENCH = Bench.nominal()
 SHORT = TrainingSettings(

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_policy import sac_kernel
-from hydro_policy.checkpoint import load_checkpoint
-from hydro_policy.learner import Learner, LearnerMemory, compile_updates
-from hydro_policy.policy import load_policy
-from hydro_policy.run import RunDirectory, TrainingSettings
-from hydro_policy.sac import Sac, SacSettings
-from hydro_policy.shared import SharedBlob
-from hydro_policy.snapshot import dump, restore
-from hydro_policy.supervisor import LearnerError, LearnerSupervisor
-from hydro_policy.task import ACTIONS, OBSERVATIONS
+from hydro_policy.learner_process.learner import Learner, LearnerMemory, compile_updates
+from hydro_policy.learner_process.shared_memory import SharedBlob
+from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
+from hydro_policy.runs.checkpoint import load_checkpoint
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac import kernel as sac_kernel
+from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.policy import load_policy
+from hydro_policy.sac.snapshot import dump, restore
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 
 SETTINGS = TrainingSettings(warmup_steps=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
 
@@ -142,7 +142,7 @@ def test_a_checkpoint_that_cannot_be_written_is_told_and_the_one_before_stays(tm
 def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is_written_without_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("hydro_policy.supervisor.STOP_TIMEOUT", 1.0)
+    monkeypatch.setattr("hydro_policy.learner_process.supervisor.STOP_TIMEOUT", 1.0)
     run = RunDirectory(tmp_path / "run").create()
     learner = LearnerSupervisor(SETTINGS, run)
     wait(lambda: learner.ready)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import torch
 
-from hydro_policy.mlp import FlatAdam, StackedMlp
+from hydro_policy.sac.mlp import FlatAdam, StackedMlp
 
 
 def reference_forward(

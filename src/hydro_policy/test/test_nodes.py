@@ -21,9 +21,8 @@ pytest.importorskip("rclpy")
 
 import rclpy
 
-from hydro_bridge.console import UserError
-from hydro_bridge.readiness import NotReadyError
-from hydro_bridge.recording import read_bag
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros import (
     BOX,
     BOX_QOS,
@@ -35,11 +34,11 @@ from hydro_bridge.ros import (
     CompanionError,
     executable_path,
 )
+from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
-from hydro_filter.choice import DEFAULT
+from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo, Gains
 from hydro_msgs.srv import OverrideGains
-from hydro_policy.checkpoint import load_checkpoint
 from hydro_policy.nodes.companions import PlantOptions, commands
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import uncovered
@@ -47,14 +46,15 @@ from hydro_policy.nodes.options import plant_options
 from hydro_policy.nodes.planned import surprise
 from hydro_policy.nodes.trainer import DEMO, asked
 from hydro_policy.nodes.trainer import parser as trainer_parser
-from hydro_policy.override import GainOverride
-from hydro_policy.policy import Policy, load_policy
-from hydro_policy.run import RunDirectory
-from hydro_policy.start import shipped_start
-from hydro_policy.task import BASE, GainRange
-from hydro_sim.bench import Bench
-from hydro_sim.learned.weights import shipped
-from hydro_sim.pairing import Believed, MadeFor
+from hydro_policy.runs.checkpoint import load_checkpoint
+from hydro_policy.runs.initial_agent import shipped_start
+from hydro_policy.runs.run import RunDirectory
+from hydro_policy.sac.policy import Policy, load_policy
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.task.mdp import BASE, GainRange
+from hydro_sim.files.pairing import Believed, MadeFor
+from hydro_sim.files.weights import shipped
+from hydro_sim.model.bench import Bench
 
 pytestmark = pytest.mark.graph
 

@@ -16,28 +16,28 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.console import UserError
+from hydro_bridge.cli.console import UserError
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_policy.cases import EvaluationSettings
-from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.fleet import Fleet
-from hydro_policy.fleet_runs import fixed
-from hydro_policy.policy import load_policy
-from hydro_policy.pretrain import parser, resumed, training_settings
-from hydro_policy.pretrain_exam import REFERENCE_GAINS, TRIPPED, Examination
-from hydro_policy.pretrain_source import source_of
-from hydro_policy.pretraining import Pretraining, PretrainSettings
-from hydro_policy.randomisation import Drawn, Randomisation, draw
-from hydro_policy.run import RunDirectory, TrainingSettings
-from hydro_policy.sac import SacSettings
-from hydro_policy.snapshot import dump
-from hydro_policy.task import GainRange, TaskSettings
-from hydro_sim.bench import Bench
-from hydro_sim.learned import constants as learned_constants
+from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
+from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_runs import fixed
+from hydro_policy.pretraining.examination import REFERENCE_GAINS, TRIPPED, Examination
+from hydro_policy.pretraining.pretrain import parser, resumed, training_settings
+from hydro_policy.pretraining.source import source_of
+from hydro_policy.pretraining.training import Pretraining, PretrainSettings
+from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sac.policy import load_policy
+from hydro_policy.sac.snapshot import dump
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import GainRange, TaskSettings
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.learned.structured_model import StructuredModel
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.structured import constants as learned_constants
+from hydro_sim.structured.model import StructuredModel
 
 BENCH = Bench.nominal()
 WILD = replace(BENCH, valve_nominal_flow=1.5 * BENCH.valve_nominal_flow)
@@ -209,7 +209,7 @@ def test_the_command_line_says_how_long_how_large_and_on_what() -> None:
 
 
 def pretrain(*words: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "hydro_policy.pretrain", *words]
+    command = [sys.executable, "-m", "hydro_policy.pretraining.pretrain", *words]
     return subprocess.run(command, capture_output=True, text=True, timeout=240, check=False)
 
 

@@ -10,23 +10,23 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.readiness import NotReadyError, Requirement
+from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag
-from hydro_filter.filter import Result
-from hydro_policy.arming import HOW_TO_ARM
-from hydro_policy.cases import EvaluationSettings, ExamSettings
-from hydro_policy.controllers import FixedGains
-from hydro_policy.episode import Phase
-from hydro_policy.evaluation import EvaluationSession
-from hydro_policy.offline import PASSED, InlineLearner, OfflineGraph
-from hydro_policy.run import TrainingSettings
-from hydro_policy.sac import SacSettings
-from hydro_policy.session import Session
-from hydro_policy.task import TaskSettings
-from hydro_policy.training import TrainingSession
-from hydro_policy.watch import IDLE
-from hydro_sim.bench import Bench
-from hydro_sim.plant import AnalyticPlant
+from hydro_filter.controller.filter import Result
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sessions.episode import Phase
+from hydro_policy.sessions.offline import PASSED, InlineLearner, OfflineGraph
+from hydro_policy.sessions.session import Session
+from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.supervision.arming import HOW_TO_ARM
+from hydro_policy.supervision.plant_supervisor import IDLE
+from hydro_policy.task.cases import EvaluationSettings, ExamSettings
+from hydro_policy.task.mdp import TaskSettings
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 BENCH = Bench.nominal()
 OFF_CENTRE = replace(BENCH, effects=({"id": "valve_offset", "parameters": {"current": 5e-5}},))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from hydro_policy.replay import ReplayBuffer
+from hydro_policy.sac.replay import ReplayBuffer
 
 
 def rows(first: int, count: int) -> np.ndarray:

@@ -10,28 +10,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.guard import GuardSettings
+from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import CorrectionStatus, Flag, Waveform
-from hydro_filter.filter import Result
-from hydro_filter.sample import Sample
-from hydro_policy.cases import EvaluationSettings, ExamSettings
-from hydro_policy.controllers import FixedGains, PolicyController
-from hydro_policy.episode import Phase
-from hydro_policy.evaluation import EvaluationSession
-from hydro_policy.monitor import MonitorSettings, SafetyMonitor
-from hydro_policy.offline import PASSED, InlineLearner, OfflineGraph
-from hydro_policy.override import GainOverride
-from hydro_policy.policy import Policy
-from hydro_policy.record import RunRecord
-from hydro_policy.run import TrainingSettings
-from hydro_policy.sac import SacSettings
-from hydro_policy.snapshot import actor_parameters
-from hydro_policy.steps import Step
-from hydro_policy.task import GainRange, TaskSettings
-from hydro_policy.training import TrainingSession
-from hydro_policy.watch import FALLBACK, FITS, MISMATCH
-from hydro_sim.bench import Bench
-from hydro_sim.plant import AnalyticPlant
+from hydro_filter.controller.filter import Result
+from hydro_filter.model.sample import Sample
+from hydro_policy.evaluation.controllers import FixedGains, PolicyController
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.runs.record import RunRecord
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.sessions.episode import Phase
+from hydro_policy.sessions.offline import PASSED, InlineLearner, OfflineGraph
+from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.supervision.plant_supervisor import FALLBACK, FITS, MISMATCH
+from hydro_policy.task.cases import EvaluationSettings, ExamSettings
+from hydro_policy.task.mdp import GainRange, TaskSettings
+from hydro_policy.task.step_aggregator import Step
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 BENCH = replace(Bench.nominal(), load_cell_bandwidth=25.0)  # with which K_p beyond about 100 1/s is unstable
 EXAM = ExamSettings(every=1, settle=0.5, measure=0.5)

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 import torch
 
-from hydro_policy.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.policy import Policy, load_policy
-from hydro_policy.replay import ReplayBuffer
-from hydro_policy.run import RunDirectory, TrainingSettings
-from hydro_policy.sac import Sac, SacSettings
-from hydro_policy.snapshot import actor_parameters, dump, restore, settings_of
-from hydro_policy.start import AGENT, load_start
-from hydro_policy.task import ACTIONS, OBSERVATIONS, GainRange, TaskSettings
+from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
+from hydro_policy.runs.initial_agent import AGENT, load_start
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.policy import Policy, load_policy
+from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.snapshot import actor_parameters, dump, restore, settings_of
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange, TaskSettings
 
 
 def trained(updates: int) -> tuple[Sac, ReplayBuffer]:

@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Flag, Waveform
-from hydro_policy.cases import ExamSettings
-from hydro_policy.controllers import FixedGains
-from hydro_policy.episode import Phase
-from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
-from hydro_policy.offline import InlineLearner, OfflineGraph
-from hydro_policy.run import TrainingSettings
-from hydro_policy.sac import SacSettings
-from hydro_policy.steps import StepClock
-from hydro_policy.task import OBSERVATION_NAMES, GainRange, TaskSettings
-from hydro_policy.training import TrainingSession
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sessions.episode import Phase
+from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
+from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.task.cases import ExamSettings
+from hydro_policy.task.mdp import OBSERVATION_NAMES, GainRange, TaskSettings
+from hydro_policy.task.step_aggregator import StepClock
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
 
@@ -178,7 +178,7 @@ def test_a_trip_is_a_termination_with_penalty() -> None:
 
 
 def test_evaluation_gives_the_rmse_of_the_offline_loop() -> None:
-    """The session on a box and plant, against `hydro_sim.offline.simulate` with the same gains: within 3 %."""
+    """The session on a box and plant, against `simulation.offline.simulate` with the same gains: within 3 %."""
     settings = EvaluationSettings(frequencies=(1.0, 2.0), measure=1.0)
     graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
     session = EvaluationSession(settings, [FixedGains(90.0, 15.0), FixedGains(40.0, 10.0)], graph)

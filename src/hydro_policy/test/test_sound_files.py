@@ -16,14 +16,14 @@ import pytest
 from safetensors import safe_open
 from safetensors.numpy import save_file
 
-from hydro_filter.learned_metric import LearnedMetric
-from hydro_policy.checkpoint import load_checkpoint
-from hydro_policy.configurations import configuration
+from hydro_filter.metric.learned import LearnedMetric
 from hydro_policy.nodes.trainer_start import begin_checkpoint, check_run
-from hydro_policy.policy import load_policy
-from hydro_policy.record import RunRecord
-from hydro_policy.run import RunDirectory
-from hydro_policy.start import AGENT, load_start, shipped_start
+from hydro_policy.pretraining.configurations import configuration
+from hydro_policy.runs.checkpoint import load_checkpoint
+from hydro_policy.runs.initial_agent import AGENT, load_start, shipped_start
+from hydro_policy.runs.record import RunRecord
+from hydro_policy.runs.run import RunDirectory
+from hydro_policy.sac.policy import load_policy
 from hydro_sim.learned.model import Learned
 
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_paper"))

@@ -11,10 +11,10 @@ import pytest
 
 pytest.importorskip("rclpy")
 
-from hydro_bridge.console import UserError
-from hydro_policy.configurations import CONFIGURATIONS, configuration, configuration_of
+from hydro_bridge.cli.console import UserError
 from hydro_policy.nodes.trainer import asked
-from hydro_policy.run import RunDirectory
+from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration, configuration_of
+from hydro_policy.runs.run import RunDirectory
 
 
 @pytest.fixture

@@ -5,12 +5,12 @@ from __future__ import annotations
 
 import pytest
 
-from hydro_bridge.readiness import NotReadyError, Requirement
+from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
-from hydro_policy.arming import HOW_TO_ARM
-from hydro_policy.override import GainOverride
-from hydro_policy.requirements import COMPILES, NO_FILTER
-from hydro_policy.watch import FITS, IDLE, MISMATCH, TOO_EARLY, PlantWatch
+from hydro_policy.supervision.arming import HOW_TO_ARM
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.supervision.plant_supervisor import FITS, IDLE, MISMATCH, TOO_EARLY, PlantWatch
+from hydro_policy.supervision.requirements import COMPILES, NO_FILTER
 
 ARMED, STALE = int(Flag.ARMED), int(Flag.FILTER_STALE)
 

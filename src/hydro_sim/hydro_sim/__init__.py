@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The bench as a model, and what runs in its box. No module here but those under `nodes` knows ROS.
 
-`bench` says what the bench is believed to be, `hydraulics` its equations, `sensors` how it is measured, `plant` a bench
-to step; `reference`, `force_law` and `box` are what the MicroLabBox runs; `offline` puts a plant and a box together
-without a graph; `plotting` draws what came out; `emulator` is a MicroLabBox behind a pseudo-terminal.
+Stages: `model` (textbook equations, effects, sensors), `box` (what the MicroLabBox runs), `simulation` (both put
+together); `excitation`, `files`, `neural`, `structured`, `learned`, `identification` (a bench learnt from recordings);
+`emulator` (a MicroLabBox behind a pseudo-terminal, with a truth plant of its own); `nodes` (executables).
 """
 
 from pathlib import Path

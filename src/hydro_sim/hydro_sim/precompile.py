@@ -10,15 +10,17 @@ from functools import cache
 import numpy as np
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_sim.bench import Bench
-from hydro_sim.learned import adam, evaluation, identification, recordings, training
-from hydro_sim.learned.analytic import AnalyticModel
-from hydro_sim.learned.evaluation import Scored
+from hydro_sim.files import recordings
+from hydro_sim.identification import adam, evaluation, training
+from hydro_sim.identification import stages as identification
+from hydro_sim.identification.analytic import AnalyticModel
+from hydro_sim.identification.evaluation import Scored
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.learned.structured_model import StructuredModel
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant, Plant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.simulation.offline import Schedule, simulate
+from hydro_sim.structured.model import StructuredModel
 
 _SECONDS = 8.0
 """Of the recording that is learned from: the shortest of which something is left to validate on."""

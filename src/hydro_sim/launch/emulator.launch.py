@@ -6,7 +6,7 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.substitutions import ExecutableInPackage
 
-from hydro_sim.emulator.terminal import default_link
+from hydro_sim.emulator.line.terminal import default_link
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 
 @pytest.fixture(scope="session")

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from hydro_sim.bench import BENCH_DTYPE, Bench
+from hydro_sim.model.bench import BENCH_DTYPE, Bench
 
 
 def write(path: Path, **changes: object) -> Path:

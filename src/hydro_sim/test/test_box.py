@@ -13,13 +13,13 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.guard import CommandGuard, GuardSettings
-from hydro_bridge.protocol import CommandFrame, decode, encode_command
+from hydro_bridge.safety.guard import CommandGuard, GuardSettings
+from hydro_bridge.serial.protocol import CommandFrame, decode, encode_command
 from hydro_bridge.signals import Command, Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_sim import hydraulics
-from hydro_sim.bench import Bench
-from hydro_sim.box import Box, BoxConfig, Integral
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.box.box import Box, BoxConfig, Integral
+from hydro_sim.model import hydraulics
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 RUN = Command(arm=True, delta_kp=75.0, delta_ki=10.0, delta_u=1e-4, reference=SINE, filter_fresh=True)

@@ -19,14 +19,14 @@ import yaml
 
 rclpy = pytest.importorskip("rclpy")
 
-from hydro_bridge.recording import read_bag  # noqa: E402
+from hydro_bridge.bags.recording import read_bag  # noqa: E402
 from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executable_path  # noqa: E402
 from hydro_bridge.signals import Flag  # noqa: E402
-from hydro_sim.bench import Bench  # noqa: E402
-from hydro_sim.learned.playback import Playback  # noqa: E402
+from hydro_sim.excitation.playback import Playback  # noqa: E402
+from hydro_sim.excitation.schedules import Segment  # noqa: E402
+from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.nodes.arming import HOW_TO_ARM, TOO_EARLY  # noqa: E402
 from hydro_sim.nodes.collect import main  # noqa: E402
-from hydro_sim.schedules import Segment  # noqa: E402
 
 SINE = "{seconds: 1.0, amplitude: 200}"
 

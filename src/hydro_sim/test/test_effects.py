@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_sim import hydraulics, sensors
-from hydro_sim.bench import Bench
-from hydro_sim.effects import integration, program, record, valve
-from hydro_sim.effects.catalogue import CATALOGUE, form_of
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
-from hydro_sim.sensors import CONDITIONING_DTYPE, Noise, Sensors
+from hydro_sim.model import hydraulics, sensors
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects import integration, program, record, valve
+from hydro_sim.model.effects.catalogue import CATALOGUE, form_of
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
+from hydro_sim.simulation.offline import Schedule, simulate
 from hydro_sim.timing import SAMPLE
 
 IDS = {

@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import ReferenceSignal, StateArray, Waveform
-from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.truth_config import truth_from_mapping
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
-from hydro_sim.schedules import Segment
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=250.0, frequency=1.0)
 CASES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [

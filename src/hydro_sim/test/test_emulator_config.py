@@ -11,15 +11,15 @@ from typing import Any, get_type_hints
 import pytest
 import yaml
 
-from hydro_sim.bench import Bench
-from hydro_sim.emulator.effects import Effects
-from hydro_sim.emulator.faults import PRESETS, load_faults
-from hydro_sim.emulator.outside import Outside
-from hydro_sim.emulator.parameters import compile_parameters
+from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.schedules import fit_to
-from hydro_sim.emulator.truth_config import load_truth, profile, truth_from_mapping, truth_to_mapping
-from hydro_sim.hydraulics import LOAD_CELL_DAMPING
-from hydro_sim.schedules import Segment, load_schedule
+from hydro_sim.emulator.truth.config import load_truth, profile, truth_from_mapping, truth_to_mapping
+from hydro_sim.emulator.truth.effects import Effects
+from hydro_sim.emulator.truth.outside import Outside
+from hydro_sim.emulator.truth.parameters import compile_parameters
+from hydro_sim.excitation.schedules import Segment, load_schedule
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
 from hydro_sim.yaml_settings import ConfigError
 
 CONTRACT = set(

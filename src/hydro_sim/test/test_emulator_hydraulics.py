@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.bench import Bench
-from hydro_sim.emulator import dynamics, oil, valve
-from hydro_sim.emulator.truth import TRUTH_FIELDS, TruthPlant
-from hydro_sim.emulator.truth_config import truth_from_mapping
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.emulator.truth import dynamics, oil, valve
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.emulator.truth.plant import TRUTH_FIELDS, TruthPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 BETA, AREA, RATIO, DEAD, STROKE, REST = 1.34e9, 2e-4, 0.609, 2e-4, 0.08, 0.04
 SUPPLY, GAIN = 16e6, 1.67e-4 / (0.05 * np.sqrt(3.5e6))

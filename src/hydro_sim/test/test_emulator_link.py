@@ -16,18 +16,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_bridge.port import Port, PortLostError, PortSettings
-from hydro_bridge.protocol import Hello, State, encode_command, encode_hello
+from hydro_bridge.serial.port import Port, PortLostError, PortSettings
+from hydro_bridge.serial.protocol import Hello, State, encode_command, encode_hello
+from hydro_bridge.serial.stream import Decoder, SequenceTracker
 from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
-from hydro_bridge.stream import Decoder, SequenceTracker
-from hydro_sim.bench import Bench
-from hydro_sim.box import EMULATED_BOX, BoxConfig, Integral, box_info
+from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_info
 from hydro_sim.emulator.control import ControlPipe, obey
-from hydro_sim.emulator.faults import FaultyLine, LinkFaults
-from hydro_sim.emulator.link import BoxLink
+from hydro_sim.emulator.line.faults import FaultyLine, LinkFaults
+from hydro_sim.emulator.line.link import BoxLink
+from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.terminal import Terminal
-from hydro_sim.emulator.truth_config import profile
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.model.bench import Bench
 from hydro_sim.yaml_settings import ConfigError
 
 FRAMES = [bytes([0, *([1 + k % 200] * 20), 0]) for k in range(2000)]

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.emulator import friction, load
-from hydro_sim.emulator.truth import TRUTH_FIELDS, TruthPlant
-from hydro_sim.emulator.truth_config import truth_from_mapping
+from hydro_sim.emulator.truth import friction, load
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.emulator.truth.plant import TRUTH_FIELDS, TruthPlant
 
 BETA, AREA, RATIO, DEAD, STROKE, REST, STIFFNESS, MASS = 1.34e9, 2e-4, 0.609, 2e-4, 0.08, 0.04, 2e4, 1.2
 OIL = BETA * AREA**2 * (1 / (DEAD + AREA * REST) + RATIO**2 / (DEAD + RATIO * AREA * (STROKE - REST)))  # N/m

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge.recording import read_bag
+from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, Command, Flag, StateArray
-from hydro_sim.box import BoxConfig
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.command import main
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE
-from hydro_sim.emulator.truth import TRUTH_FIELDS
-from hydro_sim.emulator.truth_config import profile, truth_from_mapping
-from hydro_sim.schedules import Segment
+from hydro_sim.emulator.truth.config import profile, truth_from_mapping
+from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
+from hydro_sim.excitation.schedules import Segment
 
 SEGMENTS = [
     Segment(seconds=0.6, amplitude=250.0, frequency=2.0),

@@ -10,8 +10,8 @@ import pytest
 from scipy import signal
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray
-from hydro_sim.emulator.truth import NoiseStream, TruthPlant
-from hydro_sim.emulator.truth_config import truth_from_mapping
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.emulator.truth.plant import NoiseStream, TruthPlant
 
 MOVING = 0.003 * np.sin(2 * np.pi * 2.0 * np.arange(1500) * 1e-3)
 

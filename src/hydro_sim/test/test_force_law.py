@@ -8,12 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.frames import INTEGRAL_FORMS
+from hydro_bridge.serial.frames import INTEGRAL_FORMS
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_sim import force_law, hydraulics
-from hydro_sim.bench import Bench
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.box import force_law
+from hydro_sim.model import hydraulics
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 PAPER = INTEGRAL_FORMS.index("paper")
 FORMS = (PAPER, force_law.BUMPLESS)

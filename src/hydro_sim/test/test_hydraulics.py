@@ -13,8 +13,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim import hydraulics
-from hydro_sim.bench import Bench
+from hydro_sim.model import hydraulics
+from hydro_sim.model.bench import Bench
 
 STEP = 5e-5
 

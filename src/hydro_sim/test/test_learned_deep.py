@@ -8,18 +8,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_sim import hydraulics
-from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import adam, deep, learn, mlp, network, normalized, recordings, training, weights
-from hydro_sim.learned.deep_model import DeepModel
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.excitation.drawn import draw
+from hydro_sim.files import recordings, weights
+from hydro_sim.files.weights import WeightsError
+from hydro_sim.identification import adam, learn, training
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.learned.region import Region
-from hydro_sim.learned.schedule import draw
-from hydro_sim.learned.structured_model import StructuredModel
-from hydro_sim.learned.weights import WeightsError
+from hydro_sim.model import hydraulics
+from hydro_sim.model.bench import Bench
+from hydro_sim.neural import deep, mlp, network, normalized
+from hydro_sim.neural.deep_model import DeepModel
+from hydro_sim.structured.model import StructuredModel
 
 LAGGING = Bench.nominal()
 IDEAL = replace(LAGGING, load_cell_bandwidth=None)

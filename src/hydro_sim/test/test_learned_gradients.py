@@ -10,19 +10,14 @@ import pytest
 
 pytest.importorskip("torch")
 
-from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
-from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import (
-    constants,
-    engine,
-    mlp,
-    network,
-    recordings,
-    structured,
-    torch_gradients,
-    training,
-)
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.files import recordings
+from hydro_sim.identification import torch_gradients, training
+from hydro_sim.model.bench import Bench
+from hydro_sim.neural import engine, mlp, network
+from hydro_sim.structured import constants
+from hydro_sim.structured import rollout as structured
 
 
 def close(one, other, tolerance=1e-8):

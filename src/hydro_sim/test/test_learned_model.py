@@ -8,23 +8,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.recording import BagWriter
+from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import Flag, ReferenceSignal, Waveform, matrix
-from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import Segment, record_offline
-from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import evaluation, mlp, validate, weights
-from hydro_sim.learned.analytic import AnalyticModel
-from hydro_sim.learned.evaluation import Scales, Scored
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.excitation.drawn import draw
+from hydro_sim.files import weights
+from hydro_sim.files.recordings import Run
+from hydro_sim.files.weights import WeightsError
+from hydro_sim.identification import evaluation, validate
+from hydro_sim.identification.analytic import AnalyticModel
+from hydro_sim.identification.evaluation import Scales, Scored
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.network_model import NetworkModel
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.learned.recordings import Run
 from hydro_sim.learned.region import Region
-from hydro_sim.learned.schedule import draw
-from hydro_sim.learned.weights import WeightsError
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.neural import mlp
+from hydro_sim.neural.network_model import NetworkModel
+from hydro_sim.simulation.offline import Schedule, simulate
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 

@@ -9,18 +9,22 @@ import numpy as np
 import pytest
 from safetensors.numpy import save_file
 
-from hydro_bridge.recording import BagWriter
+from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.signals import STATE_DTYPE, Flag, matrix
-from hydro_sim.bench import Bench
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import adam, constants, identification, learn, observer, recordings, schedule, training
-from hydro_sim.learned.checkpoint import Checkpoint
-from hydro_sim.learned.coverage import coverage
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.excitation import drawn as schedule
+from hydro_sim.excitation.coverage import coverage
+from hydro_sim.excitation.schedules import load_schedule, save_schedule
+from hydro_sim.files import recordings
+from hydro_sim.files.recordings import DataError
+from hydro_sim.identification import adam, learn, training
+from hydro_sim.identification import stages as identification
+from hydro_sim.identification.checkpoint import Checkpoint
+from hydro_sim.identification.objectives import StructuredObjective, Windows
 from hydro_sim.learned.model import Learned
-from hydro_sim.learned.objectives import StructuredObjective, Windows
-from hydro_sim.learned.recordings import DataError
-from hydro_sim.schedules import load_schedule, save_schedule
+from hydro_sim.model.bench import Bench
+from hydro_sim.structured import constants, observer
 
 
 @pytest.fixture(scope="module")

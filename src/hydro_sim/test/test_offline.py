@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, Waveform
-from hydro_sim.bench import Bench
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant, Plant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.simulation.offline import Schedule, simulate
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 

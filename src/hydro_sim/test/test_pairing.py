@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_bridge import bench_file
-from hydro_bridge.frames import BoxInfo
-from hydro_bridge.known_box import differences, known_box
-from hydro_bridge.recording import BagWriter
+from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.errors import UserError
+from hydro_bridge.files import bench_file
+from hydro_bridge.safety.box_info import differences, known_box
+from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.signals import STATE_DTYPE
-from hydro_bridge.user_errors import UserError
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig, box_info, with_base_gains
-from hydro_sim.learned import recordings, weights
+from hydro_sim.box.box import BoxConfig, box_info, with_base_gains
+from hydro_sim.files import recordings, weights
+from hydro_sim.files.pairing import Believed, MadeFor, unfit
+from hydro_sim.files.stamping import header_of, stamp_of, stamped
 from hydro_sim.learned.model import Learned
-from hydro_sim.pairing import Believed, MadeFor, unfit
-from hydro_sim.stamping import header_of, stamp_of, stamped
+from hydro_sim.model.bench import Bench
 
 BOX = Believed(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral="bumpless")
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
-from hydro_sim.bench import Bench
-from hydro_sim.offline import Schedule, simulate
-from hydro_sim.plant import AnalyticPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.plotting import UNITS, stretches, tracking_plot
+from hydro_sim.simulation.offline import Schedule, simulate
 
 
 def test_every_field_has_a_name_and_a_unit() -> None:

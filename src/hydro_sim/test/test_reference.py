@@ -7,8 +7,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_sim import reference
-from hydro_sim.reference import REFERENCE_DTYPE
+from hydro_sim.box import reference
+from hydro_sim.box.reference import REFERENCE_DTYPE
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0)
 

@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim import sensors
-from hydro_sim.bench import Bench
-from hydro_sim.plant import AnalyticPlant
-from hydro_sim.sensors import CONDITIONING_DTYPE, Noise, Sensors
+from hydro_sim.model import sensors
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 
 
 def differentiated(position: FloatArray, settings: Sensors) -> FloatArray:

@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock  # noqa: E402
 
 from hydro_bridge.ros import CORRECTION, GRAPH, STATE, Companion, executable_path, seconds  # noqa: E402
 from hydro_msgs.msg import BenchState, Correction  # noqa: E402
-from hydro_sim.bench import Bench  # noqa: E402
+from hydro_sim.model.bench import Bench  # noqa: E402
 
 pytestmark = pytest.mark.graph
 

@@ -11,15 +11,15 @@ from typing import Any
 
 import pytest
 
-from hydro_bridge.guard import CommandGuard, GuardSettings
+from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, ReferenceSignal, Waveform
-from hydro_sim.bench import Bench
-from hydro_sim.box import Box
-from hydro_sim.lockstep import RESEND
-from hydro_sim.pacing import Pacer
-from hydro_sim.plant import AnalyticPlant
-from hydro_sim.simulation import SimSettings, Simulation
+from hydro_sim.box.box import Box
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.lockstep import RESEND
+from hydro_sim.simulation.pacing import Pacer
+from hydro_sim.simulation.realtime import SimSettings, Simulation
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=2.0)
 VALVE, NOMINAL, K_P = (

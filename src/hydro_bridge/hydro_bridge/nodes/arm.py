@@ -15,7 +15,7 @@ import rclpy
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
-from hydro_bridge.console import UserError, command
+from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.ros import ARM_SERVICE, ros_arguments, start_ros
 
 

@@ -14,16 +14,16 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from hydro_bridge import bench_file
-from hydro_bridge.console import UserError, command
-from hydro_bridge.frames import BoxInfo
-from hydro_bridge.guard import CommandGuard, GuardSettings
-from hydro_bridge.known_box import differences, known_box
-from hydro_bridge.link import Link, LinkState
+from hydro_bridge.cli.console import UserError, command
+from hydro_bridge.files import bench_file
+from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.port import Port, PortLostError, PortSettings, PortTakenError, no_port
-from hydro_bridge.protocol import State
 from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
+from hydro_bridge.safety.box_info import differences, known_box
+from hydro_bridge.safety.guard import CommandGuard, GuardSettings
+from hydro_bridge.serial.frames import BoxInfo
+from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, no_port
+from hydro_bridge.serial.protocol import State
 from hydro_bridge.settings import describe
 from hydro_bridge.signals import Flag, flag_names
 

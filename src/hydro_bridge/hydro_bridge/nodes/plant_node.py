@@ -23,8 +23,6 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from std_srvs.srv import SetBool
 
-from hydro_bridge.guard import CommandGuard
-from hydro_bridge.known_box import KnownBox
 from hydro_bridge.ros import (
     ARM_SERVICE,
     BOX,
@@ -47,6 +45,8 @@ from hydro_bridge.ros import (
     rivals,
     with_rivals,
 )
+from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import Flag, flag_names
 from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, ReferenceSignal
 

@@ -21,10 +21,10 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
-from hydro_bridge.bag_types import TopicQos
-from hydro_bridge.console import UserError, command, writable_folder
-from hydro_bridge.recording import repair
-from hydro_bridge.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
+from hydro_bridge.bags.recording import repair
+from hydro_bridge.bags.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
+from hydro_bridge.bags.types import TopicQos
+from hydro_bridge.cli.console import UserError, command, writable_folder
 from hydro_bridge.ros import GRAPH, DiagnosticsPublisher, Level, Status, be_prompt, ros_arguments, run_node
 
 _QUEUE = 2000  # messages per topic that wait while the disk is slow: 2 s of samples
@@ -112,7 +112,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="recorder",
         description="Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM. After kill -9 all "
         "but the last second is there: hydro's tools read it as it is, --repair makes it whole for all others.",
-        epilog="In Python: hydro_bridge.recording.read_bag(DIR).state['load_force'].",
+        epilog="In Python: hydro_bridge.bags.recording.read_bag(DIR).state['load_force'].",
     )
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--out", type=writable_folder, metavar="DIR", help="folder to make; it must not exist")

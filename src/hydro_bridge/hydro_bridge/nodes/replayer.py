@@ -16,10 +16,10 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from std_srvs.srv import SetBool
 
-from hydro_bridge.bag_types import RecordingError
-from hydro_bridge.console import command
-from hydro_bridge.recording import read_bag
-from hydro_bridge.replaying import Replay
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.bags.replaying import Replay
+from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.cli.console import command
 from hydro_bridge.ros import (
     ARM_SERVICE,
     BOX,

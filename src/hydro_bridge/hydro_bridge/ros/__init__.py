@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from hydro_bridge.realtime import be_ordinary
-from hydro_bridge.ros.boxes import listen_to_box
+from hydro_bridge.process.realtime import be_ordinary
+from hydro_bridge.ros.box_info import listen_to_box
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.messages import (
@@ -17,8 +17,8 @@ from hydro_bridge.ros.messages import (
     state_from_message,
 )
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
+from hydro_bridge.ros.publisher_conflict import RivalWatch, rivals, with_rivals
 from hydro_bridge.ros.recorder_watch import RecorderWatch
-from hydro_bridge.ros.rivals import RivalWatch, rivals, with_rivals
 from hydro_bridge.ros.scheduling import be_prompt
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
 from hydro_bridge.ros.topics import (

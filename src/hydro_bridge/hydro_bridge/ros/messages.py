@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from hydro_bridge.frames import BoxInfo
-from hydro_bridge.known_box import KnownBox
+from hydro_bridge.safety.box_info import KnownBox
+from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.signals import STATE_FIELDS, ReferenceSignal, Waveform
 from hydro_msgs.msg import BenchState
 from hydro_msgs.msg import BoxInfo as BoxMessage

@@ -10,9 +10,9 @@ from pathlib import Path
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from hydro_bridge.readiness import NotReadyError, Requirement
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, STATE
+from hydro_bridge.safety.readiness import NotReadyError, Requirement
 
 WITHIN = 60.0
 """s that a recorder is waited for once samples come: on a busy machine it takes some to find them."""

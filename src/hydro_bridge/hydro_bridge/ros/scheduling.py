@@ -6,7 +6,7 @@ from __future__ import annotations
 import gc
 import os
 
-from hydro_bridge.realtime import limit_run
+from hydro_bridge.process.realtime import limit_run
 
 PRIORITY = 20
 """Of SCHED_FIFO, [1, 99]: above all ordinary processes, below the kernel's own threads."""
@@ -17,7 +17,7 @@ def be_prompt(*, realtime: bool, priority: int = PRIORITY, inherited: bool = Tru
 
     Call it after everything long-lived is made: the collector no longer walks it. Without the right to SCHED_FIFO
     (CAP_SYS_NICE, or rtprio in limits.conf) the process stays an ordinary one. One that runs on end by it is ended
-    (`hydro_bridge.realtime`).
+    (`hydro_bridge.process.realtime`).
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
-from hydro_bridge import endings
+from hydro_bridge.process import endings
 from hydro_bridge.ros.network import stay_on_this_machine
 from hydro_bridge.ros.parameters import refuse_unknown_parameters
 from hydro_bridge.settings import SettingsError

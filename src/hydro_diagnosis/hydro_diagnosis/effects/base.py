@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 FloatArray = npt.NDArray[np.float64]
 Values = Mapping[str, float]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hydro_diagnosis.effects.base import HYDRAULIC, PRESSURE, Effect, Parameter, Values, changed
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 _RATIO = Parameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
 

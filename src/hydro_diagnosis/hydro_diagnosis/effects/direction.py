@@ -9,7 +9,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import MOTION, Effect, FloatArray, Kinematics, Memory, Parameter, Values
 from hydro_diagnosis.effects.friction import down_to_nothing
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 _COEFFICIENT = Parameter(
     name="coefficient_positive", unit="N s/m", low=-1e4, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Parameter, Values, changed
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 ATMOSPHERE = 101325.0
 """Pa; `volume_fraction` is the share of free air at this pressure."""

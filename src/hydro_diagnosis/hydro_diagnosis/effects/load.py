@@ -18,7 +18,7 @@ from hydro_diagnosis.effects.base import (
     Values,
     changed,
 )
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 
 class _Load(Effect):

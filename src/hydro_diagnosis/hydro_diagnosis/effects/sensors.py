@@ -17,7 +17,7 @@ from hydro_diagnosis.effects.base import (
     Values,
     changed,
 )
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 _TOUCHES = {
     "hydraulic_force": frozenset({MOTION, HYDRAULIC}),

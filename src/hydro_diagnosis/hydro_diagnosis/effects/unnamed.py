@@ -7,7 +7,7 @@ Where one of them explains the recordings best, the verdict is that something un
 from __future__ import annotations
 
 from hydro_diagnosis.effects.base import PRESSURE, Effect, Parameter, Values, changed
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 _LEVEL = 5e6
 """Pa, where the chambers' pressures stand: over the bulk modulus, how much more oil a wider hose holds."""

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Openings, Parameter, Values, changed
-from hydro_sim.bench import Bench
+from hydro_sim.model.bench import Bench
 
 
 class _Valve(Effect):

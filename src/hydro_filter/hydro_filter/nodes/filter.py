@@ -28,9 +28,8 @@ import numpy as np
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hydro_bridge import endings
-from hydro_bridge.console import command
-from hydro_bridge.known_box import KnownBox
+from hydro_bridge.cli.console import command
+from hydro_bridge.process import endings
 from hydro_bridge.ros import (
     CORRECTION,
     CORRECTION_QOS,
@@ -48,16 +47,17 @@ from hydro_bridge.ros import (
     seconds,
     with_rivals,
 )
+from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.settings import check, describe
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag
-from hydro_filter.choice import CONSTANT, DEFAULT, LEARNED, Choice, Filter, Settings, warm_up
-from hydro_filter.filter import FilterSettings, Result
-from hydro_filter.loop_filter import LoopFilterSettings
-from hydro_filter.sample import Sample
-from hydro_filter.tally import TROUBLE, Tally, sentence
+from hydro_filter.controller.factory import CONSTANT, DEFAULT, LEARNED, Choice, Filter, Settings, warm_up
+from hydro_filter.controller.filter import FilterSettings, Result
+from hydro_filter.controller.loop_filter import LoopFilterSettings
+from hydro_filter.controller.statistics import TROUBLE, Tally, sentence
+from hydro_filter.model.sample import Sample
 from hydro_msgs.msg import BenchState, Correction
-from hydro_sim.bench import Bench
-from hydro_sim.pairing import refuse
+from hydro_sim.files.pairing import refuse
+from hydro_sim.model.bench import Bench
 
 NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "noise_floor", "state_age_max")
 """Settings that are options, too; each metric has some of them."""

@@ -19,7 +19,7 @@ from hydro_bridge.ros import Companion
 from hydro_policy.nodes import provenance
 from hydro_policy.nodes.guarding import asked_filter, guard_parameters, relied_on
 from hydro_policy.nodes.sayings import CompanionOutput
-from hydro_policy.task import GainRange
+from hydro_policy.task.mdp import GainRange
 
 PLANTS = ("sim", "emulator", "bench", "external")
 _REFUSED = 2  # the exit status of all our commands for what they cannot use

@@ -18,25 +18,25 @@ from tempfile import TemporaryDirectory
 
 import rclpy
 
-from hydro_bridge.console import command, writable, writable_folder
-from hydro_bridge.endings import undisturbed
-from hydro_bridge.readiness import NotReadyError
-from hydro_bridge.recording_run import code_version
+from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.cli.console import command, writable, writable_folder
+from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_parameters, ros_arguments, start_ros
-from hydro_policy import report
-from hydro_policy.controllers import Controller, FixedGains, policy_controller, policy_file
-from hydro_policy.evaluation import EvaluationSession, EvaluationSettings
-from hydro_policy.grid import GridSession, GridSettings
+from hydro_bridge.safety.readiness import NotReadyError
+from hydro_policy.evaluation import report
+from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
+from hydro_policy.evaluation.gain_search import GridSession, GridSettings
+from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import guard_range, uncovered
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.planned import planned, refuse_policy, surprise
 from hydro_policy.nodes.progress import EvaluationProgress
-from hydro_policy.override import GainOverride
-from hydro_policy.task import BASE, GainRange
-from hydro_policy.watch import PlantWatch
-from hydro_sim.pairing import Believed
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.supervision.plant_supervisor import PlantWatch
+from hydro_policy.task.mdp import BASE, GainRange
+from hydro_sim.files.pairing import Believed
 
 
 def parser() -> argparse.ArgumentParser:

@@ -19,9 +19,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from hydro_bridge.known_box import KnownBox, told
-from hydro_bridge.latency import Latency
-from hydro_bridge.readiness import NotReadyError, Readiness, Requirement
+from hydro_bridge.process.latency import Latency
 from hydro_bridge.ros import (
     ARM_SERVICE,
     CORRECTION,
@@ -45,15 +43,17 @@ from hydro_bridge.ros import (
     spin,
     state_from_message,
 )
+from hydro_bridge.safety.box_info import KnownBox, told
+from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import BenchState, Correction, Gains
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import OverrideGains
-from hydro_policy import requirements as needs
 from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.nodes.sayings import Sayings
-from hydro_policy.override import GainOverride
-from hydro_policy.session import Session
+from hydro_policy.sessions.session import Session
+from hydro_policy.supervision import requirements as needs
+from hydro_policy.supervision.override import GainOverride
 
 TICK = 0.05  # s
 PRIORITY = 10
@@ -65,7 +65,7 @@ _ALONE_WITHIN = 600.0  # s that a newcomer waits for the others to go
 
 
 class GraphNode(Node):
-    """Moves messages between the graph and one session at a time; implements `hydro_policy.outputs.Outputs`.
+    """Moves messages between the graph and one session at a time; implements `supervision.outputs.Outputs`.
 
     A newcomer waits, and sends nothing, as long as somebody else publishes gains: the two would alternate unnoticed.
 
@@ -187,7 +187,7 @@ class GraphNode(Node):
             threading.Thread(target=self._read_keys, daemon=True).start()
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
-        """See `hydro_policy.outputs.Outputs`."""
+        """See `hydro_policy.supervision.outputs.Outputs`."""
         message = self._gains
         message.header.stamp = self.get_clock().now().to_msg()
         message.delta_kp, message.delta_ki, message.step = delta_kp, delta_ki, step
@@ -195,16 +195,16 @@ class GraphNode(Node):
         self._gains_out = time.monotonic()
 
     def reference(self, signal: ReferenceSignal) -> None:
-        """See `hydro_policy.outputs.Outputs`."""
+        """See `hydro_policy.supervision.outputs.Outputs`."""
         self._reference_publisher.publish(reference_to_message(signal))
 
     def arm(self, arm: bool) -> None:
-        """See `hydro_policy.outputs.Outputs`."""
+        """See `hydro_policy.supervision.outputs.Outputs`."""
         if self._arm_client.service_is_ready():
             self._arm_client.call_async(SetBool.Request(data=arm)).add_done_callback(self._on_arm_answer)
 
     def say(self, sentence: str, warning: bool = False) -> None:
-        """See `hydro_policy.outputs.Outputs`."""
+        """See `hydro_policy.supervision.outputs.Outputs`."""
         self.sayings.say(sentence, warning)
 
     @property

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from hydro_bridge.guard import GuardSettings
-from hydro_filter.choice import DEFAULT, Choice, Settings
+from hydro_bridge.safety.guard import GuardSettings
+from hydro_filter.controller.factory import DEFAULT, Choice, Settings
 from hydro_filter.nodes.filter import arguments
-from hydro_policy.task import GainRange
+from hydro_policy.task.mdp import GainRange
 
 
 def asked_filter(words: Sequence[str], bench: Path | None = None) -> tuple[Choice, Settings]:

@@ -13,10 +13,10 @@ from typing import Any
 
 from rclpy.node import Node
 
-from hydro_bridge.console import UserError
+from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros import declare_parameters
 from hydro_policy.nodes.companions import PLANTS, PlantOptions
-from hydro_policy.run import TrainingSettings
+from hydro_policy.runs.run import TrainingSettings
 
 _PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "base_gains", "filter", "rearm")
 _NEEDS = {

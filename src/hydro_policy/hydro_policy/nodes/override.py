@@ -13,7 +13,7 @@ import argparse
 import rclpy
 from rclpy.node import Node
 
-from hydro_bridge.console import UserError, command
+from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.ros import OVERRIDE_SERVICE, ros_arguments, start_ros
 from hydro_msgs.srv import OverrideGains
 

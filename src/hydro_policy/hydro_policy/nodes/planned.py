@@ -8,14 +8,14 @@ from dataclasses import replace
 from math import isclose
 from pathlib import Path
 
-from hydro_bridge.known_box import KnownBox
-from hydro_policy.controllers import policy_file
+from hydro_bridge.safety.box_info import KnownBox
+from hydro_policy.evaluation.controllers import policy_file
 from hydro_policy.nodes.options import plant_options
-from hydro_policy.start import Start
-from hydro_policy.task import BASE
-from hydro_sim.box import BoxConfig
-from hydro_sim.pairing import Believed, MadeFor, refuse, unfit
-from hydro_sim.stamping import stamp_of
+from hydro_policy.runs.initial_agent import Start
+from hydro_policy.task.mdp import BASE
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.files.pairing import Believed, MadeFor, refuse, unfit
+from hydro_sim.files.stamping import stamp_of
 
 PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
 

@@ -10,14 +10,14 @@ from typing import Any
 from rclpy.clock import Clock, ClockType
 from tqdm import tqdm
 
-from hydro_bridge.console import progress
+from hydro_bridge.cli.console import progress
 from hydro_bridge.ros import TRAINING, TRAINING_QOS, DiagnosticsPublisher, Level, Status
 from hydro_msgs.msg import TrainingStatus
-from hydro_policy.episode import Phase
-from hydro_policy.evaluation import EvaluationSession
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.graph import GraphNode
-from hydro_policy.supervisor import LearnerSupervisor
-from hydro_policy.training import TrainingSession
+from hydro_policy.sessions.episode import Phase
+from hydro_policy.sessions.training import TrainingSession
 
 _REDRAW = 4  # ticks of 50 ms
 

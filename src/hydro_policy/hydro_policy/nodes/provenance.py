@@ -8,8 +8,8 @@ from hashlib import sha256
 from importlib import resources
 from pathlib import Path
 
-from hydro_filter.choice import Choice
-from hydro_sim.learned.weights import shipped
+from hydro_filter.controller.factory import Choice
+from hydro_sim.files.weights import shipped
 
 
 def bench_file(given: Path | None) -> Path:

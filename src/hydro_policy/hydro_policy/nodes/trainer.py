@@ -13,16 +13,16 @@ from pathlib import Path
 import rclpy
 import torch
 
-from hydro_bridge.console import command
-from hydro_bridge.readiness import NotReadyError
-from hydro_bridge.resuming import NEW_ONLY, given, refuse_changes
+from hydro_bridge.cli.console import command
+from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
 from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
-from hydro_policy.configurations import CONFIGURATIONS, configuration_of
+from hydro_bridge.safety.readiness import NotReadyError
+from hydro_policy.learner_process.supervisor import LearnerError
 from hydro_policy.nodes.options import add_plant_options, as_begun
 from hydro_policy.nodes.trainer_run import train
 from hydro_policy.nodes.trainer_start import SCRATCH
-from hydro_policy.run import RunDirectory
-from hydro_policy.supervisor import LearnerError
+from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration_of
+from hydro_policy.runs.run import RunDirectory
 
 DEMO = {
     "plant": "emulator",

@@ -6,13 +6,13 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from hydro_policy.controllers import Controller, FixedGains, PolicyController
+from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.nodes.graph import GraphNode
-from hydro_policy.policy import Policy
-from hydro_policy.run import RunDirectory
-from hydro_policy.snapshot import actor_parameters
-from hydro_policy.start import AGENT, Start
-from hydro_policy.training import TrainingSession
+from hydro_policy.runs.initial_agent import AGENT, Start
+from hydro_policy.runs.run import RunDirectory
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.sessions.training import TrainingSession
 
 
 def compared(session: TrainingSession, start: Start | None) -> list[Controller]:

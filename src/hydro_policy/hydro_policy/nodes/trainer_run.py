@@ -8,11 +8,10 @@ import sys
 import time
 from contextlib import ExitStack
 
-from hydro_bridge.endings import undisturbed
-from hydro_bridge.readiness import Readiness
-from hydro_policy import requirements
-from hydro_policy.episode import Phase
-from hydro_policy.evaluation import EvaluationSession
+from hydro_bridge.process.endings import undisturbed
+from hydro_bridge.safety.readiness import Readiness
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import rearms
@@ -26,10 +25,11 @@ from hydro_policy.nodes.trainer_start import (
     taken_back,
     tell_plant_again,
 )
-from hydro_policy.record import RunRecord
-from hydro_policy.start import Start
-from hydro_policy.supervisor import LearnerSupervisor
-from hydro_policy.training import TrainingSession
+from hydro_policy.runs.initial_agent import Start
+from hydro_policy.runs.record import RunRecord
+from hydro_policy.sessions.episode import Phase
+from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.supervision import requirements
 
 
 def train(options: argparse.Namespace) -> int:

@@ -14,26 +14,26 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.console import writable_folder
+from hydro_bridge.cli.console import writable_folder
 from hydro_bridge.ros import CompanionError, refuse_unknown_parameters
-from hydro_policy.checkpoint import Checkpoint, load_checkpoint
-from hydro_policy.configurations import configuration
-from hydro_policy.episode import Progress
-from hydro_policy.learner import SaveRequest, write_run
+from hydro_policy.learner_process.learner import SaveRequest, write_run
 from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import asked_filter, guard_range, uncovered
 from hydro_policy.nodes.options import declare_settings, plant_options, plant_words
 from hydro_policy.nodes.planned import made_on, planned, refuse_resumed, refuse_start, surprise
-from hydro_policy.override import GainOverride
-from hydro_policy.record import RunRecord
-from hydro_policy.replay import ReplayBuffer
-from hydro_policy.run import RunDirectory, TrainingSettings, new_run
-from hydro_policy.sac import Sac
-from hydro_policy.snapshot import check_agent, dump
-from hydro_policy.start import AGENT, Start, load_start, shipped_start
-from hydro_policy.task import ACTIONS, BASE, OBSERVATIONS
-from hydro_sim.pairing import Believed
+from hydro_policy.pretraining.configurations import configuration
+from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
+from hydro_policy.runs.initial_agent import AGENT, Start, load_start, shipped_start
+from hydro_policy.runs.record import RunRecord
+from hydro_policy.runs.run import RunDirectory, TrainingSettings, new_run
+from hydro_policy.sac.algorithm import Sac
+from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.snapshot import check_agent, dump
+from hydro_policy.sessions.episode import Progress
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
+from hydro_sim.files.pairing import Believed
 
 SCRATCH = "scratch"
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}

@@ -12,21 +12,21 @@ from typing import get_args
 
 import yaml
 
-from hydro_bridge import endings
-from hydro_bridge.console import writable, writable_folder
-from hydro_bridge.realtime import be_ordinary
-from hydro_bridge.recording import RecordingError
-from hydro_bridge.user_errors import explained
-from hydro_sim.bench import Bench
-from hydro_sim.box import EMULATED_BOX, BoxConfig, Integral, box_info
+from hydro_bridge.bags.recording import RecordingError
+from hydro_bridge.cli.console import writable, writable_folder
+from hydro_bridge.errors import explained
+from hydro_bridge.process import endings
+from hydro_bridge.process.realtime import be_ordinary
+from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_info
 from hydro_sim.emulator import jobs
 from hydro_sim.emulator.control import ControlPipe
-from hydro_sim.emulator.faults import PRESETS, load_faults
-from hydro_sim.emulator.link import BoxLink
+from hydro_sim.emulator.line.faults import PRESETS, load_faults
+from hydro_sim.emulator.line.link import BoxLink
+from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.realtime import Log, RealTime, raise_priority
-from hydro_sim.emulator.terminal import Terminal, default_link
-from hydro_sim.emulator.truth_config import truth_to_mapping
+from hydro_sim.emulator.truth.config import truth_to_mapping
+from hydro_sim.model.bench import Bench
 from hydro_sim.yaml_settings import ConfigError, from_mapping, read_yaml
 
 

@@ -10,8 +10,8 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from hydro_sim.emulator.faults import CHANCES, LinkFaults
-from hydro_sim.emulator.link import BoxLink
+from hydro_sim.emulator.line.faults import CHANCES, LinkFaults
+from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.yaml_settings import ConfigError
 

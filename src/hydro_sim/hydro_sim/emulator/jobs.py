@@ -10,13 +10,13 @@ from pathlib import Path
 
 import yaml
 
-from hydro_bridge.recording import BagWriter
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig
+from hydro_bridge.bags.recording import BagWriter
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.offline import Recording, record_offline, roomy
 from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, fit_to
-from hydro_sim.emulator.truth_config import TruthConfig, load_truth, profile
-from hydro_sim.schedules import Segment, load_schedule
+from hydro_sim.emulator.truth.config import TruthConfig, load_truth, profile
+from hydro_sim.excitation.schedules import Segment, load_schedule
+from hydro_sim.model.bench import Bench
 from hydro_sim.yaml_settings import choice, quantity
 
 

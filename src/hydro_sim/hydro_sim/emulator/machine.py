@@ -11,12 +11,12 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, Command, FloatArray, StateArray
-from hydro_sim import box_kernel
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig, fill_command
-from hydro_sim.emulator import truth
-from hydro_sim.emulator.parameters import SAMPLE_TIME
-from hydro_sim.emulator.truth_config import TruthConfig
+from hydro_sim.box import kernel as box_kernel
+from hydro_sim.box.box import BoxConfig, fill_command
+from hydro_sim.emulator.truth import plant as truth
+from hydro_sim.emulator.truth.config import TruthConfig
+from hydro_sim.emulator.truth.parameters import SAMPLE_TIME
+from hydro_sim.model.bench import Bench
 
 
 @njit(cache=True)
@@ -32,13 +32,13 @@ def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, p
     scratch
         Work space of the plant, shape (3, 8).
     noise
-        Standard normal numbers for the reading after this sample, shape (`truth.NOISE_COLUMNS`,).
+        Standard normal numbers for the reading after this sample, shape (`plant.NOISE_COLUMNS`,).
     time
         Box time [s] of this sample.
     sample
         Output: record of `STATE_DTYPE`, shape (1,).
     clean, physical
-        Outputs: the reading without noise, shape (8,); `truth.TRUTH_FIELDS`, shape (12,). Both at `time`.
+        Outputs: the reading without noise, shape (8,); `plant.TRUTH_FIELDS`, shape (12,). Both at `time`.
     """
     parameters, differentiation, state, chain = plant
     clean[:] = chain[0].clean
@@ -119,13 +119,13 @@ class Machine:
         Parameters
         ----------
         commands
-            Records of `box_kernel.COMMAND_DTYPE`, shape (m,).
+            Records of `kernel.COMMAND_DTYPE`, shape (m,).
         which
             Index into `commands` for each sample, shape (n,).
 
         Returns
         -------
-        Samples of `STATE_DTYPE`, shape (n,); readings without noise, shape (n, 8); `truth.TRUTH_FIELDS`, shape (n, 12).
+        Samples of `STATE_DTYPE`, shape (n,); readings without noise, shape (n, 8); `plant.TRUTH_FIELDS`, shape (n, 12).
         """
         count = len(which)
         states = np.empty(count, STATE_DTYPE)

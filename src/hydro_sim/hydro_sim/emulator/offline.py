@@ -12,14 +12,14 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.signals import PLANT_FIELDS, Command, FloatArray, StateArray
-from hydro_sim import box_kernel
-from hydro_sim.bench import Bench
-from hydro_sim.box import BoxConfig, fill_command
+from hydro_sim.box import kernel as box_kernel
+from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.emulator.parameters import SAMPLE_TIME
-from hydro_sim.emulator.truth import TRUTH_FIELDS
-from hydro_sim.emulator.truth_config import TruthConfig
-from hydro_sim.schedules import Segment
+from hydro_sim.emulator.truth.config import TruthConfig
+from hydro_sim.emulator.truth.parameters import SAMPLE_TIME
+from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

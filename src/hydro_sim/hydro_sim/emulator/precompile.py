@@ -9,8 +9,8 @@ import numpy as np
 
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import record_offline
-from hydro_sim.emulator.truth_config import profile
-from hydro_sim.learned import schedule
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.excitation import drawn as schedule
 
 
 def _emulator() -> None:

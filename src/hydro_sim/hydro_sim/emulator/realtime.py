@@ -14,15 +14,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.realtime import limit_run
+from hydro_bridge.process.realtime import limit_run
 from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, FloatArray
 from hydro_sim.emulator.control import ControlPipe, obey
-from hydro_sim.emulator.faults import LinkFaults
-from hydro_sim.emulator.link import BoxLink
+from hydro_sim.emulator.line.faults import LinkFaults
+from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import Recording, noise_free_states
-from hydro_sim.emulator.parameters import SAMPLE_TIME
-from hydro_sim.emulator.truth import TRUTH_FIELDS
+from hydro_sim.emulator.truth.parameters import SAMPLE_TIME
+from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.yaml_settings import ConfigError
 
 _PERIOD_NS = round(SAMPLE_TIME * 1e9)

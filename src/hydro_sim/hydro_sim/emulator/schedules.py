@@ -6,8 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hydro_sim.emulator.parameters import SAMPLE_TIME
-from hydro_sim.schedules import Segment
+from hydro_sim.emulator.truth.parameters import SAMPLE_TIME
+from hydro_sim.excitation.schedules import Segment
 
 DEFAULT_SCHEDULE = (
     Segment(seconds=6.0, waveform="multisine", amplitude=280.0, frequency=0.7),

@@ -1,9 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench as learned from recordings: x' = f(x, u), rolled out recursively (paper, section Hydraulic Model Learning).
+"""A learned model of any structure: its file, the plant that steps it, the region that it was trained in.
 
-`schedule` and `coverage` say what is recorded, `recordings` how it is split. Two structures: the paper's (`mlp`,
-`network`, `network_model`), and physics with learned constants and a network for the rest (`physics`, `integration`,
-`structured`, `constants`, `structured_model`) with its `observer`. `training` puts `identify`, `objectives` and `adam`
-together; `evaluation` judges, beside `analytic`; `model` and `weights` are files, `region` is where a model was
-trained, `plant` steps it. Commands: `learn`, `validate`, and `collect` under `nodes`.
+May import `structured`, `neural` and `files`.
 """

@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.tensors import check_shapes
-from hydro_sim.learned import weights
-from hydro_sim.learned.deep_model import DeepModel
-from hydro_sim.learned.network_model import NetworkModel
+from hydro_bridge.files.tensors import check_shapes
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import MadeFor, made_for
+from hydro_sim.files.weights import WeightsError
 from hydro_sim.learned.region import Region
-from hydro_sim.learned.structured_model import StructuredModel
-from hydro_sim.learned.weights import WeightsError
-from hydro_sim.pairing import MadeFor, made_for
+from hydro_sim.neural.deep_model import DeepModel
+from hydro_sim.neural.network_model import NetworkModel
+from hydro_sim.structured.model import StructuredModel
 
 Model = StructuredModel | NetworkModel | DeepModel
 STRUCTURES: dict[str, type[StructuredModel] | type[NetworkModel] | type[DeepModel]] = {

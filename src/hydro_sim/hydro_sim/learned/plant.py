@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A learned model as a `hydro_sim.plant.Plant`: what the sim node and the offline loop step.
+"""A learned model as a `hydro_sim.model.plant.Plant`: what the sim node and the offline loop step.
 
 The model gives x without noise. The sensors' noise and quantisation go through the box's differentiation by
 themselves and
@@ -15,14 +15,17 @@ import numpy as np
 from numba import njit
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim import sensors
-from hydro_sim.learned import deep, integration, network, region, structured
-from hydro_sim.learned.deep_model import DeepModel
+from hydro_sim.learned import region
 from hydro_sim.learned.model import Learned, Model
-from hydro_sim.learned.network_model import NetworkModel
-from hydro_sim.learned.structured import INPUTS, OUTPUTS
-from hydro_sim.learned.structured_model import StructuredModel
-from hydro_sim.sensors import CONDITIONING_DTYPE, Noise, Sensors
+from hydro_sim.model import sensors
+from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
+from hydro_sim.neural import deep, network
+from hydro_sim.neural.deep_model import DeepModel
+from hydro_sim.neural.network_model import NetworkModel
+from hydro_sim.structured import integration
+from hydro_sim.structured import rollout as structured
+from hydro_sim.structured.model import StructuredModel
+from hydro_sim.structured.rollout import INPUTS, OUTPUTS
 
 Step = Callable[[FloatArray, float, FloatArray], None]
 """Advances a state [in place] under a current [A] and writes x, shape (8,)."""
@@ -64,7 +67,7 @@ class LearnedPlant:
         self.reset(0)
 
     def reset(self, seed: int) -> FloatArray:
-        """See `hydro_sim.plant.Plant.reset`."""
+        """See `hydro_sim.model.plant.Plant.reset`."""
         self.noise, self.extrapolating = Noise(seed), False
         self.state[:] = self.learned.model.rest
         self.clean[:] = _measured(self.state)
@@ -72,7 +75,7 @@ class LearnedPlant:
         return self.clean + self.error
 
     def step(self, valve_current: float) -> FloatArray:
-        """See `hydro_sim.plant.Plant.step`."""
+        """See `hydro_sim.model.plant.Plant.step`."""
         self.advance(self.state, valve_current, self.clean)
         bounds = self.learned.region
         self.extrapolating = bool(region.outside(bounds.center, bounds.whiten, self.clean, valve_current))

@@ -17,15 +17,15 @@ from tempfile import TemporaryDirectory
 import rclpy
 import yaml
 
-from hydro_bridge.console import UserError, add_json_argument, command, writable, writable_folder
-from hydro_bridge.recording import read_bag
+from hydro_bridge.bags.recording import read_bag
+from hydro_bridge.cli.console import UserError, add_json_argument, command, writable, writable_folder
 from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters, ros_arguments, start_ros
-from hydro_sim.bench import Bench
-from hydro_sim.learned.coverage import coverage
-from hydro_sim.learned.schedule import draw
+from hydro_sim.excitation.coverage import coverage
+from hydro_sim.excitation.drawn import draw
+from hydro_sim.excitation.schedules import Segment, load_schedule, save_schedule
+from hydro_sim.files.pairing import Believed, PairingError
+from hydro_sim.model.bench import Bench
 from hydro_sim.nodes.collecting import TRIPS_IN_A_ROW, CollectNode
-from hydro_sim.pairing import Believed, PairingError
-from hydro_sim.schedules import Segment, load_schedule, save_schedule
 
 TRIPPED = 3
 """Exit status after `TRIPS_IN_A_ROW` trips: the recording is whole up to there."""

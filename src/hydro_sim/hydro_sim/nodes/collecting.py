@@ -20,10 +20,8 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 
-from hydro_bridge.console import UserError, progress
-from hydro_bridge.endings import undisturbed
-from hydro_bridge.known_box import KnownBox, told
-from hydro_bridge.readiness import NotReadyError, Readiness, Requirement
+from hydro_bridge.cli.console import UserError, progress
+from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros import (
     GAINS,
     GAINS_QOS,
@@ -38,13 +36,15 @@ from hydro_bridge.ros import (
     rivals,
     spin,
 )
+from hydro_bridge.safety.box_info import KnownBox, told
+from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag
 from hydro_bridge.signals import ReferenceSignal as Signal
 from hydro_msgs.msg import BenchState, Gains, ReferenceSignal
-from hydro_sim.box import EMULATED_BOX
-from hydro_sim.learned.playback import Playback
+from hydro_sim.box.box import EMULATED_BOX
+from hydro_sim.excitation.playback import Playback
+from hydro_sim.excitation.schedules import Segment
 from hydro_sim.nodes.arming import Arming, tell
-from hydro_sim.schedules import Segment
 
 TRIPS_IN_A_ROW = 3
 _PERIOD = 0.01  # s, of gains

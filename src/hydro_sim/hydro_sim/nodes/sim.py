@@ -16,23 +16,23 @@ from typing import Any
 
 from rosgraph_msgs.msg import Clock
 
-from hydro_bridge.console import command
-from hydro_bridge.guard import CommandGuard, GuardSettings
-from hydro_bridge.known_box import known_box
+from hydro_bridge.cli.console import command
 from hydro_bridge.nodes.plant_node import PlantNode
 from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
+from hydro_bridge.safety.box_info import known_box
+from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import describe
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import Gains
-from hydro_sim.bench import Bench
-from hydro_sim.box import Box, BoxConfig, box_info
-from hydro_sim.effects.catalogue import label
-from hydro_sim.learned import weights
+from hydro_sim.box.box import Box, BoxConfig, box_info
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import Believed, refuse, unfit
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
-from hydro_sim.pairing import Believed, refuse, unfit
-from hydro_sim.plant import AnalyticPlant, Plant
-from hydro_sim.simulation import SimSettings, Simulation
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects.catalogue import label
+from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.simulation.realtime import SimSettings, Simulation
 
 CLOCK = "/clock"
 SIMULATED_BOX = "hydro sim"

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Serialized messages <-> arrays, many at a time.
+
+A message of numbers only, with at most a header in front, has the same bytes at the same places in every sample once
+the length of `header.frame_id` is known. So a thousand of them are one numpy view, not a thousand Python objects::
+
+    00 01 00 00 | sec i4 | nanosec u4 | length u4 | frame_id ... NUL, padding | numbers, each aligned to its size
+    CDR, little   0        4            8           12
+
+The offsets count from behind the first four bytes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from rosbags.typesys import get_types_from_msg
+
+from hydro_bridge.bags.schema import definition
+from hydro_bridge.signals import StateArray
+
+STATE_TYPE = "hydro_msgs/msg/BenchState"
+ByteRows = npt.NDArray[np.uint8]
+"""Serialized messages of equal length, shape (n, bytes)."""
+
+_NUMBERS = {
+    "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
+    "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
+}  # fmt: skip
+_HEADER = "std_msgs/msg/Header"
+_ENCAPSULATION = 4
+_FRAME_ID = 16  # where the characters of frame_id start, encapsulation included
+
+
+class NotFixedError(ValueError):
+    """The type has strings, sequences or nested types beyond a header: it has no table of its own."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FixedLayout:
+    """How one type lies in bytes and in a table."""
+
+    fields: tuple[tuple[str, str], ...]
+    """Name and numpy code of each number, in message order, without the header."""
+    has_header: bool
+
+    @property
+    def table(self) -> np.dtype[np.void]:
+        """Record of the array: `time` in s (header stamp, or else log time), then the fields."""
+        return np.dtype([("time", "f8"), *self.fields], align=True)
+
+    def wire(self, frame_id_size: int, order: str) -> np.dtype[np.void]:
+        """Record of the serialized message; `frame_id_size` counts the NUL; `order` is '<' or '>'."""
+        names, formats, offsets = [], [], []
+        place = 0
+        if self.has_header:
+            names, formats, offsets = (["sec", "nanosec"], [order + "i4", order + "u4"], [4, 8])
+            place = _FRAME_ID - _ENCAPSULATION + frame_id_size
+        for name, code in self.fields:
+            size = np.dtype(code).itemsize
+            place = -(-place // size) * size
+            names.append(name)
+            formats.append(order + code)
+            offsets.append(place + _ENCAPSULATION)
+            place += size
+        spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": place + _ENCAPSULATION}
+        return np.dtype(spec)  # type: ignore[call-overload]
+
+    def decode(self, rows: ByteRows, log_times: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
+        """Table of serialized messages.
+
+        Parameters
+        ----------
+        rows
+            Shape (n, bytes).
+        log_times
+            ns, shape (n,); taken where the type has no header.
+
+        Raises
+        ------
+        ValueError
+            The bytes are no CDR of this type.
+        """
+        out = np.empty(len(rows), self.table)
+        for part, size, order in self._kinds(rows):
+            wire = self.wire(size, order)
+            if rows.shape[1] < wire.itemsize:
+                raise ValueError(f"{rows.shape[1]} bytes in a message, expected {wire.itemsize}")
+            values = np.ascontiguousarray(rows[part, : wire.itemsize]).view(wire)[:, 0]
+            for name, _ in self.fields:
+                out[name][part] = values[name]
+            out["time"][part] = values["sec"] + 1e-9 * values["nanosec"] if self.has_header else 1e-9 * log_times[part]
+        return out
+
+    def encode(self, table: npt.NDArray[np.void], frame_id: str = "bench") -> ByteRows:
+        """Serialized messages, little endian, shape (n, bytes), of a table with a header."""
+        text = frame_id.encode() + b"\0"
+        wire = self.wire(len(text), "<")
+        values = np.zeros(len(table), wire)
+        seconds = np.floor(table["time"])
+        values["sec"] = seconds
+        values["nanosec"] = np.minimum(np.rint((table["time"] - seconds) * 1e9), 999_999_999)
+        for name, _ in self.fields:
+            values[name] = table[name]
+        rows = values.view(np.uint8).reshape(len(table), wire.itemsize)
+        rows[:, 1] = 1
+        rows[:, 12:_FRAME_ID] = np.frombuffer(np.uint32(len(text)).tobytes(), np.uint8)
+        rows[:, _FRAME_ID : _FRAME_ID + len(text)] = np.frombuffer(text, np.uint8)
+        return rows
+
+    def _kinds(self, rows: ByteRows) -> list[tuple[npt.NDArray[np.bool_], int, str]]:
+        """Which rows share a byte order and a length of frame_id: nearly always all of them."""
+        if rows.shape[1] < (_FRAME_ID if self.has_header else _ENCAPSULATION):
+            raise ValueError("message too short")
+        kinds = []
+        for code, order in ((1, "<"), (0, ">")):
+            of_order = (rows[:, 0] == 0) & (rows[:, 1] == code)
+            if not of_order.any():
+                continue
+            sizes = np.zeros(len(rows), np.int64)
+            if self.has_header:
+                sizes[:] = np.ascontiguousarray(rows[:, 12:_FRAME_ID]).view(order + "u4")[:, 0]
+            kinds += [(of_order & (sizes == size), int(size), order) for size in np.unique(sizes[of_order])]
+        if sum(int(part.sum()) for part, _, _ in kinds) != len(rows):
+            raise ValueError("not plain CDR")
+        return kinds
+
+
+def fixed_layout(text: str, type_name: str) -> FixedLayout:
+    """Layout of a type from its ros2msg text.
+
+    Raises
+    ------
+    NotFixedError
+        The type is not numbers with at most a header in front.
+    """
+    _, members = get_types_from_msg(text, type_name)[type_name]
+    has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == _HEADER
+    fields = []
+    for name, (_, kind) in members[has_header:]:
+        if not isinstance(kind, tuple) or kind[0] not in _NUMBERS:
+            raise NotFixedError(f"{type_name}.{name} is not a number")
+        fields.append((name, _NUMBERS[str(kind[0])]))
+    return FixedLayout(fields=tuple(fields), has_header=has_header)
+
+
+def encode_states(states: StateArray, frame_id: str = "bench") -> ByteRows:
+    """`STATE_DTYPE` records as serialized BenchState messages, shape (n, bytes)."""
+    return fixed_layout(definition(STATE_TYPE).text, STATE_TYPE).encode(states, frame_id)

@@ -1,0 +1,186 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reads recordings into arrays by field name: a rosbag2 folder or a single .mcap, ours or by any other writer.
+
+`read_bag` gives everything, `stream_bag` one topic piece by piece in bounded memory, `messages` the bytes as
+recorded, `objects` the messages of a topic that is not numbers only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from hydro_bridge.bags.cdr import STATE_TYPE
+from hydro_bridge.bags.source import BagSource, Table, decode_span
+from hydro_bridge.bags.types import RecordingError, TopicQos
+from hydro_bridge.signals import STATE_DTYPE, StateArray
+
+STATE_TOPIC = "/hydro/state"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recording:
+    """One recording in memory."""
+
+    path: Path
+    topics: dict[str, str]
+    """Type of each topic that has messages."""
+    qos: dict[str, TopicQos]
+    """Quality of service that each of them was offered with."""
+    tables: dict[str, Table]
+    """Array of each topic that is numbers only."""
+    metadata: dict[str, dict[str, str]]
+    """MCAP metadata records; `hydro` holds the run's parameters, code version and digests."""
+    attachments: dict[str, bytes]
+    """Files that travel along, for instance bench.yaml."""
+    notes: tuple[str, ...]
+    """What the reader had to put up with, a sentence each; empty for a whole recording."""
+
+    def __getitem__(self, topic: str) -> Table:
+        """Array of a topic; raises RecordingError if there is none."""
+        if topic not in self.tables:
+            raise RecordingError(_no_topic(self.path, topic, self.topics))
+        return self.tables[topic]
+
+    @cached_property
+    def state(self) -> StateArray:
+        """/hydro/state as `STATE_DTYPE` records; raises RecordingError if it is missing or of another type."""
+        return as_states(self[STATE_TOPIC], self.path)
+
+
+@dataclass
+class _Column:
+    """A table that grows."""
+
+    table: Table
+    count: int = 0
+
+    def extend(self, piece: Table) -> None:
+        if self.count + len(piece) > len(self.table):
+            grown = np.empty(max(2 * len(self.table), self.count + len(piece)), self.table.dtype)
+            grown[: self.count] = self.table[: self.count]
+            self.table = grown
+        self.table[self.count : self.count + len(piece)] = piece
+        self.count += len(piece)
+
+
+def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recording:
+    """Read a recording into arrays.
+
+    Parameters
+    ----------
+    path
+        A rosbag2 folder or an .mcap file.
+    topics
+        Which topics to read; all by default.
+
+    Raises
+    ------
+    RecordingError
+        Nothing there, damaged, or a topic in `topics` has no messages.
+    """
+    source = BagSource(Path(path))
+    types: dict[str, str] = {}
+    qos: dict[str, TopicQos] = {}
+    columns: dict[str, _Column] = {}
+    for scan, channel, block, span in source.spans():
+        if channel.topic not in types:
+            types[channel.topic] = scan.schemas[channel.schema_id].name if channel.schema_id in scan.schemas else ""
+            qos[channel.topic] = TopicQos.from_rosbag2(channel.metadata.get("offered_qos_profiles", ""))
+        if topics is not None and channel.topic not in topics:
+            continue
+        layout = source.layout(scan, channel)
+        if layout is not None:
+            piece = decode_span(scan.path, channel.topic, layout, block, span)
+            columns.setdefault(channel.topic, _Column(np.empty(0, piece.dtype))).extend(piece)
+    for topic in topics or ():
+        if topic not in types:
+            raise RecordingError(_no_topic(source.path, topic, types))
+    return Recording(
+        path=source.path,
+        topics=types,
+        qos=qos,
+        tables={topic: column.table[: column.count] for topic, column in columns.items()},
+        metadata={name: record for scan in source.scans for name, record in scan.metadata.items()},
+        attachments={name: data for scan in source.scans for name, data in scan.attachments.items()},
+        notes=tuple(source.notes),
+    )
+
+
+def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
+    """Arrays of one topic, one per block of the file (about a second, at most a megabyte); errors as `read_bag`."""
+    source = BagSource(Path(path))
+    found = False
+    for scan, channel, block, span in source.spans():
+        if channel.topic == topic:
+            layout = source.layout(scan, channel)
+            if layout is None:
+                raise RecordingError(f"{scan.path}: {topic} is not numbers only")
+            found = True
+            piece = decode_span(scan.path, topic, layout, block, span)
+            yield as_states(piece, scan.path) if topic == STATE_TOPIC else piece
+    if not found:
+        topics = {channel.topic for scan in source.scans for channel in scan.channels.values()}
+        raise RecordingError(_no_topic(source.path, topic, topics))
+
+
+def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
+    """Topic, type, log time [ns] and bytes of every message, by log time within a block; errors as `read_bag`."""
+    spans: list[tuple[int, int, str, str, int]] = []
+    source, last = BagSource(Path(path)), b""
+    for scan, channel, block, span in source.spans():
+        if block is not last:
+            yield from _ordered(last, spans)
+            spans, last = [], block
+        type_name = scan.schemas[channel.schema_id].name
+        columns = zip(span.log_times.tolist(), span.starts.tolist(), span.sizes.tolist(), strict=True)
+        spans += [(time, start, channel.topic, type_name, size) for time, start, size in columns]
+    yield from _ordered(last, spans)
+
+
+def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
+    """Log time [s] and message, one object each, of a topic of any type such as /diagnostics; errors as `read_bag`."""
+    source, store = BagSource(Path(path)), get_typestore(Stores.EMPTY)
+    found = False
+    for scan, channel, block, span in source.spans():
+        if channel.topic != topic:
+            continue
+        name, text = source.type_of(scan, channel)
+        if not found:
+            store.register(get_types_from_msg(text, name))
+            found = True
+        for start, size, time_ns in zip(
+            span.starts.tolist(), span.sizes.tolist(), span.log_times.tolist(), strict=True
+        ):
+            yield 1e-9 * time_ns, store.deserialize_cdr(block[start : start + size], name)
+    if not found:
+        topics = {channel.topic for scan in source.scans for channel in scan.channels.values()}
+        raise RecordingError(_no_topic(source.path, topic, topics))
+
+
+def as_states(table: Table, path: Path) -> StateArray:
+    """`STATE_DTYPE` records from a table that has its fields; raises RecordingError for another type."""
+    if table.dtype == STATE_DTYPE:
+        return table
+    missing = [name for name in STATE_DTYPE.names or () if name not in (table.dtype.names or ())]
+    if missing:
+        raise RecordingError(f"{path}: {STATE_TOPIC} is no {STATE_TYPE}: it has no {', '.join(missing)}")
+    states = np.empty(len(table), STATE_DTYPE)
+    for name in STATE_DTYPE.names or ():
+        states[name] = table[name]
+    return states
+
+
+def _ordered(block: bytes, spans: list[tuple[int, int, str, str, int]]) -> Iterator[tuple[str, str, int, bytes]]:
+    for time, start, topic, type_name, size in sorted(spans):
+        yield topic, type_name, time, block[start : start + size]
+
+
+def _no_topic(path: Path, topic: str, topics: Collection[str]) -> str:
+    return f"{path} has no messages on {topic}; there is {', '.join(sorted(topics)) or 'nothing'}"

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Writes recordings: a rosbag2 folder with metadata.yaml (version 9) and one .mcap, without ROS.
+
+What the readers insist on, and what `kill -9` leaves: docs/recordings.md.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+from mcap.writer import CompressionType, Writer
+
+from hydro_bridge.bags.cdr import STATE_TYPE, encode_states
+from hydro_bridge.bags.schema import definition
+from hydro_bridge.bags.types import RecordingError, TopicQos
+from hydro_bridge.signals import StateArray
+
+VERSION = 9
+NOT_FINISHED = "recording was not finished"
+"""Value of custom_data `hydro` in the metadata.yaml that stands there while the recording runs."""
+
+
+@dataclass(kw_only=True)
+class _Topic:
+    type_name: str
+    qos: TopicQos
+    channel: int
+    count: int = 0
+
+
+class BagWriter:
+    """A recording under way; use as context manager, or call `close`.
+
+    Parameters
+    ----------
+    folder
+        Made here; must not exist.
+    metadata
+        Run's parameters, code version, digests: MCAP metadata record `hydro`, and custom_data of metadata.yaml.
+    attachments
+        Files to carry along by name, for instance bench.yaml.
+
+    Raises
+    ------
+    RecordingError
+        The folder exists, or cannot be made.
+    """
+
+    def __init__(
+        self,
+        folder: Path | str,
+        *,
+        metadata: Mapping[str, str] | None = None,
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> None:
+        self.folder = Path(folder)
+        try:
+            self.folder.mkdir(parents=True)
+        except FileExistsError:
+            raise RecordingError(f"{self.folder} exists already; a recording is never overwritten") from None
+        except OSError as error:
+            raise RecordingError(f"{self.folder} cannot be made: {error.strerror}") from None
+        self.path = self.folder / f"{self.folder.name}_0.mcap"
+        self._metadata = dict(metadata or {})
+        self._topics: dict[str, _Topic] = {}
+        self._schemas: dict[str, int] = {}
+        self._span = (2**63 - 1, 0)
+        self._file = self.path.open("wb")
+        self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
+        self._writer.start(profile="ros2", library="hydro_bridge")
+        for name, data in (attachments or {}).items():
+            self._writer.add_attachment(0, 0, name, "text/plain" if name.endswith(".yaml") else "", data)
+        if self._metadata:
+            self._writer.add_metadata("hydro", self._metadata)
+        self._write_metadata_yaml({"hydro": NOT_FINISHED})
+        self.flush()
+
+    def add_topic(self, topic: str, type_name: str, qos: TopicQos | None = None) -> None:
+        """Announce a topic of type `package/msg/Type`, once, before its first message; raises UnknownTypeError."""
+        qos = qos or TopicQos()
+        known = definition(type_name)
+        if type_name not in self._schemas:
+            self._schemas[type_name] = self._writer.register_schema(type_name, "ros2msg", known.text.encode())
+        profiles = yaml.safe_dump([qos.as_rosbag2()], sort_keys=False)
+        channel = self._writer.register_channel(
+            topic,
+            "cdr",
+            self._schemas[type_name],
+            {"offered_qos_profiles": profiles, "topic_type_hash": known.type_hash},
+        )
+        self._topics[topic] = _Topic(type_name=type_name, qos=qos, channel=channel)
+        self._write_metadata_yaml({"hydro": NOT_FINISHED})
+
+    def write(self, topic: str, data: bytes, time_ns: int) -> None:
+        """Add one serialized message (CDR) at log time `time_ns`."""
+        known = self._topics[topic]
+        self._writer.add_message(known.channel, time_ns, data, time_ns, known.count & 0xFFFFFFFF)
+        known.count += 1
+        self._span = (min(self._span[0], time_ns), max(self._span[1], time_ns))
+
+    def write_states(self, states: StateArray, topic: str = "/hydro/state") -> None:
+        """Add `STATE_DTYPE` records as BenchState messages, logged at their own time."""
+        if topic not in self._topics:
+            self.add_topic(topic, STATE_TYPE, TopicQos(reliability="best_effort", depth=50))
+        rows = encode_states(states)
+        size, stream = rows.shape[1], rows.tobytes()
+        for row, time_ns in enumerate(np.rint(states["time"] * 1e9).astype(np.int64).tolist()):
+            self.write(topic, stream[row * size : (row + 1) * size], time_ns)
+
+    def flush(self) -> None:
+        """Hand everything so far to the operating system: it survives a `kill -9` of this process."""
+        self._writer.flush()  # type: ignore[no-untyped-call]
+
+    def close(self) -> None:
+        """Write indexes, statistics and the final metadata.yaml."""
+        if self._file.closed:
+            return
+        information = self._information(self._metadata or None)
+        self._writer.add_metadata("rosbag2", {"serialized_metadata": yaml.safe_dump(information, sort_keys=False)})
+        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._file.close()
+        self._write_metadata_yaml(self._metadata or None)
+
+    def __enter__(self) -> BagWriter:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def _write_metadata_yaml(self, custom: Mapping[str, str] | None) -> None:
+        scratch = self.folder / ".metadata.yaml"
+        content = {"rosbag2_bagfile_information": self._information(custom)}
+        scratch.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
+        os.replace(scratch, self.folder / "metadata.yaml")
+
+    def _information(self, custom: Mapping[str, str] | None) -> dict[str, object]:
+        """All keys of version 9: rosbag2 throws on a missing one."""
+        count = sum(topic.count for topic in self._topics.values())
+        start, end = self._span if count else (0, 0)
+        topics = [
+            {
+                "topic_metadata": {
+                    "name": name,
+                    "type": topic.type_name,
+                    "serialization_format": "cdr",
+                    "offered_qos_profiles": [topic.qos.as_rosbag2()],
+                    "type_description_hash": definition(topic.type_name).type_hash,
+                },
+                "message_count": topic.count,
+            }
+            for name, topic in self._topics.items()
+        ]
+        return {
+            "version": VERSION,
+            "storage_identifier": "mcap",
+            **_times(start, end),
+            "message_count": count,
+            "topics_with_message_count": topics,
+            "compression_format": "",
+            "compression_mode": "",
+            "relative_file_paths": [self.path.name],
+            "files": [{"path": self.path.name, **_times(start, end), "message_count": count}],
+            "custom_data": dict(custom) if custom else None,
+            "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
+        }
+
+
+def _times(start: int, end: int) -> dict[str, dict[str, int]]:
+    return {"starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": end - start}}

@@ -1,0 +1,5 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all commands share on the terminal: progress bars, tables, one-sentence errors, the rules of --resume.
+
+May import all of this package but `ros` and `nodes`; every command may import it.
+"""

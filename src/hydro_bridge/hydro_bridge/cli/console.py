@@ -1,0 +1,165 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What all commands share on the terminal: progress, tables, and errors as one sentence with exit status 2.
+
+Tables and results go to standard output, progress and messages to standard error: output can be piped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import wraps
+from math import isfinite
+from pathlib import Path
+from typing import Any, NoReturn, TypeVar
+
+from tqdm import tqdm
+
+from hydro_bridge.bags.schema import UnknownTypeError
+from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.errors import UserError, explained, of_a_file, writable, writable_folder
+from hydro_bridge.process import endings
+from hydro_bridge.serial.port import PortLostError
+from hydro_bridge.settings import SettingsError
+
+__all__ = ["Table", "UserError", "add_json_argument", "command", "fail", "progress", "writable", "writable_folder"]
+
+T = TypeVar("T")
+KNOWN_ERRORS: tuple[type[Exception], ...] = (RecordingError, PortLostError, SettingsError, UnknownTypeError)
+"""Errors of this package whose message is meant for the user."""
+
+
+def fail(sentence: str) -> NoReturn:
+    """End the command with a sentence on standard error and exit status 2."""
+    endings.complain(sentence)
+    raise SystemExit(2)
+
+
+def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Callable[[], NoReturn]]:
+    """Decorate a `main`: known errors become one sentence, its return value the exit status.
+
+    Ctrl-C, SIGTERM and SIGHUP raise `endings.Ended` in it: the status is 128 + the signal's number, 130 for Ctrl-C.
+
+    Parameters
+    ----------
+    errors
+        Known errors besides those of this package, and besides files that cannot be read or written: for all others
+        the traceback stays.
+    """
+    known: tuple[type[Exception], ...] = (UserError, *KNOWN_ERRORS, *errors)
+
+    def decorate(main: Callable[[], int | None]) -> Callable[[], NoReturn]:
+        @wraps(main)
+        def wrapped() -> NoReturn:
+            try:
+                with endings.raised():
+                    status = main() or 0
+            except BrokenPipeError:  # `| head` has seen enough
+                sys.stderr.close()
+                status = 0
+            except endings.Ended as ended:
+                if ended.sentence:
+                    endings.complain(ended.sentence)
+                status = 128 + ended.number
+            except KeyboardInterrupt:
+                status = 130
+            except Exception as error:
+                if isinstance(error, known) or of_a_file(error):
+                    fail(explained(error))
+                raise
+            sys.exit(status)
+
+        return wrapped
+
+    return decorate
+
+
+def progress(
+    items: Iterable[T] | None = None, *, total: float | None = None, label: str = "", unit: str = "it"
+) -> tqdm[T]:
+    """Progress bar on standard error, none where that is no terminal: iterate it, or `update` it."""
+    bar: tqdm[Any] = tqdm(
+        items, total=total, desc=label or None, unit=unit, file=sys.stderr, disable=None, dynamic_ncols=True
+    )
+    return bar
+
+
+@dataclass
+class Table:
+    """Rows of results: aligned text for people, and JSON with documented keys for programs.
+
+    Parameters
+    ----------
+    columns
+        Key of each column and what it means, with its unit. The keys are those of the JSON.
+    title
+        Above the table.
+    """
+
+    columns: Mapping[str, str]
+    title: str = ""
+    rows: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, **values: Any) -> None:
+        """Add a row; every column must be given."""
+        if set(values) != set(self.columns):
+            raise ValueError(f"columns are {', '.join(self.columns)}, not {', '.join(values)}")
+        self.rows.append(values)
+
+    def text(self) -> str:
+        """Aligned columns, numbers to the right, below the columns' keys; what the keys mean stands underneath."""
+        cells = [[_shown(row[key]) for key in self.columns] for row in self.rows]
+        widths = [max(len(key), *(len(row[n]) for row in cells), 0) for n, key in enumerate(self.columns)]
+        right = [bool(self.rows) and not isinstance(self.rows[0][key], str) for key in self.columns]
+        lines = [_line(list(self.columns), widths, right), _line(["-" * width for width in widths], widths, right)]
+        lines += [_line(row, widths, right) for row in cells]
+        meanings = [f"{key}: {meaning}" for key, meaning in self.columns.items() if meaning]
+        return "\n".join([*([self.title] if self.title else []), *lines, *meanings])
+
+    def show(self, json_file: Path | str | None = None) -> None:
+        """Print the table, and write it to `json_file` if there is one."""
+        print(self.text())
+        if json_file is not None:
+            self.write_json(json_file)
+
+    def write_json(self, path: Path | str) -> None:
+        """Write `{"title", "columns": {key: meaning}, "rows": [{key: value}]}`; what is not finite becomes null.
+
+        Its folder is made where there is none.
+
+        Raises
+        ------
+        UserError
+            The file cannot be written.
+        """
+        rows = [{key: _plain(value) for key, value in row.items()} for row in self.rows]
+        content = {"title": self.title, "columns": dict(self.columns), "rows": rows}
+        try:
+            Path(path).parent.mkdir(parents=True, exist_ok=True)
+            Path(path).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        except OSError as error:
+            raise UserError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def add_json_argument(parser: argparse.ArgumentParser) -> None:
+    """Add the option `--json FILE` that every command with a table has."""
+    parser.add_argument(
+        "--json", type=writable, metavar="FILE", help="also write the table to FILE, keys documented in it"
+    )
+
+
+def _line(cells: Sequence[str], widths: Sequence[int], right: Sequence[bool]) -> str:
+    pairs = zip(cells, widths, right, strict=True)
+    return "  ".join(cell.rjust(width) if to_right else cell.ljust(width) for cell, width, to_right in pairs).rstrip()
+
+
+def _shown(value: Any) -> str:
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    value = value.item() if hasattr(value, "item") else value
+    return None if isinstance(value, float) and not isfinite(value) else value

@@ -1,0 +1,277 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bridge's end of the serial line: the state machine of docs/protocol.md, without ROS.
+
+One thread runs `run`: it opens the port, negotiates, hands each new sample on and sees to it that a command follows
+each sample. Other threads tell the guard what is wanted (under `lock`) and may `send` at once. CLOSED -> OPEN ->
+CONNECTED.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from enum import Enum
+
+from hydro_bridge.link.clock import BoxClock, HostClock, set_by
+from hydro_bridge.link.timing import LinkTimes
+from hydro_bridge.safety.guard import CommandGuard, narrowed
+from hydro_bridge.serial.port import Port, PortLostError
+from hydro_bridge.serial.protocol import (
+    VERSION,
+    BoxInfo,
+    CommandFrame,
+    Hello,
+    State,
+    WrongVersionError,
+    encode_command,
+    encode_hello,
+    negotiate,
+)
+from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker
+from hydro_bridge.signals import Flag, flag_names
+
+_HELLO_PERIOD = 0.1
+_READ_TIMEOUT = 0.02
+
+
+class LinkState(Enum):
+    """Where the state machine stands."""
+
+    CLOSED = "closed"
+    OPEN = "open"
+    CONNECTED = "connected"
+
+
+@dataclass
+class LinkReport:
+    """What happened since the link was made, besides what `LinkCounts` counts of the bytes."""
+
+    reconnects: int = 0
+    """Connections after the first."""
+    commands: int = 0
+    heartbeats: int = 0
+    """Commands sent because no correction came in time."""
+    times: LinkTimes = field(default_factory=LinkTimes)
+
+
+class Link:
+    """The line to one box.
+
+    Parameters
+    ----------
+    port
+        Opened and closed by `run`.
+    guard
+        Asked for every command; its limits are narrowed to those of the box on connecting.
+    on_state
+        Called in the thread of `run` with each new sample, its ROS time [ns], and its flags with FILTER_STALE filled
+        in.
+    log
+        Called with a sentence when something changes.
+    warn
+        Called with a sentence when something is wrong; `log` by default.
+    on_box
+        Called in the thread of `run` at each connection with what the box says of itself.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        guard: CommandGuard,
+        on_state: Callable[[State, int, int], None],
+        log: Callable[[str], None],
+        warn: Callable[[str], None] | None = None,
+        on_box: Callable[[BoxInfo], None] | None = None,
+    ) -> None:
+        self.port, self.guard = port, guard
+        self.lock = threading.Lock()
+        self._news = threading.Condition()
+        self.counts = LinkCounts()
+        self.report = LinkReport()
+        self.clock, self.host_clock = BoxClock(), HostClock()
+        self.box: BoxInfo | None = None
+        self.state = LinkState.CLOSED
+        self.flags = Flag(0)
+        self._wanted_limits = guard.settings
+        self._on_state, self._log, self._warn = on_state, log, warn or log
+        self._on_box = on_box or (lambda info: None)
+        self._decoder, self._tracker = Decoder(self.counts), SequenceTracker(self.counts)
+        self._stopping = threading.Event()
+        self._sequence = 0
+        self._corrected = True
+        self._connected_before = False
+        self._complaint = ""
+
+    def run(self) -> None:
+        """Keep the line open until `stop`; the body of the serial thread."""
+        backoff = self.port.settings.backoff_first
+        while not self._stopping.is_set():
+            try:
+                self.port.open()
+                self.state = LinkState.OPEN
+                self._converse()
+            except PortLostError as error:
+                self._complain(str(error))
+            if self.state is LinkState.CONNECTED:
+                backoff = self.port.settings.backoff_first
+            self._disconnect()
+            self._stopping.wait(backoff)
+            backoff = min(2 * backoff, self.port.settings.backoff_max)
+
+    def stop(self) -> None:
+        """Disarm, and end `run`."""
+        with self.lock:
+            self.guard.set_arm(False)
+        self.send()
+        self._stopping.set()
+
+    def send(self, corrects: int | None = None) -> None:
+        """Send what the guard allows now; `corrects` is the sample whose correction has just come."""
+        with self.lock:
+            if corrects is not None:
+                self._corrected = True
+            if self.state is not LinkState.CONNECTED:
+                return
+            now = time.monotonic()
+            self._sequence = (self._sequence + 1) & 0xFFFFFFFF
+            frame = encode_command(self._sequence, int(1e6 * now), self.guard.command(now))
+            try:
+                if not self.port.write(frame):
+                    return
+            except PortLostError:
+                return  # the reading thread notices too, and reopens
+            self.report.commands += 1
+            self.report.times.command_sent(self._sequence, corrects, time.monotonic())
+
+    def arm(self, arm: bool, timeout: float = 0.5) -> str:
+        """Arm or disarm, and wait for the box to confirm; why it did not, or nothing. Not for the thread of `run`."""
+        with self.lock:
+            if arm and self.state is not LinkState.CONNECTED:
+                return f"there is no box: the port is {self.state.value}"
+            if arm and self.flags & Flag.TRIPPED:
+                return f"the box has tripped ({flag_names(self.flags)}): disarm it, then arm it"
+            self.guard.set_arm(arm)
+        with self._news:
+            confirmed = self._news.wait_for(
+                lambda: self.state is not LinkState.CONNECTED or bool(self.flags & Flag.ARMED) == arm, timeout
+            )
+        if self.state is not LinkState.CONNECTED:
+            return "the box has gone while it was to be armed: it is not armed" if arm else ""
+        if confirmed:
+            return ""
+        with self.lock:
+            self.guard.set_arm(False)
+        return f"the box did not confirm within {timeout:g} s ({flag_names(self.flags)})"
+
+    def _converse(self) -> None:
+        """Read until the port is lost."""
+        last_byte, next_hello = time.monotonic(), 0.0
+        while not self._stopping.is_set():
+            data = self.port.read(_READ_TIMEOUT)
+            now = time.monotonic()
+            if self.state is LinkState.OPEN and now >= next_hello:
+                self.port.write(encode_hello(0, int(1e6 * now)))
+                next_hello = now + _HELLO_PERIOD
+            if data:
+                last_byte = now
+                for frame in self._decoder.feed(data):
+                    self._take(frame, now)
+            elif now - last_byte > self.port.settings.silence_max:
+                raise PortLostError(f"{self.port.settings.path}: no byte for {self.port.settings.silence_max:g} s")
+            if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
+                self._complain(_foreign(self._decoder.foreign_version))
+
+    def _take(self, frame: Hello | State | CommandFrame, now: float) -> None:
+        if isinstance(frame, State):
+            if self.state is LinkState.CONNECTED:
+                self._take_state(frame, now)
+        elif isinstance(frame, Hello) and frame.info is not None:
+            self._take_hello(frame, frame.info)
+
+    def _take_state(self, frame: State, now: float) -> None:
+        restarts = self.counts.restarts
+        if not self._tracker.accept(frame.sequence):
+            return
+        if self.counts.restarts > restarts:
+            self._restarted()
+        missed, self._corrected = not self._corrected, False
+        with self.lock:
+            self.report.times.state_arrived(frame.sequence, frame.last_command, now)
+            self.guard.note_sample(frame.sequence)
+        stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
+        self._note_flags(Flag(frame.flags | stale))
+        self._on_state(frame, self._stamp(frame), int(self.flags))
+        if missed:  # no correction came for the sample before: the box hears from us all the same
+            self.report.heartbeats += 1
+            self.send()
+
+    def _stamp(self, frame: State) -> int:
+        """ROS time [ns] at which the sample was taken."""
+        step = self.host_clock.look()
+        if step:
+            self._warn(set_by(step))
+        return self.host_clock.ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
+
+    def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
+        try:
+            version = negotiate(frame)
+        except WrongVersionError as error:
+            self._complain(_foreign(error.version))
+            return
+        if self.state is LinkState.CONNECTED:
+            if frame.sequence == 0:
+                self._restarted()
+            return
+        with self.lock:
+            self.box, self.state = info, LinkState.CONNECTED
+            self.guard.settings = narrowed(self._wanted_limits, info)
+            self.guard.set_arm(False)
+        self.report.reconnects += self._connected_before
+        self._connected_before, self._corrected, self._complaint = True, False, ""
+        self._log(
+            f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed"
+        )
+        self._on_box(info)
+
+    def _note_flags(self, flags: Flag) -> None:
+        changed, self.flags = (flags ^ self.flags) & Flag.ARMED, flags
+        if changed:
+            with self._news:
+                self._news.notify_all()
+
+    def _restarted(self) -> None:
+        self._warn("the box was restarted: disarmed until armed anew")
+        self._disarm_and_forget()
+
+    def _disconnect(self) -> None:
+        with self.lock:
+            self.guard.set_arm(False)  # before anyone can see that the line is closed
+            self.state = LinkState.CLOSED
+            self.port.close()
+        with self._news:
+            self._news.notify_all()
+        self._decoder.reset()
+        self._disarm_and_forget()
+
+    def _disarm_and_forget(self) -> None:
+        with self.lock:
+            self.guard.set_arm(False)
+            self.guard.note_sample(None)
+            self.report.times.forget()
+        self._note_flags(Flag(0))
+        self._tracker.reset()
+        self.clock.reset()
+
+    def _complain(self, sentence: str) -> None:
+        """Say what is wrong once, not at every attempt."""
+        if sentence != self._complaint:
+            self._complaint = sentence
+            self._warn(sentence)
+
+
+def _foreign(version: int) -> str:
+    return (
+        f"the box speaks protocol version {version}, here {VERSION} is spoken: no command is sent until one is updated"
+    )

@@ -1,0 +1,45 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How long things take on the line, from the sequence numbers that travel on it."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+from hydro_bridge.process.latency import Latency
+
+_RECENT = 256  # samples and commands that are remembered
+_WRAP = 0xFFFFFFFF
+
+
+@dataclass
+class LinkTimes:
+    """Two durations, measured at every sample. Times are seconds of one monotonic clock."""
+
+    turnaround: Latency = field(default_factory=Latency)
+    """State frame in to the command frame that corrects it out: publishing, the filter, and back."""
+    round_trip: Latency = field(default_factory=Latency)
+    """Command frame out to the first state frame in that confirms it; up to one sample of it is the box's own."""
+    _arrived: dict[int, float] = field(default_factory=dict)
+    _sent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_RECENT))
+
+    def state_arrived(self, sequence: int, last_command: int, now: float) -> None:
+        """Note a sample, and the newest command that the box had when it was taken."""
+        self._arrived[sequence] = now
+        self._arrived.pop((sequence - _RECENT) & _WRAP, None)
+        while self._sent and (last_command - self._sent[0][0]) & _WRAP < _RECENT:
+            command, at = self._sent.popleft()
+            if command == last_command:
+                self.round_trip.add(now - at)
+
+    def command_sent(self, sequence: int, corrects: int | None, now: float) -> None:
+        """Note a command, and the sample for whose correction it was sent at once."""
+        self._sent.append((sequence, now))
+        arrived = self._arrived.get(corrects) if corrects is not None else None
+        if arrived is not None:
+            self.turnaround.add(now - arrived)
+
+    def forget(self) -> None:
+        """Forget what is under way: sequence numbers begin anew."""
+        self._arrived.clear()
+        self._sent.clear()

@@ -1,0 +1,37 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The beginning that all executables share, before anything that takes its time is imported.
+
+In a package's setup.py:  "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer"
+"""
+
+from __future__ import annotations
+
+import signal
+from importlib import import_module
+
+from hydro_bridge.process import endings
+
+
+class MainOf:
+    """An entry point that imports its module late: `main_of.package.module()` runs `main` of package.module."""
+
+    def __init__(self, module: str = "") -> None:
+        self._module = module
+
+    def __getattr__(self, name: str) -> MainOf:
+        if name.startswith("__"):  # Python itself asks for these
+            raise AttributeError(name)
+        return MainOf(f"{self._module}.{name}".lstrip("."))
+
+    def __call__(self) -> int | None:
+        """Answer signals from now on, import the module, and run its `main`, which answers them in its own way."""
+        endings.answer(endings.leave)  # importing takes seconds, and a traceback tells nobody anything
+        main = import_module(self._module).main
+        try:
+            status: int | None = main()
+        finally:
+            endings.answer(signal.SIG_DFL)  # all is in order, and Python taking itself down is not to be interrupted
+        return status
+
+
+main_of = MainOf()

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is known of a box: what it says of itself, and which bench its force law believes. Goes out on /hydro/box."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isclose
+from typing import Any
+
+import yaml
+
+from hydro_bridge.files import bench_file
+from hydro_bridge.safety.readiness import Requirement
+from hydro_bridge.serial.frames import BoxInfo
+
+NO_BOX = (
+    "no node says on /hydro/box what the box is and believes: start a bridge or a sim of this version, "
+    "or a replayer on a recording that has it"
+)
+
+SAMPLE_PERIOD = 1e-3
+"""s, that everything here is made for."""
+
+_FLOAT32 = 1e-6  # relative: HELLO carries float32
+
+
+@dataclass(frozen=True, kw_only=True)
+class KnownBox:
+    """One box."""
+
+    info: BoxInfo
+    plant: str = ""
+    """Node that knows it: bridge or sim."""
+    bench_digest: str = ""
+    """Of the numbers that its force law believes; empty: not known."""
+    bench: str = ""
+    """These numbers as bench.yaml; empty: not known."""
+
+    @property
+    def integral(self) -> str:
+        """Form of the law's integral, `bumpless` or `paper`; empty: the box does not tell."""
+        return self.info.integral
+
+    @property
+    def base_gains(self) -> tuple[float, float]:
+        """K_p [1/s] and K_i [1/s^2] that changes are added to."""
+        return self.info.base_kp, self.info.base_ki
+
+
+def told(ready: Callable[[], bool]) -> Requirement:
+    """That the plant's node says what its box is; it does so once, latched, before the first sample."""
+    hint = "its node says it on /hydro/box"
+    return Requirement(name="what the box says of itself", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
+
+
+def known_box(info: BoxInfo, bench: Mapping[str, Any] | None, plant: str) -> KnownBox:
+    """A box by what it says and by the bench file that belongs to it; where the two differ the box is believed.
+
+    So the digest is that of the file only if the box does not contradict it.
+    """
+    if bench is None:
+        return KnownBox(info=info, plant=plant)
+    numbers = dict(bench)
+    if not _same(info.valve_current_max, numbers.get("valve_current_max")):
+        numbers["valve_current_max"] = info.valve_current_max
+    text = yaml.safe_dump(numbers, sort_keys=False)
+    return KnownBox(info=info, plant=plant, bench_digest=bench_file.digest(numbers), bench=text)
+
+
+def differences(info: BoxInfo, bench: Mapping[str, Any] | None) -> str:
+    """Where a box differs from its bench file and from what is expected here, both numbers named; or nothing."""
+    found = []
+    told = None if bench is None else bench.get("valve_current_max")
+    if told is not None and not _same(info.valve_current_max, told):
+        found.append(f"its valve_current_max is {info.valve_current_max:g} A, the bench file says {told:g} A")
+    if not _same(info.sample_period, SAMPLE_PERIOD):
+        found.append(f"its sample period is {info.sample_period:g} s, here {SAMPLE_PERIOD:g} s is expected")
+    return "; ".join(found)
+
+
+def _same(one: float, other: float | None) -> bool:
+    return other is not None and isclose(one, other, rel_tol=_FLOAT32)

@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What may go to the valve: every command of every plant node is put together here, finite, clamped and fresh.
+
+The guard believes nobody. A value that is not finite is dropped, one out of range is clamped, an old one is replaced
+by the safe one (base gains, no correction); each is counted, and each change is told once in a sentence
+(`take_events`). On the word of a filter whose model is not this bench's (MISMATCH) no correction passes, and gains
+within the narrow range alone. If nobody chooses gains any more it gives the plant up: reference 0 N, disarmed. Source:
+failure table of docs/architecture.md.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, isfinite
+
+from hydro_bridge.safety.limits import GuardSettings, narrowed, unfit, with_frequency, within_narrow
+from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, ReferenceSignal
+
+__all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
+
+DECIDED = frozenset(
+    {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
+)
+"""Statuses with which the filter did decide. NAN and STALE say that it could not, BYPASSED that it was told not to;
+MISMATCH that nothing should rest on it."""
+
+MISMATCHED = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
+
+
+@dataclass(kw_only=True)
+class GuardCounts:
+    """How often the guard had to step in, since it was made."""
+
+    commands: int = 0
+    not_finite: int = 0
+    clamped: int = 0
+    undecided: int = 0
+    """Corrections with status NAN, STALE or BYPASSED."""
+    outdated: int = 0
+    """Corrections of a sample that was too old when they came, or of one that never was."""
+    mismatched: int = 0
+    """Corrections with status MISMATCH: the filter's model is not this bench's."""
+    narrowed: int = 0
+    """Commands whose gains were narrowed for that."""
+    references_refused: int = 0
+    stale_correction: int = 0
+    """Commands for which the correction was stale."""
+    stale_gains: int = 0
+    """Commands for which the gains were stale."""
+    given_up: int = 0
+    """How often the plant was disarmed from here, see `CommandGuard.give_up`."""
+
+
+@dataclass(kw_only=True)
+class CommandGuard:
+    """Collects gains, correction, reference and arming; `command` gives what may be sent now.
+
+    Times are seconds of any one monotonic clock. Nothing here is locked: use it from one thread or under one lock.
+    """
+
+    settings: GuardSettings = field(default_factory=GuardSettings)
+    counts: GuardCounts = field(default_factory=GuardCounts)
+    _gains: tuple[float, float] = (0.0, 0.0)
+    _gains_at: float = -inf
+    _delta_u: float = 0.0
+    _corrects: int = 0
+    _correction_at: float = -inf
+    _mismatched: bool = False
+    """Whether the filter's last word was MISMATCH; only a decision takes it back."""
+    _newest: int | None = None
+    _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
+    _arm: bool = False
+    _gained: bool = False
+    """Whether gains came since the arming: from then on somebody is expected to be there."""
+    _given_up: str = ""
+    _troubles: set[str] = field(default_factory=set)
+    _events: list[str] = field(default_factory=list)
+
+    @property
+    def armed(self) -> bool:
+        """What the last `set_arm` asked for."""
+        return self._arm
+
+    @property
+    def reference(self) -> ReferenceSignal:
+        """The reference that goes down."""
+        return self._reference
+
+    @property
+    def given_up(self) -> str:
+        """Why the plant was last disarmed from here; empty once it was armed anew."""
+        return self._given_up
+
+    def set_arm(self, arm: bool) -> None:
+        """Ask for arming or disarming; a lost connection calls this with False."""
+        if arm and not self._arm:
+            self._gained, self._given_up = False, ""
+        self._arm = bool(arm)
+
+    def give_up(self, reason: str) -> None:
+        """Disarm, with base gains and a reference of 0 N, until somebody arms on purpose; `reason` is told."""
+        self._arm, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
+        self._given_up = f"{reason}; reference 0 N, disarmed until it is armed anew"
+        self.counts.given_up += 1
+        self._events.append(self._given_up)
+
+    def set_gains(self, delta_kp: float, delta_ki: float, now: float) -> None:
+        """Take new gain changes [1/s], [1/s^2]; not finite: dropped, and the last ones age on."""
+        good = isfinite(delta_kp) and isfinite(delta_ki)
+        self._tell("gains", not good, "gains are not finite: dropped", "gains are finite again")
+        if not good:
+            self.counts.not_finite += 1
+            return
+        limits = self.settings
+        self._gains = (
+            self._clamp("delta_kp", delta_kp, limits.delta_kp_min, limits.delta_kp_max),
+            self._clamp("delta_ki", delta_ki, limits.delta_ki_min, limits.delta_ki_max),
+        )
+        self._gains_at, self._gained = now, True
+
+    def set_correction(self, delta_u: float, status: int, sequence: int, now: float) -> None:
+        """Take the filter's correction [A] for sample `sequence`; without a decision in it, the last one ages on."""
+        if status == CorrectionStatus.MISMATCH:
+            self._take_mismatch(sequence, now)
+        elif not isfinite(delta_u):
+            self.counts.not_finite += 1
+        elif status not in DECIDED:
+            self.counts.undecided += 1
+        elif self._outdated(sequence):
+            self.counts.outdated += 1
+        else:
+            limit = self.settings.delta_u_max
+            self._delta_u = self._clamp("delta_u", delta_u, -limit, limit)
+            self._corrects = sequence & 0xFFFFFFFF
+            self._correction_at, self._mismatched = now, False
+
+    def _take_mismatch(self, sequence: int, now: float) -> None:
+        """Nothing rests on the filter from now on; that it answers keeps the narrow gains in force."""
+        self.counts.mismatched += 1
+        self._mismatched, self._delta_u = True, 0.0
+        if self._outdated(sequence):
+            self.counts.outdated += 1
+        else:
+            self._corrects, self._correction_at = sequence & 0xFFFFFFFF, now
+
+    def _outdated(self, sequence: int) -> bool:
+        return self._newest is not None and (self._newest - sequence) & 0xFFFFFFFF > self._samples_back
+
+    def note_sample(self, sequence: int | None) -> None:
+        """Say which sample is the newest; None for a new start. Without it corrections age by their arrival alone."""
+        self._newest = sequence
+
+    @property
+    def _samples_back(self) -> int:
+        return round(self.settings.correction_age_max / SAMPLE_PERIOD)
+
+    def set_reference(self, signal: ReferenceSignal) -> bool:
+        """Take a new reference; out of range or not finite: refused, the last one stays, and False comes back."""
+        reason = unfit(signal, self.settings)
+        if reason:
+            self.counts.references_refused += 1
+            self._events.append(f"reference refused, the last one stays: {reason}")
+            return False
+        self._reference = with_frequency(signal)
+        return True
+
+    def correction_fresh(self, now: float) -> bool:
+        """Whether the filter decided within `correction_age_max`, and its model is this bench's."""
+        return self._answered(now) and not self._mismatched
+
+    def _answered(self, now: float) -> bool:
+        return now - self._correction_at <= self.settings.correction_age_max
+
+    def gains_fresh(self, now: float) -> bool:
+        """Whether gains came within `gains_age_max`."""
+        return now - self._gains_at <= self.settings.gains_age_max
+
+    def command(self, now: float) -> Command:
+        """What may go down at time `now`."""
+        if self._arm and self._gained and now - self._gains_at > self.settings.abandoned_after:
+            self.give_up(f"no gains for {self.settings.abandoned_after:g} s, whoever chose them is gone")
+        answered, gained = self._answered(now), self.gains_fresh(now)
+        self.counts.commands += 1
+        self.counts.stale_correction += not answered
+        self.counts.stale_gains += not gained
+        if self._correction_at > -inf:  # before its first correction the filter is merely not up yet
+            self._tell("stale correction", not answered, self._stale_sentence(), "corrections are fresh again")
+        if self._gains_at > -inf:
+            self._tell("stale gains", not gained, "gains are stale: base gains", "gains are fresh again")
+        self._tell("mismatch", self._mismatched, MISMATCHED, "the filter's model fits again: gains as wide as before")
+        passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
+        delta_kp, delta_ki = within_narrow(passed) if self._mismatched else passed
+        self.counts.narrowed += (delta_kp, delta_ki) != passed
+        return Command(
+            arm=self._arm,
+            delta_kp=delta_kp,
+            delta_ki=delta_ki,
+            delta_u=self._delta_u if answered else 0.0,
+            reference=self._reference,
+            corrects=self._corrects,
+            filter_fresh=answered and not self._mismatched,
+        )
+
+    def take_events(self) -> list[str]:
+        """Sentences for the log since the last call, each once, in the order in which they first came up."""
+        events, self._events = list(dict.fromkeys(self._events)), []
+        return events
+
+    def _clamp(self, name: str, value: float, low: float, high: float) -> float:
+        outside = not low <= value <= high
+        self.counts.clamped += outside
+        self._tell(name, outside, f"{name} is outside [{low:g}, {high:g}]: clamped", f"{name} is in range again")
+        return min(max(value, low), high)
+
+    def _stale_sentence(self) -> str:
+        outcome = (
+            "base gains, no correction" if self.settings.require_filter else "UNFILTERED gains pass, no correction"
+        )
+        return f"no correction for {1e3 * self.settings.correction_age_max:g} ms: {outcome}"
+
+    def _tell(self, trouble: str, present: bool, began: str, ended: str) -> None:
+        if present != (trouble in self._troubles):
+            (self._troubles.add if present else self._troubles.discard)(trouble)
+            self._events.append(began if present else ended)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The guard's settings, and which references are within them: what is let through is what a box takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf, isfinite
+from struct import Struct
+
+from hydro_bridge.serial.frames import BoxInfo
+from hydro_bridge.signals import ReferenceSignal, Waveform
+
+_LINE = Struct("<4f")
+_LINE_MAX = 3.4028234e38
+
+
+@dataclass(frozen=True, kw_only=True)
+class GuardSettings:
+    """Limits and ages. Defaults: the paper's Table training_agent and the failure table of docs/architecture.md."""
+
+    delta_kp_min: float = 0.0
+    """1/s, smallest change of the proportional gain, [-200, 0]."""
+    delta_kp_max: float = 75.0
+    """1/s, largest change of the proportional gain, [0, 500]."""
+    delta_ki_min: float = 0.0
+    """1/s^2, smallest change of the integral gain, [-50, 0]."""
+    delta_ki_max: float = 10.0
+    """1/s^2, largest change of the integral gain, [0, 100]."""
+    delta_u_max: float = 0.1
+    """A, largest magnitude of the correction, [0, 0.2]; twice the valve's current gets from end to end."""
+    reference_force_max: float = 1000.0
+    """N, largest |offset| + amplitude of the reference, [0, 5000]."""
+    reference_frequency_max: float = 20.0
+    """Hz, largest frequency of the reference, [0.1, 100]."""
+    correction_age_max: float = 0.02
+    """s, an older correction is stale, and so is one of an older sample, [0.001, 0.2]."""
+    gains_age_max: float = 0.2
+    """s, older gains are stale, [0.01, 2]."""
+    abandoned_after: float = 10.0
+    """s without gains, after there were some since arming: reference 0 N, disarmed, [2, 3600]."""
+    relies_on: str = "nothing"
+    """The filter that gains of this range need to be safe; nothing: the bench bears them all. Told at the start."""
+    require_filter: bool = True
+    """Without a fresh correction: base gains. False lets gains pass unfiltered: logged, flagged and on /diagnostics."""
+
+
+NARROW = GuardSettings()
+"""Its ranges of delta_kp and delta_ki are what every bench of this kind bears by itself: the paper's, K_p 15 to 90 and
+K_i 5 to 15 on base gains of 15 and 5. They hold, however wide a guard was opened, where the filter says MISMATCH."""
+
+
+def within_narrow(gains: tuple[float, float]) -> tuple[float, float]:
+    """Changes of K_p [1/s] and K_i [1/s^2], clamped to `NARROW`."""
+    return (
+        min(max(gains[0], NARROW.delta_kp_min), NARROW.delta_kp_max),
+        min(max(gains[1], NARROW.delta_ki_min), NARROW.delta_ki_max),
+    )
+
+
+def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
+    """Limits that neither the settings nor the box exceed."""
+    return replace(
+        wanted,
+        delta_kp_min=max(wanted.delta_kp_min, box.delta_kp_min),
+        delta_kp_max=min(wanted.delta_kp_max, box.delta_kp_max),
+        delta_ki_min=max(wanted.delta_ki_min, box.delta_ki_min),
+        delta_ki_max=min(wanted.delta_ki_max, box.delta_ki_max),
+        delta_u_max=min(wanted.delta_u_max, box.delta_u_max),
+    )
+
+
+def unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
+    """Why a reference may not go down, as it is or as float32, which a box gets; empty if it may."""
+    return _unfit(signal, limits) or _unfit(_on_the_line(signal), limits)
+
+
+def _unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
+    """Why a reference may not go down; empty if it may."""
+    if signal.waveform not in tuple(Waveform):
+        return f"unknown waveform {signal.waveform}"
+    if not all(map(isfinite, (signal.amplitude, signal.offset, signal.frequency, signal.phase))):
+        return "a number in it is not finite"
+    if signal.amplitude < 0.0 or signal.amplitude + abs(signal.offset) > limits.reference_force_max:
+        return f"amplitude {signal.amplitude:g} N, offset {signal.offset:g} N; limit {limits.reference_force_max:g} N"
+    if not 0.0 < signal.frequency <= limits.reference_frequency_max and signal.waveform != Waveform.HOLD:
+        return f"frequency {signal.frequency:g} Hz is outside (0, {limits.reference_frequency_max:g}]"
+    return ""
+
+
+def _on_the_line(signal: ReferenceSignal) -> ReferenceSignal:
+    """What a box gets of a finite reference, float32: in it the smallest numbers are 0 and the largest infinite."""
+    numbers = (signal.amplitude, signal.offset, signal.frequency, signal.phase)
+    if any(abs(number) > _LINE_MAX for number in numbers):
+        return replace(signal, phase=inf)
+    amplitude, offset, frequency, phase = _LINE.unpack(_LINE.pack(*numbers))
+    return replace(signal, amplitude=amplitude, offset=offset, frequency=frequency, phase=phase)
+
+
+def with_frequency(signal: ReferenceSignal) -> ReferenceSignal:
+    """The reference; a HOLD, which has no frequency, gets one that every box takes."""
+    return replace(signal, frequency=ReferenceSignal().frequency) if signal.waveform == Waveform.HOLD else signal

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Frames of the serial line: bytes <-> values. docs/protocol.md has the byte tables and the reasons.
+
+A frame on the wire, all little endian::
+
+    0x00 | COBS( version u8 | type u8 | sequence u32 | time_us u64 | payload | CRC-32 u32 ) | 0x00
+
+The delimiter stands on both sides: a frame after garbage is then read whole, and nothing is lost by resynchronising.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import astuple
+from math import copysign, inf
+from struct import Struct
+from zlib import crc32
+
+from cobs import cobs
+
+from hydro_bridge.serial.frames import (
+    INTEGRAL_FORMS,
+    VERSION,
+    BoxInfo,
+    CheckSumError,
+    CommandFrame,
+    Frame,
+    FrameType,
+    Hello,
+    MalformedError,
+    State,
+    UnknownFrameError,
+    WrongVersionError,
+)
+from hydro_bridge.signals import STATE_FIELDS, Command, ReferenceSignal, Waveform
+
+__all__ = [
+    "HANDSHAKE",
+    "MAX_ENCODED",
+    "VERSION",
+    "VERSION_MIN",
+    "BoxInfo",
+    "CheckSumError",
+    "CommandFrame",
+    "Frame",
+    "FrameType",
+    "Hello",
+    "MalformedError",
+    "State",
+    "UnknownFrameError",
+    "WrongVersionError",
+    "decode",
+    "encode_command",
+    "encode_hello",
+    "encode_state",
+    "negotiate",
+]
+
+VERSION_MIN = 1
+HANDSHAKE = 0
+"""Version byte of HELLO frames: their layout is the same in all versions, so that any two ends can negotiate."""
+MAX_ENCODED = 160
+"""bytes between two delimiters, at most; more is noise."""
+
+_HEADER = Struct("<BBIQ")
+_STATE = Struct(f"<BBIQ{len(STATE_FIELDS)}fII")
+_COMMAND = Struct("<BBIQIIfffIffff")
+_HELLO = Struct("<BBIQBBBB32s9f")
+_CRC = Struct("<I")
+_ARM, _FILTER_FRESH = 1, 2
+
+
+def encode_state(sequence: int, time_us: int, values: Sequence[float], flags: int, last_command: int) -> bytes:
+    """Frame of one sample.
+
+    Parameters
+    ----------
+    sequence
+        Counts box samples, wraps at 2^32.
+    time_us
+        Box clock, microseconds.
+    values
+        Floats in STATE_FIELDS order, shape (14,); sent as float32, beyond its range as infinity.
+    flags
+        Bits of `signals.Flag`.
+    last_command
+        Sequence of the newest command received, 0 before the first; the host measures the round trip with it.
+    """
+    head = (VERSION, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
+    try:
+        return _wrap(_STATE.pack(*head, *values, flags, last_command))
+    except OverflowError:
+        return _wrap(_STATE.pack(*head, *map(_single, values), flags, last_command))
+
+
+def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
+    """Frame of one command; `time_us` is the host's clock."""
+    reference = command.reference
+    bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
+    numbers = (command.delta_kp, command.delta_ki, command.delta_u)
+    shape = (reference.amplitude, reference.offset, reference.frequency, reference.phase)
+    head = (VERSION, FrameType.COMMAND, sequence & 0xFFFFFFFF, time_us, bits, command.corrects)
+    try:
+        return _wrap(_COMMAND.pack(*head, *numbers, reference.waveform, *shape))
+    except OverflowError:
+        return _wrap(_COMMAND.pack(*head, *map(_single, numbers), reference.waveform, *map(_single, shape)))
+
+
+def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None) -> bytes:
+    """Frame that opens a connection; a box gives its `info`, the host none."""
+    name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
+    who = (VERSION_MIN, VERSION, info is not None, INTEGRAL_FORMS.index(integral))
+    head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
+    return _wrap(_HELLO.pack(*head, name.encode()[:32], *numbers))
+
+
+def decode(encoded: bytes) -> Frame:
+    """Frame between two delimiters.
+
+    Raises
+    ------
+    MalformedError
+        Broken COBS, length or content; `CheckSumError`, `UnknownFrameError` and `WrongVersionError` are kinds of it.
+        Nothing else is ever raised.
+    """
+    try:
+        raw = cobs.decode(encoded)
+    except cobs.DecodeError as error:
+        raise MalformedError(str(error)) from None
+    body = raw[:-4]
+    if raw[-4:] != _CRC.pack(crc32(body)):
+        raise CheckSumError("check sum")
+    if len(body) < _HEADER.size:
+        raise MalformedError(f"{len(body)} bytes are too few for a header")
+    version, kind = body[0], body[1]
+    if version != (HANDSHAKE if kind == FrameType.HELLO else VERSION):
+        raise WrongVersionError(version)
+    layout, unpack = _LAYOUTS.get(kind, (None, None))
+    if layout is None or unpack is None:
+        raise UnknownFrameError(f"frame type {kind}")
+    if len(body) != layout.size:
+        raise MalformedError(f"{len(body)} bytes in a {FrameType(kind).name} frame, expected {layout.size}")
+    return unpack(layout.unpack(body))
+
+
+def negotiate(hello: Hello) -> int:
+    """The version that both ends speak.
+
+    Raises
+    ------
+    WrongVersionError
+        There is none; the message says what each end speaks.
+    """
+    if hello.version_min <= VERSION and hello.version_max >= VERSION_MIN:
+        return min(VERSION, hello.version_max)
+    raise WrongVersionError(hello.version_max)
+
+
+def _wrap(body: bytes) -> bytes:
+    stuffed: bytes = cobs.encode(body + _CRC.pack(crc32(body)))
+    return b"\0" + stuffed + b"\0"
+
+
+def _single(value: float) -> float:
+    """Nearest float that fits into float32."""
+    return copysign(inf, value) if abs(value) > 3.4028234e38 else value
+
+
+def _state(fields: tuple[float, ...]) -> State:
+    return State(int(fields[2]), int(fields[3]), fields[4:18], int(fields[18]), int(fields[19]))
+
+
+def _command(fields: tuple[float, ...]) -> CommandFrame:
+    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase) = fields[4:]
+    if waveform > Waveform.SMOOTH_STEP:
+        raise MalformedError(f"waveform {waveform}")
+    reference = ReferenceSignal(
+        waveform=Waveform(int(waveform)), amplitude=amplitude, offset=offset, frequency=frequency, phase=phase
+    )
+    command = Command(
+        arm=bool(int(bits) & _ARM),
+        delta_kp=delta_kp,
+        delta_ki=delta_ki,
+        delta_u=delta_u,
+        reference=reference,
+        corrects=int(corrects),
+        filter_fresh=bool(int(bits) & _FILTER_FRESH),
+    )
+    return CommandFrame(int(fields[2]), int(fields[3]), command)
+
+
+def _hello(fields: tuple[float, ...]) -> Hello:
+    _, _, sequence, time_us, version_min, version_max, is_box, form, name, *numbers = fields
+    text = bytes(name).rstrip(b"\0").decode(errors="replace")  # type: ignore[call-overload]
+    integral = INTEGRAL_FORMS[int(form)] if form < len(INTEGRAL_FORMS) else ""
+    names = tuple(BoxInfo.__dataclass_fields__)[1:-1]
+    info = BoxInfo(name=text, integral=integral, **dict(zip(names, numbers, strict=True))) if is_box else None
+    return Hello(int(sequence), int(time_us), int(version_min), int(version_max), info)
+
+
+_LAYOUTS: dict[int, tuple[Struct, Callable[[tuple[float, ...]], Frame]]] = {
+    FrameType.HELLO: (_HELLO, _hello),
+    FrameType.STATE: (_STATE, _state),
+    FrameType.COMMAND: (_COMMAND, _command),
+}

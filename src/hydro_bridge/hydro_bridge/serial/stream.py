@@ -1,0 +1,149 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a stream of bytes to frames, whatever happens on the way: nothing raises, everything is counted.
+
+`Decoder` cuts the stream at the delimiters and checks each piece; `SequenceTracker` tells new samples from repeated
+and late ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hydro_bridge.serial.protocol import (
+    MAX_ENCODED,
+    CheckSumError,
+    Frame,
+    MalformedError,
+    UnknownFrameError,
+    WrongVersionError,
+    decode,
+)
+
+_WRAP = 1 << 32
+
+
+@dataclass(kw_only=True)
+class LinkCounts:
+    """What came over the line since it was opened first."""
+
+    bytes: int = 0
+    frames: int = 0
+    """Accepted frames of all types."""
+    crc_errors: int = 0
+    """Pieces between delimiters whose check sum does not hold."""
+    malformed: int = 0
+    """Pieces that are no frame for another reason: broken COBS, overlong, wrong length or content."""
+    resyncs: int = 0
+    """Times that a good frame followed bad pieces."""
+    unknown: int = 0
+    """Whole frames of a type not known here."""
+    wrong_version: int = 0
+    """Whole frames of another protocol version."""
+    lost: int = 0
+    """Sequence numbers never delivered onward, late ones included."""
+    duplicates: int = 0
+    reordered: int = 0
+    """Frames that came after a later one; not delivered."""
+    restarts: int = 0
+    """Sequence jumped far: the box was restarted."""
+
+
+@dataclass
+class Decoder:
+    """Cuts bytes into frames. Memory is bounded: of a piece without delimiter at most `MAX_ENCODED` bytes are kept."""
+
+    counts: LinkCounts = field(default_factory=LinkCounts)
+    foreign_version: int | None = None
+    """Version of the last frame with a wrong one, for the log."""
+    _pending: bytes = b""
+    _overlong: bool = False
+    _in_sync: bool = True
+
+    def feed(self, data: bytes) -> list[Frame]:
+        """Whole frames that end within `data`, in order; chunk borders may fall anywhere."""
+        self.counts.bytes += len(data)
+        *pieces, self._pending = (self._pending + data).split(b"\0")
+        if self._overlong and pieces:
+            pieces[0], self._overlong = b"", False
+        if len(self._pending) > MAX_ENCODED:
+            if not self._overlong:
+                self._bad(crc=False)
+            self._pending, self._overlong = b"", True
+        frames = []
+        for piece in pieces:
+            if piece:
+                frame = self._check(piece)
+                if frame is not None:
+                    frames.append(frame)
+        return frames
+
+    def reset(self) -> None:
+        """Forget the piece under way (the port was reopened); counts stay."""
+        self._pending, self._overlong, self._in_sync = b"", False, True
+
+    def _check(self, piece: bytes) -> Frame | None:
+        try:
+            frame = decode(piece)
+        except UnknownFrameError:
+            self.counts.unknown += 1
+        except WrongVersionError as error:
+            self.counts.wrong_version += 1
+            self.foreign_version = error.version
+        except MalformedError as error:
+            self._bad(crc=isinstance(error, CheckSumError))
+        else:
+            self.counts.frames += 1
+            self.counts.resyncs += not self._in_sync
+            self._in_sync = True
+            return frame
+        return None
+
+    def _bad(self, *, crc: bool) -> None:
+        self.counts.crc_errors += crc
+        self.counts.malformed += not crc
+        self._in_sync = False
+
+
+@dataclass
+class SequenceTracker:
+    """Tells which sequence numbers are new.
+
+    A number up to `window` behind the newest is a duplicate or late; one further behind, or more than `leap` ahead,
+    means that the sender was restarted.
+    """
+
+    counts: LinkCounts = field(default_factory=LinkCounts)
+    window: int = 1024
+    leap: int = 600_000
+    _newest: int | None = None
+    _seen: int = 0
+    """Bit n: newest - n was received."""
+
+    def accept(self, sequence: int) -> bool:
+        """Whether to deliver the frame with this sequence number; counts it in any case."""
+        if self._newest is None:
+            self._newest, self._seen = sequence, 1
+            return True
+        ahead = (sequence - self._newest) % _WRAP
+        if ahead == 0 or ahead >= _WRAP - self.window:
+            return self._old(-ahead % _WRAP)
+        if ahead > self.leap:
+            self.counts.restarts += 1
+            self._newest, self._seen = sequence, 1
+            return True
+        self.counts.lost += ahead - 1
+        self._seen = (self._seen << ahead | 1) & ((1 << self.window) - 1) if ahead < self.window else 1
+        self._newest = sequence
+        return True
+
+    def reset(self) -> None:
+        """Take the next number as the first (a new connection); counts stay."""
+        self._newest = None
+
+    def _old(self, behind: int) -> bool:
+        if self._seen >> behind & 1:
+            self.counts.duplicates += 1
+        else:
+            self.counts.reordered += 1
+            self._seen |= 1 << behind
+        return False

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`python -m hydro_diagnosis.blind_benchmark.blind FOLDER`: diagnoses every case, from recordings and bench.yaml alone.
+
+FOLDER holds bench.yaml and a folder per case with its recordings; each gets answer.json and corrected.yaml. Finished
+cases are left alone, so that it goes on where it was stopped; several can run side by side.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import random
+import signal
+import sys
+import time
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from joblib import Parallel, delayed
+from tqdm import tqdm
+
+from hydro_bridge.cli.console import command, progress
+from hydro_diagnosis import InputError, diagnose
+from hydro_diagnosis.blind_benchmark import access_guard as blindfold
+from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
+from hydro_diagnosis.engine import engine
+from hydro_diagnosis.report.corrected_bench import write_corrected
+
+ANSWER = "answer.json"
+LIMIT = 300
+"""s of CPU after which a case counts as refused."""
+
+
+def diagnosed(case: Path) -> None:
+    """Diagnose one case and write its answer.json: report, refused (a sentence or null), wall and cpu [s], engine."""
+    if (case / ANSWER).exists():  # another one was here in the meantime
+        return
+    blindfold.put_on(case.parent.parent, case.parent)
+    begun, cpu = time.monotonic(), time.process_time()
+    answer: dict[str, Any] = {"report": None, "refused": None, "engine": ENGINE}
+    signal.signal(signal.SIGPROF, _too_long)
+    signal.setitimer(signal.ITIMER_PROF, LIMIT)
+    try:
+        found = diagnose([case / name for name in FITTED], holdout=[case / HELD], bench=case.parent / "bench.yaml")
+        answer["report"] = json.loads(found.report.to_json())
+        write_corrected(found.bench, found.assessment.fit.claims, case / "corrected.yaml")
+    except InputError as error:
+        answer["refused"] = str(error)
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+    answer |= {"wall": time.monotonic() - begun, "cpu": time.process_time() - cpu}
+    scratch = case / f".{ANSWER}"
+    scratch.write_text(json.dumps(answer, indent=1), encoding="utf-8")
+    os.replace(scratch, case / ANSWER)  # whole or not at all
+
+
+def _too_long(number: int, frame: FrameType | None) -> None:
+    raise InputError(f"no answer after {LIMIT} s of CPU")
+
+
+ENGINE = engine()
+"""Of what this process has loaded: taken at once, so that later edits do not count."""
+
+
+def waiting(folder: Path) -> list[Path]:
+    """Cases whose recordings are whole and that have no answer yet."""
+    cases = sorted(path for path in folder.glob("case-*") if path.is_dir())
+    return [
+        case
+        for case in cases
+        if not (case / ANSWER).exists() and all((case / name / "metadata.yaml").exists() for name in (*FITTED, HELD))
+    ]
+
+
+@command(OSError)
+def main() -> int:
+    """Entry point; 3 when time was up before all cases were finished."""
+    options = argparse.ArgumentParser(prog="blind", description=__doc__)
+    options.add_argument("folder", type=Path)
+    options.add_argument("--workers", type=int, default=1)
+    options.add_argument("--seconds", type=float, default=float("inf"), help="after which no new case begins")
+    chosen = options.parse_args(sys.argv[1:])
+    until = time.monotonic() + chosen.seconds
+    left = waiting(chosen.folder)
+    random.shuffle(left)  # those who run side by side seldom meet
+    bar: tqdm[Any] = progress(total=len(left), label="diagnosing", unit="case")
+    with bar:
+        while left and time.monotonic() < until:
+            batch, left = left[: 4 * chosen.workers], left[4 * chosen.workers :]
+            tasks = (delayed(diagnosed)(case) for case in batch)
+            for _ in Parallel(chosen.workers, return_as="generator_unordered")(tasks):
+                bar.update()
+    return 3 if left else 0
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pictures of a proof: what was said against what is concealed, errors against size, coverage, held-out fit."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_diagnosis.blind_benchmark.cases import FITTED, SECONDS
+from hydro_diagnosis.blind_benchmark.facts import Result
+from hydro_diagnosis.blind_benchmark.standards import confusion, wilson
+from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.selection.outcome import SearchSettings
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+
+NAMES = {"confusion": "confusion.png", "errors": "errors.png", "coverage": "coverage.png", "held_out": "held_out.png"}
+"""File names, by what they show."""
+_VERDICTS = ("no_mismatch", "unknown", "partly_explained", "explained", "refused")
+
+
+def draw(results: Sequence[Result], folder: Path) -> dict[str, Path]:
+    """Draw all pictures into `folder`."""
+    paths = {what: folder / name for what, name in NAMES.items()}
+    draw_confusion(confusion(results), paths["confusion"])
+    draw_errors(results, paths["errors"])
+    draw_coverage(results, paths["coverage"])
+    draw_held_out(results, paths["held_out"])
+    return paths
+
+
+def draw_confusion(matrix: dict[str, dict[str, int]], path: Path) -> None:
+    """Rows: what is concealed; columns: what was said."""
+    rows = sorted(matrix, key=lambda name: (name == "nothing", name))
+    said = {name for counts in matrix.values() for name in counts}
+    columns = [name for name in rows if name in said] + sorted(said - set(rows) - set(_VERDICTS))
+    columns += [name for name in _VERDICTS if name in said]
+    share = np.array([[matrix[row].get(column, 0) / sum(matrix[row].values()) for column in columns] for row in rows])
+    size = (1.8 + 0.22 * len(columns), 1.6 + 0.2 * len(rows))
+    with figure(path, size=size) as (_, (axis,)):
+        axis.imshow(share, cmap="Blues", vmin=0.0, vmax=1.0, aspect="auto")
+        axis.grid(visible=False)
+        axis.set_xticks(range(len(columns)), [_words(name) for name in columns], rotation=90, fontsize=7)
+        axis.set_yticks(range(len(rows)), [_words(name) for name in rows], fontsize=7)
+        for i, row in enumerate(rows):
+            for j, column in enumerate(columns):
+                if matrix[row].get(column):
+                    axis.text(j, i, matrix[row][column], ha="center", va="center", fontsize=6,
+                              color="white" if share[i, j] > 0.6 else "black")  # fmt: skip
+        axis.set(xlabel="said", ylabel="concealed, alone")
+
+
+def floors(results: Sequence[Result]) -> dict[str, float]:
+    """Detection floor by cause: the size at which evidence would just be enough, at least what is worth claiming.
+
+    Evidence grows with the square of the size: floor = size sqrt(threshold / evidence), median over the cases in which
+    the cause was concealed alone and named.
+    """
+    needed = SearchSettings().threshold + np.log(1e3 * SECONDS * len(FITTED))
+    worth = {(effect.id, one.name): one.smallest for effect in LIBRARY for one in effect.parameters}
+    by_cause: dict[str, list[float]] = defaultdict(list)
+    for result, (name, size) in _alone(results):
+        cause, evidence = result.effects[0]["id"], result.effects[0]["evidence"]["delta_bic"]
+        enough = size * float(np.sqrt(needed / max(evidence, needed)))
+        by_cause[cause].append(max(enough, worth[cause, name]))
+    return {cause: float(np.median(sizes)) for cause, sizes in by_cause.items()}
+
+
+def _alone(results: Sequence[Result]) -> Iterator[tuple[Result, tuple[str, float]]]:
+    """Cases with one cause that was named, and its size."""
+    for result in results:
+        if result.case.kind in ("single", "value", "faint") and result.case.size and result.exact:
+            yield result, result.case.size
+
+
+def draw_errors(results: Sequence[Result], path: Path) -> None:
+    """Relative error of every size against the size, in multiples of the cause's detection floor."""
+    floor = floors(results)
+    causes = sorted(floor)
+    with figure(path, size=(8.0, 5.0)) as (_, (axis,)):
+        for k, cause in enumerate(causes):
+            points = [
+                (size / floor[cause], one.error_of_size)
+                for result, (name, size) in _alone(results)
+                for one in result.estimates
+                if one.cause == cause and one.name == name
+            ]
+            marker = "osD^vP*X"[k // 7 % 8]
+            color = (BLUE, ORANGE, GREEN, RED, GRAY, "#cc79a7", "#56b4e9")[k % 7]
+            if points:
+                axis.plot(*zip(*points, strict=True), marker, color=color, markersize=4, label=_words(cause))
+        axis.axvline(1.0, color=GRAY, linestyle="--", linewidth=1.0)
+        axis.axhline(0.005, color=GRAY, linestyle=":", linewidth=1.0)
+        axis.set(xscale="log", yscale="log", xlabel="size over the cause's detection floor (dashed: floor)",
+                 ylabel="error of the size, over the size (dotted: 0.5 %)")  # fmt: skip
+        axis.legend(fontsize=6, ncols=1, loc="upper left", bbox_to_anchor=(1.0, 1.0))
+
+
+def draw_coverage(results: Sequence[Result], path: Path) -> None:
+    """Share of 95 % intervals that hold the truth, by cause, with Wilson's interval."""
+    by_cause: dict[str, list[bool]] = defaultdict(list)
+    for result in results:
+        for one in result.estimates if result.case.kind in ("single", "value", "pair", "triple") else ():
+            by_cause[one.cause].append(one.inside)
+    causes = sorted(by_cause, key=lambda name: (np.mean(by_cause[name]), name), reverse=True)
+    with figure(path, size=(7.0, 0.8 + 0.18 * max(len(causes), 1))) as (_, (axis,)):
+        axis.axvspan(0.92, 0.98, color=GREEN, alpha=0.15, linewidth=0, label="goal")
+        for k, cause in enumerate(causes):
+            held = by_cause[cause]
+            share, (low, high) = float(np.mean(held)), wilson(sum(held), len(held))
+            axis.plot([low, high], [k, k], color=BLUE, linewidth=1.0)
+            axis.plot([share], [k], "o", color=BLUE, markersize=3)
+        axis.set_yticks(range(len(causes)), [f"{_words(name)} ({len(by_cause[name])})" for name in causes], fontsize=7)
+        axis.set(xlabel="share of 95 % intervals that hold the truth", xlim=(0.0, 1.02))
+        axis.invert_yaxis()
+        legend(axis)
+
+
+def draw_held_out(results: Sequence[Result], path: Path) -> None:
+    """Held-out error over the noise floor: of the diagnosis against that of the true structure."""
+    with figure(path, size=(5.5, 4.5)) as (_, (axis,)):
+        for named, color, label in ((True, BLUE, "named exactly"), (False, RED, "not named exactly")):
+            pairs = [
+                (result.held_out_true, result.held_out)
+                for result in results
+                if result.held_out is not None and result.held_out_true is not None and result.exact == named
+            ]
+            if pairs:
+                axis.plot(*zip(*pairs, strict=True), "o", color=color, markersize=3, alpha=0.7, label=label)
+        reach = [0.8, max(axis.get_ylim()[1], 2.0)]
+        axis.plot(reach, reach, color=GRAY, linewidth=0.8)
+        axis.set(xscale="log", yscale="log", xlabel="true structure, fitted: held-out error over noise floor",
+                 ylabel="diagnosis: held-out error over noise floor")  # fmt: skip
+        legend(axis)
+
+
+def _words(name: Any) -> str:
+    return str(name).replace("_", " ")

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`ros2 run hydro_diagnosis prove`: how often the diagnosis is right, on benches whose causes it cannot see.
+
+Draws benches with nothing, one, two or three causes concealed (effects, wrong bench values, other forms, causes that
+have no name), seals the answers and prints their SHA-256, records each bench through the emulator, has the diagnosis
+look at recordings and bench.yaml in a process of its own, opens the seal, checks the digest, and scores. After Ctrl-C
+the same command goes on where it was. docs/proof.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
+from hydro_diagnosis.blind_benchmark import page, pictures, seal
+from hydro_diagnosis.blind_benchmark.bench_graph import record_by_graph
+from hydro_diagnosis.blind_benchmark.blind import ANSWER
+from hydro_diagnosis.blind_benchmark.cases import PARTS, Case, draw, draw_parts
+from hydro_diagnosis.blind_benchmark.facts import Result
+from hydro_diagnosis.blind_benchmark.oracle_fit import rule
+from hydro_diagnosis.blind_benchmark.recording import record
+from hydro_diagnosis.blind_benchmark.standards import confusion, failures, standards
+from hydro_sim.model.bench import Bench
+
+SEALED, BLIND, OPENED = "sealed", "blind", "opened"
+"""Folders of a proof: answers; what the diagnosis sees and writes; what was computed once the seal was opened."""
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    options = argparse.ArgumentParser(
+        prog="prove", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    options.add_argument("--cases", type=int, default=20, metavar="N", help="benches (default: 20; a proof: 224)")
+    options.add_argument("--parts", nargs="+", metavar="KIND=N", help="so many of each kind, in place of --cases")
+    options.add_argument("--seed", type=int, required=True, metavar="S", help="of everything that is drawn")
+    options.add_argument("--out", type=Path, metavar="DIR", help="default: runs/proof-S-N; 9 MB a case")
+    options.add_argument("--graph", type=int, default=0, metavar="K",
+                         help="record the first K in real time, by serial line and graph (2 minutes each)")  # fmt: skip
+    options.add_argument("--workers", type=int, default=2, help="cases side by side (default: 2)")
+    options.add_argument("--minutes", type=float, default=float("inf"),
+                         help="begin no new case after so long; the same command goes on later")  # fmt: skip
+    options.add_argument("--only-record", action="store_true", help="seal and record; the same words without it go on")
+    options.add_argument("--partial", action="store_true", help="when time is up, open the seal and score what is done")
+    options.add_argument("--kinds", nargs="+", choices=list(PARTS), metavar="KIND",
+                         help=f"score these kinds alone: {', '.join(PARTS)}")  # fmt: skip
+    add_json_argument(options)
+    return options
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Prove; 0 when cases are scored, 3 when time was up before."""
+    chosen = parser().parse_args(arguments)
+    cases = _drawn(chosen)
+    _check(chosen, len(cases))
+    until = time.monotonic() + 60.0 * chosen.minutes
+    folder = writable_folder(chosen.out or Path("runs") / f"proof-{chosen.seed}-{len(cases)}").absolute()
+    digest = seal.close(cases, folder / SEALED)
+    print(f"sealed: {len(cases)} answers, SHA-256 {digest}", flush=True)
+    recorded = _record(cases, folder / BLIND, chosen, until)
+    if recorded and chosen.only_record:
+        return 0
+    finished = recorded and _diagnose(folder / BLIND, chosen.workers, until - time.monotonic())
+    done = [case.name for case in cases if (folder / BLIND / case.name / ANSWER).exists()]
+    if not finished:
+        print(f"time is up: {len(done)} of {len(cases)} cases are diagnosed; the same command goes on")
+        if not (chosen.partial and done):
+            return 3
+    answers = [case for case in seal.opened(folder / SEALED, digest) if case.name in done]
+    print("opened: the answers are those that were sealed")
+    results = [result for result in _results(answers, folder, chosen.workers) if _asked(result, chosen.kinds)]
+    _show(
+        results,
+        folder,
+        {"seed": str(chosen.seed), "cases": f"{len(answers)} of {len(cases)}", "SHA-256": digest},
+        chosen.json,
+    )
+    return 0
+
+
+@command(OSError)
+def main() -> int:
+    """Entry point; 2 for words that cannot be used, 3 when time was up, 130 after Ctrl-C."""
+    return run(sys.argv[1:])
+
+
+def _drawn(chosen: argparse.Namespace) -> list[Case]:
+    if not 1 <= chosen.cases <= 100_000:
+        raise UserError(f"--cases {chosen.cases}: 1 to 100000 is meant")
+    if chosen.seed < 0:
+        raise UserError(f"--seed {chosen.seed}: 0 or more is meant")
+    if not chosen.parts:
+        return draw(chosen.cases, chosen.seed)
+    parts = dict(word.partition("=")[::2] for word in chosen.parts)
+    for kind, count in parts.items():
+        if kind not in PARTS or not count.isdigit():
+            raise UserError(f"--parts {kind}={count}: a kind ({', '.join(PARTS)}) and a number are meant")
+    return draw_parts({kind: int(count) for kind, count in parts.items()}, chosen.seed)
+
+
+def _check(chosen: argparse.Namespace, count: int) -> None:
+    if not 0 <= chosen.graph <= count:
+        raise UserError(f"--graph {chosen.graph}: 0 to the number of cases is meant")
+    if chosen.workers < 1:
+        raise UserError(f"--workers {chosen.workers}: 1 or more is meant")
+
+
+def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, until: float) -> bool:
+    """Record all cases; False if time was up."""
+    folder.mkdir(parents=True, exist_ok=True)
+    if not (folder / "bench.yaml").exists():
+        believed = yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False)
+        (folder / "bench.yaml").write_text(believed, encoding="utf-8")
+    by_graph, offline = cases[: chosen.graph], cases[chosen.graph :]
+    return record_by_graph(by_graph, folder, until) and record(offline, folder, chosen.workers, until)
+
+
+def _diagnose(folder: Path, workers: int, seconds: float) -> bool:
+    """Have all cases diagnosed in a process of its own; False if time was up."""
+    words = [sys.executable, "-m", "hydro_diagnosis.blind_benchmark.blind", str(folder), "--workers", str(workers)]
+    status = subprocess.run([*words, "--seconds", str(seconds)], check=False, cwd=folder).returncode
+    if status == 130:
+        raise KeyboardInterrupt
+    if status not in (0, 3):
+        raise UserError(f"the diagnosis ended with status {status}: what it said stands above")
+    return status == 0
+
+
+def _asked(result: Result, kinds: Sequence[str] | None) -> bool:
+    return kinds is None or result.case.kind in kinds
+
+
+def _results(cases: Sequence[Case], folder: Path, workers: int) -> list[Result]:
+    results = [
+        Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text())) for case in cases
+    ]
+    return rule(results, folder / BLIND, folder / OPENED, workers)
+
+
+def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
+    """Print the table; write proof.json, the pictures and proof.html."""
+    engines = sorted({str(result.answer["engine"]) for result in results})
+    about = {**about, "engine": ", ".join(engines)}
+    table, failed = standards(results), failures(results)
+    table.show(json_file)
+    drawn = pictures.draw(results, folder)
+    page.write(folder / "proof.html", table, drawn, failed, about)
+    content = {"about": about, "standards": table.rows, "confusion": confusion(results), "failures": failed,
+               "floors": pictures.floors(results), "cases": [_row(result) for result in results]}  # fmt: skip
+    (folder / "proof.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    if len(engines) > 1:
+        print(f"warning: cases were diagnosed by {len(engines)} versions of the diagnosis", file=sys.stderr)
+    print(f"{len(failed)} cases failed: {folder / 'proof.html'}, proof.json")
+
+
+def _row(result: Result) -> dict[str, Any]:
+    """One case as it stands in proof.json."""
+    case = result.case
+    return {
+        "case": case.name, "kind": case.kind, "label": case.label, "noise": case.noise, "size": case.size,
+        "truth": {**case.effects, **case.outside}, "verdict": result.verdict, "claimed": result.claimed,
+        "passed": result.passed, "located": result.located, "places": result.places,
+        "held_out": result.held_out, "held_out_true": result.held_out_true, "worst_channel": result.worst_channel(),
+        "estimates": [{**vars(one), "error": one.error} for one in result.estimates],
+        "wall": result.answer["wall"], "cpu": result.answer["cpu"],
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings in which nothing is missing, searched without a threshold: what evidence chance reaches.
+
+The bench as believed is recorded, and searched for the one claim that explains it best: its evidence is what choosing
+among all hypotheses makes of noise. Above a threshold that exceeds it nothing is claimed.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from math import exp, inf, log
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.stats import beta
+from threadpoolctl import threadpool_limits
+
+from hydro_bridge.cli.console import UserError
+from hydro_bridge.signals import ReferenceSignal, Waveform
+from hydro_diagnosis.effects import CANDIDATES
+from hydro_diagnosis.engine import engine
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.experiment_design.synthetic_recording import rehearsal
+from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.selection.outcome import SearchSettings
+from hydro_diagnosis.selection.search import Search
+from hydro_sim.model.bench import Bench
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Two recordings in which nothing is missing, searched without a threshold."""
+
+    noise: float
+    """Scale of the sensors' noise."""
+    evidence: float
+    """Of the best claim [BIC], below 0 where it does not pay its price; minus infinity if none is large enough."""
+    claim: str
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a threshold is worth."""
+
+    threshold: float
+    """BIC."""
+    trials: int
+    false: int
+    """Trials with more evidence than the threshold."""
+    limit: float
+    """95 % upper limit of the rate of false claims, from the count alone (Clopper and Pearson 1934)."""
+    expected: float
+    """The same rate by the tail of the trials' evidence above its median, taken as exponential."""
+
+
+def trial(bench: Bench, seed: int) -> Trial:
+    """Record the bench as believed under two drawn references, gains and one noise, and search."""
+    rng = np.random.default_rng(seed)
+    noise = float(np.exp(rng.uniform(np.log(0.1), np.log(4.0))))
+    segments: list[Segment] = []
+    for k, waveform in enumerate(rng.permutation([Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP])[:2]):
+        reference = ReferenceSignal(
+            waveform=Waveform(int(waveform)),
+            amplitude=float(rng.uniform(150.0, 300.0)),
+            offset=float(rng.uniform(-40.0, 40.0)),
+            frequency=float(rng.uniform(0.4, 1.0)),
+        )
+        gains = float(rng.uniform(30.0, 90.0)), float(rng.uniform(5.0, 15.0))
+        recording = rehearsal(bench, reference, gains=gains, seconds=20.0, noise=noise, seed=seed * 10 + k)
+        segments += recording.segments
+    settings = SearchSettings(threshold=-1e3, most=1)
+    with threadpool_limits(1, "blas"):
+        search = Search(Problem(segments, bench), [one.adapted(bench) for one in CANDIDATES], settings)
+        search.run()
+    if not search.steps:
+        return Trial(noise, -inf, "none")
+    return Trial(noise, -search.steps[0].score, search.steps[0].label)
+
+
+def calibrated(trials: Sequence[Trial], threshold: float) -> Calibration:
+    """What a threshold is worth by these trials."""
+    false = sum(one.evidence > threshold for one in trials)
+    share, middle, excess = _tail(trials)
+    expected = share * exp(-max(threshold - middle, 0.0) / excess) if share else 0.0
+    return Calibration(threshold, len(trials), false, _upper(false, len(trials)), expected)
+
+
+def needed(trials: Sequence[Trial], rate: float) -> float:
+    """Threshold [BIC] at which the tail of the trials' evidence has fallen to a rate; at least the largest seen."""
+    share, middle, excess = _tail(trials)
+    if not share:
+        return 0.0
+    return max(0.0, *(one.evidence for one in trials), middle + excess * log(max(share / rate, 1.0)))
+
+
+def _tail(trials: Sequence[Trial]) -> tuple[float, float, float]:
+    """Share of trials above the median of what evidence there is, that median, and the mean excess over it."""
+    found = np.array([one.evidence for one in trials if one.evidence > -inf])
+    if len(found) < 4:
+        return 0.0, 0.0, 1.0
+    middle = float(np.median(found))
+    above = found[found > middle]
+    return len(above) / len(trials), middle, float(np.mean(above - middle))
+
+
+def _upper(hits: int, count: int) -> float:
+    """95 % upper limit of a share."""
+    return float(beta.ppf(0.95, hits + 1, count - hits)) if hits < count else 1.0
+
+
+def kept(path: Path, bench: Bench) -> dict[int, Trial]:
+    """Trials by seed that `keep` has written there; none if there is no such file.
+
+    Raises
+    ------
+    UserError
+        They are of another bench or another version of the diagnosis: such trials do not add up. Or it is no such file.
+    """
+    if not path.exists():
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        return _of(content, path, bench)
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path} is no file of calibrate's: write to another") from error
+
+
+def _of(content: Mapping[str, Any], path: Path, bench: Bench) -> dict[int, Trial]:
+    if content["bench"] != bench.to_mapping():
+        raise UserError(f"{path} holds trials of another bench: write to another file")
+    if content["engine"] != engine():
+        raise UserError(f"{path} holds trials of another version of the diagnosis: write to another file")
+    return {
+        entry["seed"]: Trial(entry["noise"], -inf if entry["evidence"] is None else entry["evidence"], entry["claim"])
+        for entry in content["trials"]
+    }
+
+
+def keep(path: Path, bench: Bench, trials: Mapping[int, Trial], threshold: float) -> None:
+    """Write trials by seed, and what a threshold is worth by them; the file is whole at any time."""
+    entries: list[dict[str, Any]] = [{"seed": seed, **asdict(one)} for seed, one in sorted(trials.items())]
+    for entry in entries:
+        entry["evidence"] = entry["evidence"] if entry["evidence"] > -inf else None
+    outcome = asdict(calibrated(list(trials.values()), threshold))
+    content = {"outcome": outcome, "engine": engine(), "bench": bench.to_mapping(), "trials": entries}
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scratch = path.with_name(f".{path.name}")
+    scratch.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    os.replace(scratch, path)

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings too long to hold in memory: looked through in stretches, of which only the telling windows are kept.
+
+A bag is read twice. First every window of 10 s is judged by where it takes the bench, and forgotten; then those that
+together visit most of position and velocity, of current and pressure, and of the recording's length, are read again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from hydro_bridge.bags.recording import RecordingError, stream_bag
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, StateArray
+from hydro_diagnosis.dataset.informative_windows import WINDOW, Visits, telling
+from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.table import RawTable, mapped
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.recording import InputError, Recording, Segment, UnusableRecordingError
+from hydro_sim.model.bench import Bench
+
+STRETCH = 60_000
+"""Samples that are looked at together."""
+WHOLE = 5
+"""Stretches that are still held whole."""
+FITTED, HELD = 10, 5
+"""Windows kept of the first two thirds, and of the last, which serves as what is held out where nothing else does."""
+NOTES = 5
+"""Notes on the quality of single stretches that are passed on."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some samples of a recording."""
+
+    start: float
+    """s since the start of the recording."""
+    table: RawTable
+
+
+def read_bag_within(
+    path: Path,
+    bench: Bench,
+    columns: ColumnMap | None = None,
+    inspected: Callable[[RawTable], RawTable] = lambda table: table,
+) -> Recording:
+    """A recording that can be diagnosed, whole if it is short, else its telling windows.
+
+    `column_map` turns its fields (`table.mapped`); `inspected` sees its first stretches, may refuse it and add notes.
+
+    Raises
+    ------
+    InputError
+        In one sentence that names the path.
+    """
+    try:
+        stretches = _stretches(path, columns)
+        head = list(islice(stretches, WHOLE + 1))
+        if len(head) <= WHOLE:
+            return checked(inspected(_joined(path, head)), bench)
+        first = head[0].table
+        notes = tuple(f"{path.name}: {note}" for note in inspected(first).notes[len(first.notes) :])
+        del head, stretches, first
+        found = _telling(path.name, bench, lambda: _stretches(path, columns))
+        return replace(found, quality=(*notes, *found.quality))
+    except RecordingError as error:
+        raise InputError(str(error)) from None
+
+
+def table_within(table: RawTable, bench: Bench) -> Recording:
+    """The same of a file that is held as it was read: what is checked and kept of it stays small.
+
+    Raises
+    ------
+    InputError
+        In one sentence that names the recording.
+    """
+    steps = np.diff(table.time)
+    step = float(np.median(steps[steps > 0.0])) if np.any(steps > 0.0) else SAMPLE_PERIOD
+    rows = max(round(STRETCH * SAMPLE_PERIOD / step), STRETCH)
+    if len(table.time) <= WHOLE * rows:
+        return checked(table, bench)
+    return _telling(table.name, bench, lambda: _slices(table, rows))
+
+
+def _slices(table: RawTable, rows: int) -> Iterator[Stretch]:
+    """Views of a table, so many rows each; its notes come with the first."""
+    for begin in range(0, len(table.time), rows):
+        part = slice(begin, begin + rows)
+        columns = {name: values[part] for name, values in table.columns.items()}
+        sample = None if table.sample is None else table.sample[part]
+        notes = table.notes if begin == 0 else ()
+        start = float(table.time[begin] - table.time[0])
+        yield Stretch(start, RawTable(table.name, table.time[part], sample, columns, notes))
+
+
+def _stretches(path: Path, columns: ColumnMap | None) -> Iterator[Stretch]:
+    """The recording in stretches; samples are numbered on from one to the next."""
+    first = last = number = None
+    for states in _pieces(path):
+        first = float(states["time"][0]) if first is None else first
+        counter = states["sequence"] if last is None else np.concatenate([last, states["sequence"]])
+        steps = np.diff(counter).view(np.int32).astype(np.float64)
+        samples = np.concatenate([[0.0], np.cumsum(steps)]) if number is None else number + np.cumsum(steps)
+        number, last = float(samples[-1]), states["sequence"][-1:].copy()
+        fields = {name: np.ascontiguousarray(states[name]) for name in STATE_FIELDS}
+        table = RawTable(path.name, states["time"].copy(), samples, fields)
+        turned = table if columns is None else mapped(path, table, columns)
+        yield Stretch(float(states["time"][0]) - first, turned)
+
+
+def _pieces(path: Path) -> Iterator[StateArray]:
+    """`STRETCH` samples at a time; what is left comes last."""
+    parts: list[StateArray] = []
+    for block in stream_bag(path):
+        parts.append(block)
+        while sum(map(len, parts)) >= STRETCH:
+            states = np.concatenate(parts)
+            parts = [states[STRETCH:].copy()]
+            yield states[:STRETCH]
+    if any(map(len, parts)):
+        yield np.concatenate(parts)
+
+
+def _joined(path: Path, stretches: list[Stretch]) -> RawTable:
+    if not stretches:
+        raise InputError(f"{path}: the recording is empty")
+    tables = [one.table for one in stretches]
+    columns = {name: np.concatenate([table.columns[name] for table in tables]) for name in tables[0].columns}
+    numbers = [table.sample for table in tables if table.sample is not None]
+    samples = np.concatenate(numbers) if len(numbers) == len(tables) else None
+    time = np.concatenate([table.time for table in tables])
+    return RawTable(path.name, time, samples, columns, tables[0].notes)
+
+
+@dataclass(frozen=True)
+class _Window:
+    """Where a window lies: which stretch, which of its segments, from which sample on."""
+
+    stretch: int
+    segment: int
+    begin: int
+    start: float
+    """s since the start of the recording."""
+
+
+def _surveyed(stretches: Iterator[Stretch], bench: Bench) -> tuple[list[_Window], Visits, list[str], float]:
+    """Every window with where it takes the bench, notes, and the recording's length in s; the samples are forgotten."""
+    windows, visits, notes, reasons, idle, end = [], Visits(bench), [], [], 0, 0.0
+    for number, stretch in enumerate(stretches):
+        end = stretch.start + float(stretch.table.time[-1] - stretch.table.time[0])
+        try:
+            recording = checked(stretch.table, bench)
+        except UnusableRecordingError as error:
+            idle += 1
+            reasons.append(error)
+            continue
+        notes += [f"{note} (from {stretch.start:.0f} s on)" for note in recording.quality]
+        for index, segment in enumerate(recording.segments):
+            for begin, window in _cut(segment):
+                windows.append(_Window(number, index, begin, stretch.start + window.start))
+                visits.add(window)
+    if not windows:
+        raise reasons[0] if reasons else UnusableRecordingError("no window of the recording is long enough")
+    more = [f"{len(notes) - NOTES} more notes of this kind"] if len(notes) > NOTES else []
+    idled = [f"{idle} stretches of {STRETCH * 1e-3:.0f} s show nothing: {reasons[0]}"] if idle else []
+    return windows, visits, [*notes[:NOTES], *more, *idled], end
+
+
+def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
+    length = round(WINDOW / segment.step)
+    for begin in range(0, len(segment) - length + 1, length):
+        yield begin, segment.cut(begin, begin + length)
+
+
+def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]) -> Recording:
+    """The telling windows, found in a first pass and read again in a second."""
+    windows, visits, notes, seconds = _surveyed(stretches(), bench)
+    early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
+    late = [k for k in range(len(windows)) if k not in set(early)]
+    chosen = {*telling(visits, FITTED, early), *telling(visits, HELD, late)}
+    by_stretch: dict[int, list[_Window]] = {}
+    for k in sorted(chosen):
+        by_stretch.setdefault(windows[k].stretch, []).append(windows[k])
+    segments = []
+    for number, stretch in enumerate(stretches()):
+        found = checked(stretch.table, bench).segments if number in by_stretch else ()
+        for window in by_stretch.get(number, []):
+            segment = found[window.segment]
+            kept = segment.cut(window.begin, window.begin + round(WINDOW / segment.step))
+            channels = {name: values.copy() for name, values in kept.channels.items()}
+            segments.append(replace(kept, start=window.start, channels=channels))
+    notes.append(
+        f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW:g} s were kept, which together visit most "
+        "positions, velocities, currents and pressures; no other sample was judged"
+    )
+    return Recording(recording, tuple(segments), tuple(notes))

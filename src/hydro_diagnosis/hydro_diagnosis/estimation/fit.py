@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Least squares over the parameters of some claims, with each channel weighed by what it leaves unexplained.
+
+A channel's deviation is never taken below the measured noise, and above it where the claims leave a remainder: so a
+channel that nobody can explain does not drown the evidence of the others (docs/diagnosis.md, "Evidence").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Parameter
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Claims at their best values."""
+
+    claims: tuple[Claim, ...]
+    residual: FloatArray
+    jacobian: FloatArray
+    """Columns: derivative of the residual by each parameter, in `Parameter.span`s; shape (n, k)."""
+    deviance: float
+    """-2 log likelihood up to a constant."""
+
+    @property
+    def free(self) -> int:
+        """Number of fitted parameters."""
+        return self.jacobian.shape[1]
+
+
+def spreads(problem: Problem, residual: FloatArray) -> FloatArray:
+    """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
+    layout = problem.layout
+    count = np.maximum(layout.count(), 1.0)
+    return np.maximum(np.bincount(layout.channel, np.square(residual), len(CHANNELS)) / count, 1.0)
+
+
+def deviance(problem: Problem, residual: FloatArray) -> float:
+    """-2 log likelihood up to a constant, with a channel's variance at its most likely value of 1 or more."""
+    layout = problem.layout
+    squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
+    variance = np.maximum(squares / np.maximum(layout.count(), 1.0), 1.0)
+    return float(np.sum(layout.count() * np.log(variance) + squares / variance))
+
+
+def pack(claims: Sequence[Claim]) -> tuple[list[Parameter], FloatArray]:
+    """Parameters and their values, claim after claim."""
+    parameters = [parameter for claim in claims for parameter in claim.effect.parameters]
+    values = [claim.values[parameter.name] for claim in claims for parameter in claim.effect.parameters]
+    return parameters, np.array(values, dtype=np.float64)
+
+
+def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
+    """Claims from values."""
+    claims, k = [], 0
+    for effect in effects:
+        names = [parameter.name for parameter in effect.parameters]
+        claims.append(Claim(effect, dict(zip(names, map(float, values[k : k + len(names)]), strict=True))))
+        k += len(names)
+    return tuple(claims)
+
+
+def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray) -> FloatArray:
+    """One-sided differences, towards the neutral value's far side unless a bound stands there."""
+    parameters, values = pack(claims)
+    effects = [claim.effect for claim in claims]
+    columns = np.empty((len(residual), len(values)))
+    for k, parameter in enumerate(parameters):
+        step = 1e-3 * parameter.span
+        if values[k] + step > parameter.high:
+            step = -step
+        moved = values.copy()
+        moved[k] += step
+        columns[:, k] = (problem.residual(unpack(effects, moved)) - residual) * (parameter.span / step)
+    return columns
+
+
+def fit(
+    problem: Problem, claims: Sequence[Claim], *, iterations: int = 8, tolerance: float = 0.1, fixed: int | None = None
+) -> Fit:
+    """Levenberg-Marquardt from the claims' values, within their bounds, until the deviance gains less than `tolerance`.
+
+    `fixed`: index of a parameter that stays where it is.
+    """
+    effects = [claim.effect for claim in claims]
+    parameters, values = pack(claims)
+    low = np.array([parameter.low for parameter in parameters])
+    high = np.array([parameter.high for parameter in parameters])
+    span = np.array([parameter.span for parameter in parameters])
+    residual = problem.residual(claims)
+    best = deviance(problem, residual)
+    damping = 1e-4
+    slopes = jacobian(problem, claims, residual)
+    for _ in range(iterations if len(values) else 0):
+        weight = 1.0 / spreads(problem, residual)[problem.layout.channel]
+        normal = slopes.T @ (slopes * weight[:, None])
+        force = slopes.T @ (residual * weight)
+        if fixed is not None:
+            normal[fixed, :] = normal[:, fixed] = force[fixed] = 0.0
+            normal[fixed, fixed] = 1.0
+        improved = False
+        for _ in range(4):
+            damped = normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300)
+            move = -np.linalg.lstsq(damped, force, rcond=None)[0] * span
+            trial = np.clip(values + move, low, high)
+            outcome = problem.residual(unpack(effects, trial))
+            reached = deviance(problem, outcome)
+            if reached < best:
+                improved = True
+                break
+            damping *= 20.0
+        if not improved:
+            break
+        gained, best = best - reached, reached
+        values, residual, damping = trial, outcome, damping * 0.1
+        slopes = jacobian(problem, unpack(effects, values), residual)
+        if gained < tolerance:
+            break
+    return Fit(unpack(effects, values), residual, slopes, best)

@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How sure a parameter is: 95 % by profile likelihood, with what the likelihood cannot know added.
+
+A parameter is moved, all others are fitted anew, and the deviance must rise by 3.84. Residuals are not quite
+independent
+and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to the
+curvature
+(the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part covers the
+residuals' own discretisation, a fraction of the smallest size worth claiming, noise in what a parameter multiplies, and
+rows that were not recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import hypot, sqrt
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, FloatArray, Parameter
+from hydro_diagnosis.estimation.fit import Fit, fit, pack, spreads, unpack
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.unrecorded_rows import shifts
+
+QUANTILE = 1.96
+SYSTEMATIC = 0.03
+"""Of a parameter's smallest size worth claiming; shapes say theirs themselves: `Parameter.systematic`."""
+_BLOCK = 0.25
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A parameter's value and its 95 % interval; `identifiable` is False at a bound or on a flat profile."""
+
+    value: float
+    low: float
+    high: float
+    identifiable: bool
+
+
+def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
+    """The fit without claims whose intervals hold nothing, and the intervals of those that stand."""
+    while True:
+        bounds, standing, k = intervals(problem, found), [], 0
+        for claim in found.claims:
+            count = len(claim.effect.parameters)
+            if not _holds_nothing(claim, bounds[k : k + count]):
+                standing.append(claim)
+            k += count
+        ids = {claim.effect.id for claim in standing}
+        standing = [claim for claim in standing if set(claim.effect.needs) <= ids]
+        if len(standing) == len(found.claims):
+            return found, bounds
+        found = fit(problem, standing)
+
+
+def _holds_nothing(claim: Claim, bounds: Sequence[Interval]) -> bool:
+    """Whether the effect may as well not be there: so for each amplitude, or the first shape where there is none."""
+    pairs = list(zip(claim.effect.parameters, bounds, strict=True))
+    telling = [(one, bound) for one, bound in pairs if one.smallest > 0.0] or pairs[:1]
+    return all(bound.low <= one.neutral <= bound.high for one, bound in telling)
+
+
+def intervals(problem: Problem, found: Fit) -> list[Interval]:
+    """One per parameter of the claims, in the order of `pack`."""
+    parameters, values = pack(found.claims)
+    if not len(values):
+        return []
+    owners = [claim.effect.id for claim in found.claims for _ in claim.effect.parameters]
+    curvature, inflation = _uncertainty(problem, found)
+    missing = np.concatenate(shifts(problem, found))
+    return [
+        _interval(problem, found, k, parameter, float(values[k]), curvature[k] * parameter.span, inflation[k],
+                  hypot(problem.attenuation.get(owners[k], 0.0), missing[k]))
+        for k, parameter in enumerate(parameters)
+    ]  # fmt: skip
+
+
+def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
+    """Standard deviations by curvature, in spans, and how much wider the sandwich says they are."""
+    layout = problem.layout
+    weight = 1.0 / spreads(problem, found.residual)[layout.channel]
+    normal = found.jacobian.T @ (found.jacobian * weight[:, None])
+    covariance = np.linalg.pinv(normal, hermitian=True)
+    scores = found.jacobian * (found.residual * weight)[:, None]
+    block = np.floor(layout.time / _BLOCK).astype(np.int64) + 10**6 * layout.segment
+    _, index = np.unique(block, return_inverse=True)
+    summed = np.stack([np.bincount(index, scores[:, k]) for k in range(scores.shape[1])], axis=1)
+    sandwich = covariance @ (summed.T @ summed) @ covariance
+    plain = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    inflation = np.sqrt(np.maximum(np.diag(sandwich), 0.0)) / np.maximum(plain, 1e-300)
+    return plain, np.maximum(inflation, 1.0)
+
+
+def _interval(
+    problem: Problem, found: Fit, index: int, parameter: Parameter, value: float, deviation: float, inflation: float,
+    attenuation: float,
+) -> Interval:  # fmt: skip
+    reach = QUANTILE * deviation * inflation
+    sides = []
+    for sign in (-1.0, 1.0):
+        side = _profiled(problem, found, index, value, sign * reach, inflation)
+        sides.append(side)
+    shape = parameter.smallest == 0.0
+    systematic = parameter.systematic * abs(value) if shape else SYSTEMATIC * parameter.smallest
+    low, high = (value + sign * hypot(side, systematic, attenuation) for sign, side in zip((-1, 1), sides, strict=True))
+    at_bound = min(value - parameter.low, parameter.high - value) <= 1e-3 * (parameter.high - parameter.low) * 1e-3
+    flat = not np.isfinite(reach) or reach > 0.5 * (parameter.high - parameter.low)
+    return Interval(value, max(low, parameter.low), min(high, parameter.high), not (at_bound or flat))
+
+
+def _profiled(problem: Problem, found: Fit, index: int, value: float, step: float, inflation: float) -> float:
+    """Distance at which the profile has risen by QUANTILE^2 inflation^2, from one point on it."""
+    effects = [claim.effect for claim in found.claims]
+    _, values = pack(found.claims)
+    if not np.isfinite(step) or step == 0.0:
+        return abs(step)
+    values[index] = value + step
+    moved = fit(problem, unpack(effects, values), iterations=2, fixed=index)
+    rise = moved.deviance - found.deviance
+    wanted = (QUANTILE * inflation) ** 2
+    return abs(step) * float(np.clip(sqrt(wanted / rise) if rise > 0.0 else 2.0, 0.5, 2.0))

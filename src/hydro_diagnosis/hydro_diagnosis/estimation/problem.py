@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The recordings as one least-squares problem: claims in, residuals in units of the measured noise out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.model.chambers import ChamberRun
+from hydro_diagnosis.model.noise_floor import residual_noise, sensor_noise
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.preprocessing.smoothing import ACCELERATION_NOISE_GAIN
+from hydro_diagnosis.recording import Segment
+from hydro_sim.model.bench import Bench
+
+CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
+LEVEL = 1.0
+"""s, over which what missing rows may hide is averaged."""
+_CACHE = 24
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Which entries of a residual vector belong to which channel: `channel[i]` indexes `CHANNELS`."""
+
+    channel: np.ndarray[Any, np.dtype[np.int64]]
+    segment: np.ndarray[Any, np.dtype[np.int64]]
+    time: FloatArray
+
+    def count(self) -> FloatArray:
+        """Entries per channel, shape (5,)."""
+        return np.bincount(self.channel, minlength=len(CHANNELS)).astype(np.float64)
+
+
+class Problem:
+    """Segments, the bench that is believed, and claims that stand already (`baseline`).
+
+    `like`: the same segments with more rows, whose judged samples are judged here too.
+    """
+
+    def __init__(
+        self,
+        segments: Sequence[Segment],
+        bench: Bench,
+        baseline: Sequence[Claim] = (),
+        noise: dict[str, float] | None = None,
+        like: Problem | None = None,
+    ) -> None:
+        self.bench = bench
+        self.baseline = tuple(baseline)
+        likes = like.models if like else [None] * len(segments)
+        self.models: list[SegmentModel] = [
+            SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)
+        ]
+        self.sensor_noise = noise or sensor_noise(self.models)
+        self._noises = [residual_noise(self.sensor_noise, bench, model.step * model.spacing) for model in self.models]
+        self.noise = self._noises[0]
+        """Of the first segment's residuals; those of others differ where the logger's rate does (`deviation`)."""
+        thinner = [segment.thinner or segment for segment in segments]
+        lacking = like is None and any(segment.thinner for segment in segments)
+        self.thinner = Problem(thinner, bench, baseline, self.sensor_noise, self) if lacking else None
+        """The same from half of the rows where rows are missing; None where none are."""
+        self.blocks = self._checked_blocks()
+        self._cache: dict[tuple[Any, ...], list[Any]] = {}
+        self._doubt: list[FloatArray] = []
+        self._unseen: dict[tuple[str, int], FloatArray] = {}
+        """By channel and segment: what the rows that are missing may hide, shape of the residuals, physical unit."""
+        self.evaluations = 0
+        """How often `residual` was called: the currency of a search's effort."""
+        self.doubted: tuple[float, ...] = ()
+        """Tells one doubt from another: its sum per segment; nothing but zeros without any."""
+        checked = PRESSURE in self.blocks
+        self._flows = [model.pressure_doubt(self.sensor_noise) for model in self.models] if checked else []
+        self.set_doubt(())
+        self.layout = self._layout()
+        self.attenuation = {"moving_mass": self._mass_attenuation()} if MOTION in self.blocks else {}
+        """By effect id: how far [SI unit] a parameter may be off because the signal that it multiplies is noisy."""
+
+    def _checked_blocks(self) -> tuple[str, ...]:
+        have = set.intersection(*(set(model.channels) for model in self.models))
+        pressures = {"pressure_a", "pressure_b"} <= have
+        blocks = []
+        if pressures and {"piston_position", "valve_current"} <= have:
+            blocks.append(PRESSURE)
+        if "piston_position" in have and ("hydraulic_force" in have or pressures):
+            blocks.append(MOTION)
+        if {"piston_position", "load_force"} <= have:
+            blocks.append(LOAD)
+        if pressures and "hydraulic_force" in have:
+            blocks.append(HYDRAULIC)
+        return tuple(blocks)
+
+    def set_doubt(self, claims: Sequence[Claim]) -> None:
+        """Weigh residuals down: where these claims leave the sign of dry friction in doubt, and by missing rows."""
+        if MOTION in self.blocks:
+            everything, reversals = (*self.baseline, *claims), sum(model.reversals for model in self.models)
+            self._doubt = [model.kept(model.friction_doubt(everything, reversals)) for model in self.models]
+        if self.thinner is not None:
+            self._unseen = {key: self._level(key[1], change) for key, change in self._changes(claims).items()}
+        self.doubted = tuple(float(np.sum(doubt)) for doubt in (*self._doubt, *self._unseen.values()))
+
+    def _changes(self, claims: Sequence[Claim]) -> dict[tuple[str, int], FloatArray]:
+        """By how much each residual changes if half of the rows are left out, physical unit."""
+        fewer = self.thinner.parts(claims) if self.thinner is not None else self.parts(claims)
+        return {key: fewer[key] - part for key, part in self.parts(claims).items()}
+
+    def _level(self, segment: int, change: FloatArray) -> FloatArray:
+        """Root mean square of a change over `LEVEL` seconds around each residual."""
+        duration = len(self.models[segment].time) * self.models[segment].step
+        count = max(round(LEVEL * len(change) / duration), 1)
+        return np.asarray(np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest")))
+
+    def change(self, claims: Sequence[Claim]) -> FloatArray:
+        """By how much each residual changes if half of the rows are left out, over its deviation."""
+        changes = self._changes(claims).items()
+        return np.concatenate([change / self.deviation(*key) for key, change in changes])
+
+    def _mass_attenuation(self) -> float:
+        """Mass [kg] that the encoder's noise hides: m times the share of noise in the acceleration's power.
+
+        Least squares with a noisy regressor are off by up to that (errors in variables: Fuller 1987); through the
+        controller the noise is also in the motion itself, so that the exact amount is not known.
+        """
+        step = min(model.step * model.spacing for model in self.models)
+        noise = self.sensor_noise.get("piston_position", 0.0) * ACCELERATION_NOISE_GAIN / step**2
+        power = float(np.mean(np.square(np.concatenate([model.finish(model.a) for model in self.models]))))
+        return self.bench.moving_mass * noise**2 / max(power - noise**2, noise**2, 1e-12)
+
+    def deviation(self, channel: str, segment: int) -> FloatArray | float:
+        """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
+        deviation: FloatArray | float = self._noises[segment][channel]
+        if channel == "motion":
+            deviation = np.hypot(deviation, self._doubt[segment])
+        if channel in ("pressure_a", "pressure_b"):
+            deviation = np.hypot(deviation, self._flows[segment][CHANNELS.index(channel)])
+        if (channel, segment) in self._unseen:
+            return np.asarray(np.maximum(deviation, self._unseen[channel, segment]))
+        return deviation
+
+    def residual(self, claims: Sequence[Claim]) -> FloatArray:
+        """Every residual over its noise, one vector in the order of `layout`."""
+        self.evaluations += 1
+        return np.concatenate([part / self.deviation(*key) for key, part in self.parts(claims).items()])
+
+    def parts(self, claims: Sequence[Claim]) -> dict[tuple[str, int], FloatArray]:
+        """Residuals by channel and segment in the order of `layout`, physical unit."""
+        everything = (*self.baseline, *claims)
+        parts: dict[tuple[str, int], FloatArray] = {}
+        arcs: list[FloatArray] | None = None
+        if PRESSURE in self.blocks:
+            chambers = self._block(PRESSURE, everything, self._pressure)
+            parts |= {("pressure_a", k): part for k, (_, part, _) in enumerate(chambers)}
+            parts |= {("pressure_b", k): part for k, (_, _, part) in enumerate(chambers)}
+            arcs = [arc for arc, _, _ in chambers]
+        if MOTION in self.blocks:
+            motions = self._block(MOTION, everything, lambda model, claims: model.motion_residual(claims))
+            rounded = any(claim.effect.rounds == "hydraulic_force" for claim in everything)
+            for k, part in enumerate(motions):
+                parts["motion", k] = part if arcs is None or rounded else part + arcs[k]
+        if LOAD in self.blocks:
+            loads = self._block(LOAD, everything, lambda model, claims: model.load_residual(claims))
+            parts |= {("load", k): part for k, part in enumerate(loads)}
+        if HYDRAULIC in self.blocks:
+            balances = self._block(HYDRAULIC, everything, lambda model, claims: model.hydraulic_residual(claims))
+            parts |= {("hydraulic", k): part for k, part in enumerate(balances)}
+        return parts
+
+    def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
+        acting = tuple(claim for claim in claims if block in claim.effect.touches)
+        key = (block, *((claim.effect.label, *claim.values.values()) for claim in acting))
+        if key not in self._cache:
+            if len(self._cache) > _CACHE:
+                self._cache.pop(next(iter(self._cache)))
+            self._cache[key] = [compute(model, acting) for model in self.models]
+        return self._cache[key]
+
+    @staticmethod
+    def _pressure(model: SegmentModel, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray, FloatArray]:
+        run: ChamberRun = model.chamber_run(claims)
+        return model.arc_residual(run), *model.pressure_residuals(run)
+
+    def _layout(self) -> Layout:
+        names = {
+            PRESSURE: ("pressure_a", "pressure_b"),
+            MOTION: ("motion",),
+            LOAD: ("load",),
+            HYDRAULIC: ("hydraulic",),
+        }
+        channel, segment, time = [], [], []
+        for block in self.blocks:
+            for name in names[block]:
+                for k, model in enumerate(self.models):
+                    at = model.block_time() if block == HYDRAULIC else model.kept_time()
+                    channel.append(np.full(len(at), CHANNELS.index(name)))
+                    segment.append(np.full(len(at), k))
+                    time.append(at)
+        return Layout(np.concatenate(channel), np.concatenate(segment), np.concatenate(time))

@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of text by any logger: encoding, separator and decimal sign are found, headers read, blocks told apart.
+
+dSPACE ControlDesk, TwinCAT Scope, LabVIEW and others put a header of key and values above the numbers, names and units
+in rows of their own, one column of times per raster or one block below the other; spreadsheets of half of Europe write
+decimal commas. `text_header` reads what stands above the numbers.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pandas as pd
+
+from hydro_diagnosis.effects.base import FloatArray
+from hydro_diagnosis.formats.file_columns import Columns, named_like_time, runs_forward, unique
+from hydro_diagnosis.formats.text_header import Header, header_of, numeric_cells
+
+_HEAD = 1 << 16
+"""Bytes that are looked at to find out how a file is written."""
+_SEPARATORS = (";", "\t", ",")
+_TEXT = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
+"""A line that begins with a word: what stands above a block of numbers."""
+
+
+def delimited_columns(path: Path) -> Columns:
+    """Read a table of text.
+
+    Raises
+    ------
+    ValueError, OSError, pandas.errors.EmptyDataError
+        If it cannot be read.
+    """
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+    if not head.strip():
+        raise pd.errors.EmptyDataError(str(path))
+    encoding = _encoding(head)
+    text = head.decode(encoding, errors="replace")
+    separator, decimal = _style(text.splitlines()[:-1] if len(head) == _HEAD else text.splitlines())
+    series: dict[str, FloatArray] = {}
+    units: dict[str, str] = {}
+    clocks: dict[str, str] = {}
+    other: list[str] = []
+    for header, frame in _blocks(path, encoding, separator, decimal):
+        _take(header, frame, series, units, clocks, other)
+    if len({len(values) for values in series.values()}) == 1 and len(set(clocks.values())) <= 1:
+        clocks = {}
+    return Columns(series, {}, tuple(other), units, clocks)
+
+
+def _encoding(head: bytes) -> str:
+    """By the byte order mark; without one UTF-8 if it can be, else what Windows writes in Western Europe."""
+    marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+    for mark, encoding in marks.items():
+        if head.startswith(mark):
+            return encoding
+    if head[1::2].count(0) > len(head) // 4:
+        return "utf-16-le"
+    for cut in range(4):  # a character may be cut in two where the head ends
+        try:
+            head[: len(head) - cut].decode("utf-8")
+        except UnicodeDecodeError:
+            continue
+        return "utf-8"
+    return "cp1252"
+
+
+def _style(lines: list[str]) -> tuple[str, str]:
+    """Separator and decimal sign: those by which the most cells of the last lines are numbers."""
+    last = [line for line in lines[-200:] if line.strip()]
+    counts = {
+        (separator, decimal): sum(numeric_cells(line, separator, decimal) for line in last)
+        for decimal in (".", ",")
+        for separator in _SEPARATORS
+    }
+    best = max(counts, key=lambda style: counts[style])
+    return best if counts[best] else (",", ".")
+
+
+def _blocks(path: Path, encoding: str, separator: str, decimal: str) -> Iterator[tuple[Header, pd.DataFrame]]:
+    """Headers with their numbers; most files are one such block, read by pandas in one go."""
+    lines: list[str] = []
+    with path.open(encoding=encoding, errors="replace") as file:
+        for line in file:
+            lines.append(line.rstrip("\r\n"))
+            if len(lines) > 400:
+                break
+    header = header_of(lines, separator, decimal)
+    try:
+        with path.open(encoding=encoding, errors="replace") as file:
+            yield header, _numbers(file, header, separator, decimal)
+            return
+    except (ValueError, pd.errors.ParserError):
+        pass
+    rest = path.read_text(encoding=encoding, errors="replace").splitlines()
+    while rest:
+        header = header_of(rest[:400], separator, decimal)
+        end = next((k for k in range(header.length + 1, len(rest)) if _TEXT.match(rest[k])), len(rest))
+        yield header, _numbers(StringIO("\n".join(rest[:end])), header, separator, decimal, strict=False)
+        rest = rest[end:]
+
+
+def _numbers(source: object, header: Header, separator: str, decimal: str, *, strict: bool = True) -> pd.DataFrame:
+    """The block's numbers; if `strict`, a header among them is a ValueError: a new block begins there."""
+    width = len(header.names) + header.lead
+    frame = pd.read_csv(
+        source, sep=separator, decimal=decimal, header=None, names=range(width), usecols=range(header.lead, width),
+        index_col=False, skiprows=header.length, skipinitialspace=True, skip_blank_lines=True, low_memory=False,
+        float_precision="round_trip" if decimal == "." else "high",
+    )  # fmt: skip
+    if not len(frame):
+        raise pd.errors.EmptyDataError("no rows")
+    if decimal == ",":  # a column with a word in it was not converted
+        texts_there = frame.select_dtypes("object").columns
+        frame[texts_there] = frame[texts_there].apply(lambda column: column.str.replace(",", ".", regex=False))
+    numbers = frame.apply(pd.to_numeric, errors="coerce")
+    broken = frame.notna() & numbers.isna()
+    texts = [column for column in frame if broken[column].all() or not numbers[column].notna().any()]
+    if strict and broken.drop(columns=texts).to_numpy().any() and _holds_headers(frame[broken.any(axis=1)]):
+        raise ValueError("another block")
+    numbers.columns = pd.RangeIndex(len(header.names))
+    return numbers
+
+
+def _holds_headers(rows: pd.DataFrame) -> bool:
+    """Whether rows that are not numbers look like a header of a new block: words in most of their first cells."""
+    first = rows.iloc[:, 0].astype(str)
+    return bool(first.str.match(_TEXT.pattern, case=False).any())
+
+
+def _take(
+    header: Header,
+    frame: pd.DataFrame,
+    series: dict[str, FloatArray],
+    units: dict[str, str],
+    clocks: dict[str, str],
+    other: list[str],
+) -> None:
+    """Add a block's columns; a column of times is the clock of those to its right."""
+    columns = [frame[k].to_numpy(dtype=np.float64) for k in range(len(header.names))]
+    times = [
+        k
+        for k, name in enumerate(header.names)
+        if named_like_time(name) and runs_forward(columns[k][_filled(columns[k])])
+    ]
+    clock, steps = "", np.empty(0)
+    renamed = {}
+    for k, name in enumerate(header.names):
+        there = _filled(columns[k])
+        if not np.isfinite(columns[k]).any():
+            other.append(name)
+            continue
+        column = unique(name, series)
+        renamed[k] = column
+        if header.units[k]:
+            units[column] = header.units[k]
+        if k in times:
+            series[column], clock, steps = columns[k][there], column, columns[k]
+        elif clock and _thinned(columns[k], steps):
+            own = unique(f"{clock} of {column}", series)
+            sampled = np.isfinite(columns[k]) & np.isfinite(steps)
+            series[own], series[column], clocks[column] = steps[sampled], columns[k][sampled], own
+        elif clock and len(series[clock]) < len(columns[k]):
+            series[column], clocks[column] = columns[k][_filled(steps)], clock
+        else:
+            series[column] = columns[k]
+            if clock:
+                clocks[column] = clock
+
+
+def _filled(values: FloatArray) -> npt.NDArray[np.bool_]:
+    """All rows up to the last that holds a number."""
+    finite = np.flatnonzero(np.isfinite(values))
+    return np.arange(len(values)) < (finite[-1] + 1 if len(finite) else 0)
+
+
+def _thinned(values: FloatArray, times: FloatArray) -> bool:
+    """Whether a column has a number in every so many rows only: sampled less often than the times beside it."""
+    sampled = np.flatnonzero(np.isfinite(values[np.isfinite(times)]))
+    if len(sampled) < 3 or len(sampled) > 0.7 * np.count_nonzero(np.isfinite(times)):
+        return False
+    gaps = np.diff(sampled)
+    return bool(np.mean(gaps == np.median(gaps)) > 0.9)

@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Valve and oil: how much pressure and hydraulic force a sample of recorded valve current and motion must have built.
+
+The two chamber equations (paper eq. q13, docs/physics.md) are integrated from sample to sample. Displacement is the
+difference
+of recorded positions, exactly; flow is the mean opening of the valve within the sample times the root of the pressure
+drop at its middle.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Memory, Openings
+from hydro_sim.model.bench import Bench
+
+SUBSTEPS = 4
+"""Of a sample, on which the spool's position is computed: the current is held for a sample, the spool is not."""
+_FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
+
+
+def moves_spool(claim: Claim) -> bool:
+    """Whether a claim acts between the current and the edges, where a sample's command need not stay constant."""
+    return type(claim.effect).command is not Effect.command
+
+
+def signed_root(drop: FloatArray) -> FloatArray:
+    """Odd square root: flow turns round with the pressure drop."""
+    root: FloatArray = np.copysign(np.sqrt(np.abs(drop)), drop)
+    return root
+
+
+def nominal_openings(bench: Bench, spool: FloatArray) -> Openings:
+    """Zero-lapped valve: conductances from the spool position [A], shape (..., substeps)."""
+    mean = np.full(spool.shape[-1], bench.valve_gain / spool.shape[-1])
+    positive = np.maximum(spool, 0.0) @ mean
+    negative = positive - spool @ mean
+    return Openings(positive, negative, negative, positive)
+
+
+def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim]) -> FloatArray:
+    """Spool position [A], shape (n, substeps), from the recorded current of shape (n,).
+
+    A current that nothing shapes is constant within a sample and needs but one substep.
+    """
+    moving = sorted((claim for claim in claims if moves_spool(claim)), key=lambda claim: claim.effect.stage)
+    if current.ndim == 1:
+        current = np.repeat(current[:, None], SUBSTEPS if moving else 1, axis=1)
+    spool = current
+    for claim in moving:
+        spool = claim.effect.command(spool, substep, claim.values)
+    return spool
+
+
+@dataclass(frozen=True)
+class Oil:
+    """What drives the chambers' pressures at one instant or over one sample."""
+
+    time: FloatArray
+    position: FloatArray
+    pressures: tuple[FloatArray, FloatArray]
+    spool: FloatArray
+    """A, shape (..., substeps)."""
+
+
+def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[FloatArray, FloatArray]:
+    """Flow [m3/s] into chamber A and into chamber B, leaks included."""
+    edges = nominal_openings(bench, oil.spool)
+    for claim in claims:
+        edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
+    p_a, p_b = oil.pressures
+    supply = np.full_like(p_a, bench.supply_pressure)
+    sagging = [claim for claim in claims if type(claim.effect).supply is not Effect.supply]
+    for _ in range(3 if sagging else 0):
+        demand = edges.supply_a * signed_root(supply - p_a) + edges.supply_b * signed_root(supply - p_b)
+        supply = np.full_like(p_a, bench.supply_pressure)
+        for claim in sagging:
+            supply = claim.effect.supply(supply, demand, memory, claim.values)
+    tank = bench.tank_pressure
+    into_a = edges.supply_a * signed_root(supply - p_a) - edges.a_tank * signed_root(p_a - tank)
+    into_b = edges.supply_b * signed_root(supply - p_b) - edges.b_tank * signed_root(p_b - tank)
+    flows = into_a, into_b
+    for claim in claims:
+        flows = claim.effect.flows(flows, oil.pressures, tank, claim.values)
+    return flows
+
+
+def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
+    """beta/V [Pa/m3] of both chambers."""
+    moduli = []
+    for pressure in oil.pressures:
+        modulus = np.full_like(pressure, bench.bulk_modulus)
+        for claim in claims:
+            modulus = claim.effect.stiffness(modulus, pressure, claim.values)
+        moduli.append(modulus)
+    area = bench.piston_area
+    volume_a = bench.dead_volume_a + area * oil.position
+    volume_b = bench.dead_volume_b + bench.area_ratio * area * (bench.stroke - oil.position)
+    return moduli[0] / volume_a, moduli[1] / volume_b
+
+
+@dataclass(frozen=True)
+class ChamberRun:
+    """What the chamber equations make of a segment."""
+
+    innovations: tuple[FloatArray, FloatArray]
+    """Pa, shape (n,), not smoothed."""
+    arc: FloatArray
+    """N, shape (n,): by how much the mean of f_h around a sample exceeds what straight lines between samples give."""
+    built_force: FloatArray
+    """N, shape (n,): what each sample adds to f_h."""
+
+
+def force_arc(
+    bench: Bench, oil: Oil, stiff: tuple[FloatArray, FloatArray], acceleration: FloatArray, step: float
+) -> FloatArray:
+    """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
+    gain, (p_a, p_b), alpha = bench.valve_gain, oil.pressures, bench.area_ratio
+    moment = _FIRST_MOMENT if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
+    positive = np.maximum(oil.spool, 0.0) @ moment
+    negative = positive - oil.spool @ moment
+    root, p_s, p_t = signed_root, bench.supply_pressure, bench.tank_pressure
+    flow_a = gain * (positive * root(p_s - p_a) - negative * root(p_a - p_t))
+    flow_b = gain * (negative * root(p_s - p_b) - positive * root(p_b - p_t))
+    swept = -bench.piston_area * acceleration * step / 12.0
+    rate = stiff[0] * (flow_a - swept) - alpha * stiff[1] * (flow_b + alpha * swept)
+    per_interval = bench.piston_area * rate * step
+    around: FloatArray = 0.5 * (per_interval + np.concatenate([per_interval[:1], per_interval[:-1]]))
+    return around
+
+
+def middle(signal: FloatArray) -> FloatArray:
+    """Mean of each sample and the next, shape (n,); the last repeats."""
+    between: FloatArray = 0.5 * (signal + np.concatenate([signal[1:], signal[-1:]]))
+    return between

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The chamber equations along a segment: what pressure they build, and what a slow observer of them does not follow."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from scipy.signal import lfilter
+
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.chambers import ChamberRun, Oil
+from hydro_diagnosis.model.segment_record import SegmentRecord
+from hydro_diagnosis.preprocessing.white_noise import white_noise
+from hydro_diagnosis.recording import Segment
+from hydro_sim.model.bench import Bench
+
+Kept = TypeVar("Kept")
+SHELF = 8
+"""Intermediate results that a segment keeps at most."""
+HASTENED = 3
+"""Rounds in which pressures behind lagging sensors and the flows that they drive are brought together."""
+OBSERVER_MEMORY = 0.12
+"""s. A shorter memory forgets the slow drift that a small leak builds up."""
+TIMING_DOUBT = 3e-6
+"""s, to which the equations, integrated sample by sample, and the sensors agree on when something happened."""
+
+
+class ChamberObserver(SegmentRecord):
+    """Both chambers under some claims, from recorded current, position and pressures."""
+
+    def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
+        super().__init__(segment, bench, like)
+        self._shelf: dict[tuple[Any, ...], Any] = {}
+
+    def oil(self, claims: Sequence[Claim]) -> Oil:
+        """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
+        moving = [claim for claim in claims if chambers.moves_spool(claim)]
+        sensing = [claim for claim in claims if type(claim.effect).unmeasure is not Effect.unmeasure]
+        spool = self._kept_back("spool", moving, self._spool)
+        p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
+        position = self._kept_back("position", (), self._middle_position)
+        return Oil(self.time, position, (p_a, p_b), spool)
+
+    def _spool(self, claims: Sequence[Claim]) -> FloatArray:
+        return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
+
+    def _middle_pressures(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
+        p_a, p_b = (chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
+        return p_a, p_b
+
+    def _middle_position(self, claims: Sequence[Claim]) -> FloatArray:
+        return chambers.middle(self.channels["piston_position"])
+
+    def _kept_back(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
+        """What these claims make, computed once as long as only others change."""
+        key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
+        if key not in self._shelf:
+            if len(self._shelf) >= SHELF:
+                self._shelf.pop(next(iter(self._shelf)))
+            self._shelf[key] = compute(claims)
+        found: Kept = self._shelf[key]
+        return found
+
+    def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
+        """Innovations and arcs under the claims."""
+        bench = self.bench(claims)
+        oil = self.oil(claims)
+        stiff, (built_a, built_b) = self._built(bench, oil, claims)
+        lagging = any(claim.effect.rounds.startswith("pressure") for claim in claims)
+        for _ in range(HASTENED if lagging else 0):
+            oil = self._hastened(oil, (built_a, built_b), claims)
+            stiff, (built_a, built_b) = self._built(bench, oil, claims)
+        innovations = tuple(
+            self._innovation(channel, built, claims)
+            for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
+        )
+        force = bench.piston_area * (built_a - bench.area_ratio * built_b)
+        arc = chambers.force_arc(bench, oil, stiff, self.a, self.step)
+        return ChamberRun((innovations[0], innovations[1]), arc, force)
+
+    def _built(
+        self, bench: Bench, oil: Oil, claims: Sequence[Claim]
+    ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
+        """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
+        into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
+        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
+        position = self.channels["piston_position"]
+        swept = bench.piston_area * np.diff(position, append=position[-1])
+        built_a = stiff_a * (into_a * self.step - swept)
+        built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
+        return (stiff_a, stiff_b), (built_a, built_b)
+
+    def _hastened(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
+        """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
+        others = [claim for claim in claims if not claim.effect.rounds.startswith("pressure")]
+        pressures = list(oil.pressures)
+        for index, channel in enumerate(("pressure_a", "pressure_b")):
+            late = [claim for claim in claims if claim.effect.rounds == channel]
+            if late:
+                integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
+                swallowed = integral - self.reading(channel, integral, late)
+                pressures[index] = chambers.middle(self.true_signal(channel, others) + swallowed)
+        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool)
+
+    def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+        integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
+        unexplained = self.channels[channel] - self.reading(channel, integral, claims)
+        gain = self.step / OBSERVER_MEMORY
+        start = float(np.mean(unexplained[:10]))
+        followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
+        return unexplained - np.asarray(followed)
+
+    def pressure_doubt(self, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
+        """Standard deviations [Pa] of what both equations build, beyond the readings' own noise, decimated.
+
+        Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
+        """
+        bench = self.base
+        timing = (
+            bench.bulk_modulus * bench.piston_area / bench.dead_volume_a * TIMING_DOUBT * self.smooth(np.abs(self.v))
+        )
+        a, b = (
+            self.kept(np.hypot(timing, self._flow_doubt(chamber, noise["pressure_" + chamber]))) for chamber in "ab"
+        )
+        return a, b
+
+    def _flow_doubt(self, chamber: str, noise: float) -> FloatArray:
+        """Standard deviation [Pa] of a pressure that the noise of its own reading has built by way of the flow."""
+        bench, current = self.base, self.channels["valve_current"]
+        pressure = chambers.middle(self.channels["pressure_" + chamber])
+        fed = current > 0.0 if chamber == "a" else current < 0.0
+        drop = np.abs(np.where(fed, bench.supply_pressure - pressure, pressure - bench.tank_pressure))
+        gain = bench.valve_gain * np.abs(current) / (2.0 * np.sqrt(np.maximum(drop, noise)))
+        volume = bench.dead_volume_a if chamber == "a" else bench.dead_volume_b
+        built = np.square(bench.bulk_modulus / volume * gain * noise * self.step)  # neighbours share a reading
+        if self.spacing > 1:
+            per_ampere = bench.bulk_modulus / volume * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * self.step
+            built = built + np.square(per_ampere) * self._hidden_current()
+        kept = (1.0 - self.step / OBSERVER_MEMORY) ** 2
+        return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))
+
+    def _hidden_current(self) -> FloatArray:
+        """Variance [A^2] of what the box added to the current from sample to sample that no row shows, shape (n,).
+
+        Of n samples per row n - 1 are not seen, and the one that is stands for all of them: together n (n - 1) times
+        the variance of a single one. What half of the rows change does not tell: they do not see these either.
+        """
+        measured = self.segment.measured
+        seen = np.ones(len(self.time), dtype=np.bool_) if measured is None else measured
+        noise = white_noise(self.channels["valve_current"][self.segment.phase :: self.spacing])
+        return np.where(seen, 0.0, self.spacing * noise**2)

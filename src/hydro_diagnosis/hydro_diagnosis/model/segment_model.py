@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a set of claims to residuals: what of the recordings the bench with these effects does not account for.
+
+::
+
+    pressure_a, pressure_b   innovations of a slow observer of the chamber equations, 120 ms of memory     1 kHz / 5
+    motion                   f_h - (m x'' + b x' + dry friction + spring), weak form                        1 kHz / 5
+    load                     f_l - what its sensor makes of the spring's force                               1 kHz / 5
+    hydraulic                f_h - (A_p p_a - alpha A_p p_b), means over 100 ms: the slow part, which the
+                             observer forgets; the fast part is in the other residuals already
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from scipy.ndimage import correlate1d
+
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.model.chambers import ChamberRun
+from hydro_diagnosis.model.forces import ForceBalance
+from hydro_diagnosis.model.observer import ChamberObserver
+from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+
+
+class SegmentModel(ChamberObserver, ForceBalance):
+    """A segment and its residuals under some claims, in physical units."""
+
+    def pressure_residuals(self, run: ChamberRun) -> tuple[FloatArray, FloatArray]:
+        """Pa, decimated."""
+        a, b = (self.kept(self.smooth(innovation)) for innovation in run.innovations)
+        return a, b
+
+    def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
+        """N, decimated, without the arc."""
+        if "hydraulic_force" in self.channels:
+            measured = self.channels["hydraulic_force"]
+            needed = self.reading("hydraulic_force", self.force_on_rod(claims), claims)
+        else:
+            bench = self.bench(claims)
+            p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
+            measured = bench.piston_area * (p_a - bench.area_ratio * p_b)
+            needed = self.force_on_rod(claims)
+        return self.kept(self.smooth(measured) - needed)
+
+    def arc_residual(self, run: ChamberRun) -> FloatArray:
+        """N, decimated: by how much the mean of f_h around each sample exceeds the sample.
+
+        Straight lines between the samples (second differences over 12), and the arcs upon them.
+        """
+        bench, channels = self.base, self.channels
+        force = channels.get("hydraulic_force")
+        if force is None:
+            force = bench.piston_area * (channels["pressure_a"] - bench.area_ratio * channels["pressure_b"])
+        lines = correlate1d(force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest")
+        return self.kept(self.smooth(run.arc + lines))
+
+    def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
+        """N, decimated."""
+        bench = self.bench(claims)
+        force = self.spring_force(bench, claims, self.recorded)
+        if bench.load_cell_bandwidth is not None:
+            force = self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
+        return self.kept(self.smooth(self.channels["load_force"] - self.reading("load_force", force, claims)))
+
+    def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
+        """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
+        bench = self.bench(claims)
+        late = [claim for claim in claims if claim.effect.rounds.startswith("pressure")]
+        others = [claim for claim in claims if claim not in late]
+
+        def delayed(signal: FloatArray, but: str) -> FloatArray:
+            for claim in late:
+                if claim.effect.rounds != but:
+                    signal = claim.effect.measure(claim.effect.rounds, signal, self.memory, claim.values)
+            return signal
+
+        channels = ("pressure_a", "pressure_b")
+        p_a, p_b = (delayed(self.true_signal(channel, others), channel) for channel in channels)
+        force = bench.piston_area * (p_a - bench.area_ratio * p_b)
+        off = delayed(self.channels["hydraulic_force"], "") - self.reading("hydraulic_force", force, others)
+        return self.means(off)
+
+
+BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("load",), HYDRAULIC: ("hydraulic",)}
+"""Channels of residuals in each block."""

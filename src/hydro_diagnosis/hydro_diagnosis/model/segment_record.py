@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A segment with everything in it that does not depend on claims, and what sensors make of its channels."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
+from hydro_diagnosis.model.memory import RecordMemory
+from hydro_diagnosis.preprocessing.box_clock import Rows, judged
+from hydro_diagnosis.preprocessing.smoothing import STRIDE, finish, kinematics, smooth
+from hydro_diagnosis.recording import Segment
+from hydro_sim.model.bench import Bench
+
+BLOCK = 0.1
+"""s per mean of the hydraulic balance."""
+TAIL = 20
+"""Recorded rows at its end that are not judged, and `MARGIN` before and after one that is missing."""
+MARGIN = 6
+SETTLE = 0.3
+"""s at the start of a segment that are not judged: filters and observer settle."""
+
+
+class SegmentRecord:
+    """A segment, the bench that is believed, and the piston's smoothed motion.
+
+    `like`: the same stretch with more rows, whose judged samples are judged here too.
+    """
+
+    def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
+        self.segment = segment
+        self.base = bench
+        """The bench as believed, no claim written into it."""
+        self.step = segment.step
+        self.spacing = segment.spacing
+        self.time = segment.time
+        self.memory = RecordMemory(segment.step)
+        channels = segment.channels
+        self.channels = channels
+        self.has_position = "piston_position" in channels
+        self.has_pressures = {"pressure_a", "pressure_b"} <= channels.keys()
+        self.settle = min(round(SETTLE / self.step), len(segment) // 4)
+        end = len(segment) - TAIL * self.spacing
+        self.rows: Rows | slice = like.rows if like else judged(segment, self.settle, end, STRIDE, MARGIN)
+        """Samples that are judged."""
+        if self.has_position:
+            self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
+            self.kinematics = Kinematics(self.time, self.x, self.v)
+            self.recorded = Kinematics(self.time, channels["piston_position"], self.v)
+
+    def bench(self, claims: Sequence[Claim]) -> Bench:
+        """The bench with the values that the claims replace."""
+        bench = self.base
+        for claim in claims:
+            bench = claim.effect.bench(bench, claim.values)
+        return bench
+
+    def true_signal(self, channel: str, claims: Sequence[Claim]) -> FloatArray:
+        """A channel with the sensors' gains and biases taken out."""
+        signal = self.channels[channel]
+        for claim in claims:
+            signal = claim.effect.unmeasure(channel, signal, self.memory, claim.values)
+        return signal
+
+    def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+        """What a channel's sensor shows of a true signal."""
+        for claim in claims:
+            signal = claim.effect.measure(channel, signal, self.memory, claim.values)
+        return signal
+
+    def kept(self, signal: FloatArray) -> FloatArray:
+        """What of a signal, shape (n,), is judged: settled, and every fifth recorded row."""
+        return signal[self.rows]
+
+    def smooth(self, signal: FloatArray) -> FloatArray:
+        """A measured signal through the test function, shape (n,)."""
+        return smooth(signal, self.spacing)
+
+    def finish(self, signal: FloatArray) -> FloatArray:
+        """What was computed from the smoothed motion, brought to the test function's width, shape (n,)."""
+        return finish(signal, self.spacing)
+
+    def means(self, signal: FloatArray) -> FloatArray:
+        """Means over blocks of `BLOCK` of a settled signal."""
+        length, settled = round(BLOCK / self.step), signal[self.settle :]
+        return settled[: len(settled) // length * length].reshape(-1, length).mean(axis=1)
+
+    def kept_time(self) -> FloatArray:
+        """s, of the decimated residuals."""
+        return self.kept(self.time)
+
+    def block_time(self) -> FloatArray:
+        """s, of the means over blocks."""
+        length = round(BLOCK / self.step)
+        count = (len(self.time) - self.settle) // length
+        return self.time[self.settle] + (np.arange(count) + 0.5) * length * self.step

@@ -1,0 +1,5 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a diagnosis leaves: report.html with its plots, and corrected.yaml.
+
+May import all stages before it; `findings` holds report.json.
+"""

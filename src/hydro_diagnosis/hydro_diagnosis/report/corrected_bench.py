@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""corrected.yaml: the bench with what was found: wrong values put right, other effects listed under `effects`.
+
+`Bench.load` accepts the file in place of bench.yaml; `claims_of` gives a simulation or a second diagnosis the
+effects back.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_sim.model.bench import Bench
+
+
+def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
+    """A bench with its values replaced and the remaining claims in `effects`, after those it had.
+
+    A wrong bulk modulus or valve gain becomes a number of the bench unless an effect before it acts on the same
+    quantity (air in the oil, say): then their order matters, and it stays an effect.
+    """
+    before = [claim.effect for claim in claims_of(bench)]
+    effects: list[Mapping[str, Any]] = list(bench.effects)
+    for claim in claims:
+        changed = bench if _meets(claim.effect, before) else claim.effect.settled(bench, claim.values)
+        if changed == bench or claim.effect.id == "sensor_lag":
+            effects.append(claim.to_mapping())
+            before.append(claim.effect)
+        else:
+            bench = replace(changed, effects=())
+    return replace(bench, effects=tuple(effects))
+
+
+def _meets(effect: Effect, before: Sequence[Effect]) -> bool:
+    """Whether an effect that multiplies a quantity comes after one that shapes the same quantity."""
+    for hook in ("stiffness", "openings"):
+        if _overrides(effect, hook) and any(_overrides(one, hook) for one in before):
+            return True
+    return False
+
+
+def _overrides(effect: Effect, hook: str) -> bool:
+    return getattr(type(effect), hook) is not getattr(Effect, hook)
+
+
+def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
+    """Write corrected.yaml."""
+    content = yaml.safe_dump(corrected_bench(bench, claims).to_mapping(), sort_keys=False)
+    path.write_text("# bench.yaml with what a diagnosis found; SI units.\n" + content, encoding="utf-8")
+
+
+def claims_of(bench: Bench) -> tuple[Claim, ...]:
+    """The effects of a corrected bench as claims.
+
+    Raises
+    ------
+    ValueError
+        An effect is unknown or lacks a parameter.
+    """
+    return tuple(_claim(entry, bench) for entry in bench.effects)
+
+
+def _claim(entry: Mapping[str, Any], bench: Bench) -> Claim:
+    options = {key: value for key, value in entry.items() if key not in ("id", "parameters")}
+    for effect in LIBRARY:
+        if effect.id == entry["id"] and dict(effect.options) == options:
+            parameters = entry.get("parameters", {})
+            missing = [one.name for one in effect.parameters if one.name not in parameters]
+            if missing:
+                raise ValueError(f"effect {effect.id} lacks its parameter {missing[0]!r}")
+            values = {one.name: float(parameters[one.name]) for one in effect.parameters}
+            return Claim(effect.adapted(bench), values)
+    raise ValueError(f"effect {entry['id']!r} with {options} is not known to the diagnosis")

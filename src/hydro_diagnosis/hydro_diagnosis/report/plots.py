@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report's pictures, as SVG text: residuals before and after, each effect's own curve over data, evidence."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.estimation.free_form import variable_of
+from hydro_diagnosis.estimation.problem import CHANNELS
+from hydro_diagnosis.report.diagnosis import Diagnosis
+from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend
+
+_NAMES = {
+    "pressure_a": ("pressure A", "kPa", 1e-3),
+    "pressure_b": ("pressure B", "kPa", 1e-3),
+    "motion": ("force balance", "N", 1.0),
+    "load": ("load force", "N", 1.0),
+    "hydraulic": ("hydraulic\nforce", "N", 1.0),
+}
+_VARIABLES = {
+    "position": ("piston position [mm]", 1e3),
+    "velocity": ("piston velocity [mm/s]", 1e3),
+    "current": ("valve current [mA]", 1e3),
+    "pressure_a": ("pressure A [MPa]", 1e-6),
+    "pressure_b": ("pressure B [MPa]", 1e-6),
+    "pressure_difference": ("pressure A - pressure B [MPa]", 1e-6),
+    "time": ("time [s]", 1.0),
+}
+_BINS = 36
+
+
+def svg(rows: int, size: tuple[float, float], draw: Callable[[Any], None], **layout: Any) -> str:
+    """A figure of `rows` axes as SVG text that can stand within HTML."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plot.svg"
+        with figure(path, rows, size=size, **layout) as (drawing, axes):
+            draw(axes)
+            drawing.align_ylabels(axes)
+        text = path.read_text(encoding="utf-8")
+    return text[text.index("<svg") :]
+
+
+def residual_plot(found: Diagnosis) -> str:
+    """Residuals of the first segment against the noise, before and after."""
+    problem, layout = found.problem, found.problem.layout
+    before, after = found.outcome.nothing.residual, found.assessment.fit.residual
+    present = [k for k in range(len(CHANNELS)) if np.any(layout.channel == k)]
+
+    def draw(axes: Any) -> None:
+        for axis, k in zip(axes, present, strict=True):
+            at = (layout.channel == k) & (layout.segment == 0)
+            name, unit, factor = _NAMES[CHANNELS[k]]
+            scale = problem.noise[CHANNELS[k]] * factor
+            axis.plot(layout.time[at], before[at] * scale, color=ORANGE, linewidth=0.6, label="before")
+            axis.plot(layout.time[at], after[at] * scale, color=BLUE, linewidth=0.6, label="after")
+            axis.axhspan(-2 * scale, 2 * scale, color=GRAY, alpha=0.25, linewidth=0, label="noise, 2 sigma")
+            axis.set_ylabel(f"{name} [{unit}]")
+        legend(axes[0])
+        axes[-1].set_xlabel("time [s]")
+
+    return svg(len(present), (9.0, 1.5 * len(present) + 0.5), draw, sharex=True)
+
+
+def effect_plot(found: Diagnosis, claim: Claim) -> str:
+    """What the recordings show of an effect, and its fitted curve, against the variable that it depends on."""
+    problem, layout = found.problem, found.problem.layout
+    fit = found.assessment.fit
+    without = problem.residual(tuple(one for one in fit.claims if one is not claim))
+    signature = without - fit.residual
+    power = np.bincount(layout.channel, np.square(signature), len(CHANNELS))
+    channel = int(np.argmax(power))
+    at = layout.channel == channel
+    variable = _variable(claim.effect.id, found)
+    name, unit, factor = _NAMES[CHANNELS[channel]]
+    scale = problem.noise[CHANNELS[channel]] * factor
+    x = np.concatenate([_sampled(found, k, variable, channel) for k in range(len(problem.models))])
+    label, units = _VARIABLES[variable]
+
+    def draw(axes: Any) -> None:
+        shown = np.random.default_rng(0).permutation(len(x))[:4000]
+        axes[0].plot(
+            x[shown] * units, without[at][shown] * scale, ".", color=GRAY, markersize=1.5, alpha=0.5, label="recorded"
+        )
+        centers, means = binned(x, without[at])
+        axes[0].plot(centers * units, means * scale, "o", color=ORANGE, markersize=3, label="mean")
+        centers, means = binned(x, signature[at])
+        axes[0].plot(centers * units, means * scale, color=BLUE, label="fitted effect")
+        axes[0].set_xlabel(label)
+        axes[0].set_ylabel(f"unexplained\n{name} [{unit}]")
+        legend(axes[0])
+
+    return svg(1, (8.0, 3.2), draw)
+
+
+def evidence_plot(found: Diagnosis) -> str:
+    """How evidence grew from step to step."""
+    steps = found.outcome.steps
+
+    def draw(axes: Any) -> None:
+        gains = [max(-step.score, 1.0) for step in steps]
+        axes[0].barh(range(len(steps)), gains, color=BLUE, height=0.6)
+        axes[0].set_yticks(range(len(steps)), [f"{step.action} {step.label.replace(':', ' ')}" for step in steps])
+        axes[0].invert_yaxis()
+        axes[0].set_xscale("log")
+        axes[0].axvline(20.0, color=RED, linewidth=0.8)
+        axes[0].set_xlabel("evidence against nothing missing [BIC], red: what a claim needs")
+
+    return svg(1, (7.0, 0.8 + 0.32 * len(steps)), draw)
+
+
+def _variable(effect: str, found: Diagnosis) -> str:
+    have = set(found.problem.models[0].channels)
+    if effect.startswith(("friction", "moving_mass", "force_offset", "sensor_lag")):
+        return "velocity"
+    if effect in ("leakage_internal",):
+        return "pressure_difference"
+    if effect in ("entrained_air", "pressure_sensor_bias", "bulk_modulus") and "pressure_a" in have:
+        return "pressure_a"
+    if effect == "valve_gain_drift":
+        return "time"
+    if effect.startswith(("valve", "transport", "supply", "tank")) and "valve_current" in have:
+        return "current"
+    return "position"
+
+
+def _sampled(found: Diagnosis, segment: int, variable: str, channel: int) -> FloatArray:
+    model, layout = found.problem.models[segment], found.problem.layout
+    at = (layout.channel == channel) & (layout.segment == segment)
+    return np.interp(layout.time[at], model.time, variable_of(model, variable))
+
+
+def binned(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean of y over the mean of x, in even bins cut finer where the data are dense."""
+    even = np.linspace(x.min(), x.max(), _BINS + 1)
+    dense = np.quantile(x, np.linspace(0.0, 1.0, _BINS + 1))
+    finer = dense[1:][np.diff(dense) < 0.5 * (even[1] - even[0])]
+    coarse = [edge for edge in even if not len(finer) or np.min(np.abs(finer - edge)) > 0.5 * (even[1] - even[0])]
+    edges = np.unique(np.concatenate([coarse, finer]))
+    bins = len(edges) + 1
+    index = np.searchsorted(edges, x, side="right")
+    count = np.bincount(index, minlength=bins)
+    kept = count >= 5
+    means = [np.bincount(index, values, bins)[kept] / count[kept] for values in (x, y)]
+    return means[0], means[1]

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From fits to what the report says about each claim: values with intervals, evidence, rivals with their distance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.intervals import Interval
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.score_test import cause
+from hydro_diagnosis.findings import EffectReport, Location, LookAlike, ParameterEstimate, Rival
+from hydro_diagnosis.selection.localisation import Place
+from hydro_diagnosis.selection.outcome import Outcome, score
+from hydro_diagnosis.selection.verdict import Assessment
+
+CLOSE = 10.0
+"""BIC within which a rival is not told apart from a claim (Kass and Raftery 1995: decisive beyond it)."""
+
+
+def describe(
+    problem: Problem, held: Problem, outcome: Outcome, assessment: Assessment, bounds: Sequence[Interval]
+) -> list[EffectReport]:
+    """One entry per claim that stands, the strongest evidence first.
+
+    `held`: the held-out recordings; `bounds`: of the parameters of all claims, in their order.
+    """
+    found = assessment.fit
+    reports, k = [], 0
+    for claim in found.claims:
+        count = len(claim.effect.parameters)
+        reports.append(_report(problem, held, outcome, found, claim, bounds[k : k + count]))
+        k += count
+    return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
+
+
+def _report(
+    problem: Problem, held: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: Sequence[Interval]
+) -> EffectReport:
+    without = fit(problem, tuple(one for one in found.claims if one is not claim))
+    parameters = {
+        parameter.name: ParameterEstimate(
+            value=bound.value, ci95=[bound.low, bound.high] if bound.identifiable else None, unit=parameter.unit
+        )
+        for parameter, bound in zip(claim.effect.parameters, bounds, strict=True)
+        if parameter.reported
+    }
+    rivals, look_alikes = _rivals(problem, outcome, found, claim)
+    return EffectReport(
+        id=claim.effect.id,
+        equation=claim.effect.equations[0],
+        options=dict(claim.effect.options),
+        sentence=claim.effect.sentence(claim.values),
+        parameters=parameters,
+        evidence={
+            "delta_bic": score(problem, without) - score(problem, found),
+            "holdout_gain": _holdout_gain(held, without, found),
+        },
+        rivals=rivals,
+        look_alikes=look_alikes,
+    )
+
+
+def _holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
+    """Share of the held-out squared residual, beyond that of all claims, that a claim removes."""
+    squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
+    nothing, fewer, everything = squares
+    return (fewer - everything) / max(nothing - everything, 1e-12)
+
+
+def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
+    """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
+    rivals, look_alikes = [], []
+    seen = {cause(claim.effect)}
+    for other in outcome.rivals.get(claim.effect.label, []):
+        last = other.claims[-1]
+        if cause(last.effect) in seen or len(other.claims) != len(found.claims):
+            continue
+        seen.add(cause(last.effect))
+        distance = score(problem, other) - score(problem, found)
+        apart, words = distance > CLOSE, last.effect.label.replace(":", " ")
+        words = words if last.effect.named else words.replace("_", " ")
+        why = (
+            f"{words} in its place leaves {distance:.0f} more of BIC unexplained"
+            if apart
+            else f"{words} explains these recordings as well: another recording must tell"
+        )
+        if last.effect.named:
+            rivals.append(Rival(id=last.effect.id, delta_bic=distance, distinguishable=apart, why=why))
+        else:
+            likeness = last.effect.sentence(last.values)
+            look_alikes.append(LookAlike(likeness=likeness, delta_bic=distance, distinguishable=apart, why=why))
+    return rivals[:3], look_alikes
+
+
+def location_of(place: Place, problem: Problem) -> Location:
+    """A place as it stands in the report: windows by recording."""
+    windows: dict[str, list[list[float]]] = {}
+    for model, stretches in zip(problem.models, place.windows, strict=True):
+        windows.setdefault(model.segment.recording, []).extend([list(stretch) for stretch in stretches])
+    region = {name: list(bounds) for name, bounds in place.region.items()}
+    return Location(equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence)

@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a search is told and what it returns: settings, steps, the outcome, and the score that it minimises."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydro_diagnosis.estimation.fit import Fit
+from hydro_diagnosis.estimation.problem import Problem
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """How hard to look and when to claim."""
+
+    threshold: float = 20.0
+    """Evidence in units of BIC that a claim needs beyond its parameters' price, [0, 1000].
+
+    A choice, held against recordings with nothing missing; `calibrate` measures what such recordings reach.
+    """
+    most: int = 6
+    """Claims at most."""
+    shortlist: int = 7
+    """Prospects that are fitted in full at each step."""
+    form_error: float = 0.035
+    """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
+    openings: int = 3
+    """First claims that are tried, one search each, as long as something remains unexplained, [1, 10]."""
+    effort: int = 9000
+    """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before the
+    search begins again: some 4 ms each for 60 s of data, [100, 1000000]."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the search, for the plot of how evidence converged."""
+
+    action: str
+    label: str
+    score: float
+
+
+@dataclass
+class Outcome:
+    """What the search found."""
+
+    fit: Fit
+    nothing: Fit
+    steps: list[Step] = field(default_factory=list)
+    rivals: dict[str, list[Fit]] = field(default_factory=dict)
+    """By a claim's label: fits in which another cause stands in its place, best first."""
+
+
+def score(problem: Problem, found: Fit) -> float:
+    """Deviance plus price: lower is better."""
+    return found.deviance + found.free * float(np.log(len(found.residual)))

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a claim is worth making: large enough, possible, and more than an error in the form of its kin."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, FloatArray, Parameter
+from hydro_diagnosis.estimation.fit import Fit
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.unrecorded_rows import shifts
+from hydro_diagnosis.selection.localisation import noticeable
+
+ABSENT = 0.05
+"""Of a shape's neutral value: so near to it an effect without amplitudes is not there."""
+ATTENUATIONS = 2.0
+"""Times `Problem.attenuation`, and times what half of the rows would change, that a claim must be."""
+
+
+def worth_claiming(claim: Claim) -> bool:
+    """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
+
+    An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
+    """
+    amplitudes = [one for one in claim.effect.parameters if one.smallest > 0.0]
+    if any(_at_its_end(one, claim.values[one.name]) for one in amplitudes):
+        return False
+    if not amplitudes:
+        return any(
+            abs(claim.values[one.name] - one.neutral) > ABSENT * abs(one.neutral) for one in claim.effect.parameters
+        )
+    return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
+
+
+def all_worth(problem: Problem, found: Fit) -> bool:
+    """Whether every claim is worth making, and more than noise in what it multiplies or missing rows may hide."""
+    if not all(worth_claiming(claim) and _beyond_attenuation(problem, claim) for claim in found.claims):
+        return False
+    return all(_beyond(claim, shift) for claim, shift in zip(found.claims, shifts(problem, found), strict=True))
+
+
+def _beyond(claim: Claim, shift: FloatArray) -> bool:
+    """Whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
+    pairs = list(zip(claim.effect.parameters, shift, strict=True))
+    amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
+    return any(abs(claim.values[one.name] - one.neutral) >= ATTENUATIONS * moved for one, moved in amplitudes)
+
+
+def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
+    least = ATTENUATIONS * problem.attenuation.get(claim.effect.id, 0.0)
+    return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
+
+
+def _at_its_end(parameter: Parameter, value: float) -> bool:
+    """Whether a value stands at a bound that is not its neutral value."""
+    near = 1e-3 * parameter.smallest
+    return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
+
+
+def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
+    """Whether the newest claim explains no more than an error in the form of its kin would.
+
+    Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
+
+    `share`: of a claim's signature that its form may be off by.
+    """
+    if noticeable(problem, base.residual) and not noticeable(problem, found.residual):
+        return False
+    newest = found.claims[-1].effect
+    kin = [claim for claim in base.claims if newest.family and claim.effect.family == newest.family]
+    for claim in kin:
+        if claim.effect.id in newest.needs:
+            continue
+        without = problem.residual(tuple(one for one in found.claims[:-1] if one.effect is not claim.effect))
+        signature = float(np.sum(np.square(without - problem.residual(found.claims[:-1]))))
+        added = float(np.sum(np.square(base.residual)) - np.sum(np.square(found.residual)))
+        if added < share**2 * signature:
+            return True
+    return False

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What may be said: which claims stand, whether something remains that nobody named, and what the verdict is.
+
+A name is never forced. Where something remains, claims that explain little are dropped, as they may only mimic the
+remainder; and if those that are left do not explain nearly all of the gap, or follow the state though they should be
+constant, they are dropped too and the verdict is `unknown`. What the search found without a name for it is no claim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.free_form import FreeForm, free_forms
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.selection.constancy import without_varying
+from hydro_diagnosis.selection.localisation import (
+    Place,
+    bounds,
+    locate,
+    locate_claims,
+    mean_squares,
+    noticeable,
+    remaining,
+)
+
+MOST_OF_THE_GAP = 0.98
+"""Share of the squared mismatch that names must explain where something remains."""
+MINOR = 0.1
+"""Share below which a claim is dropped where something remains."""
+EVERYDAY = frozenset({"friction_coulomb", "friction_viscous", "force_offset", "moving_mass"})
+"""Causes that every drive has: where names explain nearly all of the gap, these are believed beside a remainder."""
+EVERYDAY_SHARE = 0.5
+"""Of what remains, that such a cause must explain."""
+
+
+@dataclass(frozen=True)
+class Assessment:
+    """The judgement over a search's outcome."""
+
+    verdict: str
+    """no_mismatch, explained, partly_explained or unknown."""
+    fit: Fit
+    """With the claims that stand."""
+    places: tuple[Place, ...]
+    """Where the mismatch against the baseline lives."""
+    remainder: tuple[Place, ...]
+    """Where something is left that nobody named."""
+    forms: tuple[FreeForm, ...]
+    """Free-form inputs for what remains, the most telling first; empty if nothing remains."""
+    dropped: tuple[Claim, ...]
+    """Claims that the search made and this judgement does not."""
+
+
+def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
+    """Judge the fit that a search ended with against the fit of nothing."""
+    coincidence, unnamed = _coincidence(found.claims), not all(claim.effect.named for claim in found.claims)
+    if not noticeable(problem, found.residual) and not coincidence and not unnamed:
+        verdict = "explained" if found.claims else "no_mismatch"
+        return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
+    kept = nothing if coincidence else _named(problem, _trusted(problem, found, nothing))
+    forms = free_forms(problem, kept)
+    found_at = tuple(locate_claims(problem, found, nothing.residual))
+    remainder = tuple(locate(problem, kept.residual, forms)) or found_at  # an unnamed cause may be small
+    labels = {claim.effect.label for claim in kept.claims}
+    dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
+    places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
+    return Assessment(
+        "partly_explained" if kept.claims else "unknown", kept, places, remainder, tuple(forms[:6]), dropped
+    )
+
+
+def _named(problem: Problem, found: Fit) -> Fit:
+    """The fit without what has no name; the others keep the values that they have beside it."""
+    named = tuple(claim for claim in found.claims if claim.effect.named)
+    return found if len(named) == len(found.claims) else fit(problem, named, iterations=0)
+
+
+def _trusted(problem: Problem, found: Fit, nothing: Fit) -> Fit:
+    """The fit without those claims that act where something remains and do not explain nearly all of it.
+
+    Claims that show in other channels, in which nothing remains, are not in question.
+    """
+    suspects = _suspects(problem, found)
+    fewer, everyday = _without_minor(problem, found, nothing, suspects)
+    left = [claim for claim in fewer.claims if claim.effect.label in suspects]
+    if left and explained_share(problem, fewer, nothing) >= MOST_OF_THE_GAP and (everyday or not _crowded(left)):
+        return without_varying(problem, fewer, _judged(problem, fewer), EVERYDAY)
+    return fit(problem, tuple(claim for claim in fewer.claims if claim.effect.label not in suspects))
+
+
+def _suspects(problem: Problem, found: Fit) -> set[str]:
+    """Labels of claims that show mainly in channels in which something remains."""
+    noisy = remaining(problem, found.residual)
+    suspects = set()
+    for claim in found.claims:
+        without = problem.residual(tuple(one for one in found.claims if one is not claim))
+        shown = mean_squares(problem, without - found.residual)
+        if max(shown, key=lambda name: shown[name]) in noisy:
+            suspects.add(claim.effect.label)
+    return suspects
+
+
+def explained_share(problem: Problem, found: Fit, nothing: Fit) -> float:
+    """Share of the excess over the noise, summed over channels that have any, that a fit accounts for."""
+    counts = problem.layout.count()
+    before, after = mean_squares(problem, nothing.residual), mean_squares(problem, found.residual)
+    limit = bounds(problem)
+    gaps = {name: max(square - 1.0, 0.0) for name, square in before.items() if max(square, after[name]) > limit[name]}
+    left = {name: max(after[name] - 1.0, 0.0) for name in gaps}
+    shares = [1.0 - left[name] / gaps[name] for name in gaps if gaps[name] > 0.0 and after[name] > limit[name]]
+    return float(min(shares, default=1.0)) if counts.sum() else 1.0
+
+
+def _judged(problem: Problem, found: Fit) -> npt.NDArray[np.bool_]:
+    """Residuals of the channels in which something remains."""
+    noisy = [CHANNELS.index(name) for name in remaining(problem, found.residual)]
+    return np.isin(problem.layout.channel, noisy)
+
+
+def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str]) -> tuple[Fit, bool]:
+    """Drop, one after the other, suspects without which hardly more remains; those of `EVERYDAY` have it easier.
+
+    Returned beside the fit: whether all suspects that are left are everyday causes that explain enough.
+    """
+    judged = _judged(problem, found)
+    gap = float(np.sum(np.square(nothing.residual[judged])) - np.sum(np.square(found.residual[judged])))
+    current = found
+    while True:
+        needed = {name for claim in current.claims for name in claim.effect.needs}
+        open_ = [one for one in current.claims if one.effect.label in suspects and one.effect.id not in needed]
+        if not open_ or len(current.claims) == 1:
+            return current, False
+        smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in open_]
+        remains = float(np.sum(np.square(current.residual[judged])))
+        losses = [float(np.sum(np.square(one.residual[judged]))) - remains for one in smaller]
+        enough = EVERYDAY_SHARE * (remains - float(np.count_nonzero(judged)))
+        nearly_all = explained_share(problem, current, nothing) >= MOST_OF_THE_GAP
+        everyday = [
+            nearly_all and claim.effect.id in EVERYDAY and loss > enough
+            for claim, loss in zip(open_, losses, strict=True)
+        ]
+        minor = [k for k in range(len(open_)) if losses[k] <= MINOR * gap and not everyday[k]]
+        if not minor:
+            return current, all(everyday)
+        current = smaller[min(minor, key=lambda k: losses[k])]
+
+
+def _coincidence(claims: Sequence[Claim]) -> bool:
+    """Whether both dead volumes are off alike: two errors do not agree, so it is something else (hoses that give)."""
+    ratios = [claim.values["ratio"] for claim in claims if claim.effect.id == "dead_volume"]
+    return len(ratios) == 2 and abs(ratios[0] - ratios[1]) < 0.05 * abs(ratios[0] - 1.0)
+
+
+def _crowded(claims: Sequence[Claim]) -> bool:
+    """Whether two names of one family share a mismatch that they do not explain."""
+    families = [claim.effect.family or claim.effect.label for claim in claims if not claim.effect.needs]
+    return len(set(families)) < len(families)

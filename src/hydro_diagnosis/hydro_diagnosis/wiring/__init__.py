@@ -1,0 +1,5 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mistakes of wiring, naming and units, found before anything is diagnosed, with the column map that repairs each.
+
+May import `io` and `preprocessing`.
+"""

@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The certificate for a filter that acts sample by sample, and late: v'Mv over the correction's own sample.
+
+A correction that is decided at x_k reaches the valve with u_{k+1}. So the displacement is first moved to then, with the
+current that is known, and the certificate asks about the sample after it::
+
+    v_1 = F v_0 + G (K v_0 + w + u_k - u_nom,k)             known: the last correction and saturation are in u_k
+    v_2 = F v_1 + G (K v_1 + w) + G du                      the law goes on as it is
+    M_c(du) = ( v_2' (M + T M') v_2 - exp(-2 lambda T) v_1' M v_1 ) / T  <=  margin       [1/s], quadratic in du
+
+As T -> 0 this is eq. cont_require_6 without a projection. w is what the integral asks for beyond what it is there for
+(`unasked`). The quadratic's interval of admissible du is exact; the QP gets its nearer end as half-line a du <= b,
+whose smallest solution is the interval's.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from hydro_filter.model.loop_model import LOOP
+from hydro_sim.timing import SAMPLE
+
+
+@njit(cache=True)
+def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
+    """M_c(du) T = bent du^2 + 2 slope du + level, and v_1'Mv_1.
+
+    `known`, `asked` [A]: u_k - u_nom,k + w, and w. Writes v_1 and v_2 (du = 0).
+    """
+    feedback = known
+    for i in range(LOOP):
+        feedback += step.feedback[i] * v[i]
+    for i in range(LOOP):
+        total = step.push[i] * feedback
+        for j in range(LOOP):
+            total += step.transition[i, j] * v[j]
+        next_v[i] = total
+    feedback = asked
+    for i in range(LOOP):
+        feedback += step.feedback[i] * next_v[i]
+    for i in range(LOOP):
+        total = step.push[i] * feedback
+        for j in range(LOOP):
+            total += step.transition[i, j] * next_v[j]
+        after_v[i] = total
+    size, level, slope, bent = 0.0, 0.0, 0.0, 0.0
+    for i in range(LOOP):
+        now, then, moved = 0.0, 0.0, 0.0
+        for j in range(LOOP):
+            weight = value.matrix[i, j]
+            later = weight + SAMPLE * value.rate[i, j]
+            now += weight * next_v[j]
+            then += later * after_v[j]
+            moved += later * step.push[j]
+        size += next_v[i] * now
+        level += after_v[i] * then
+        slope += step.push[i] * then
+        bent += step.push[i] * moved
+    return bent, slope, level - math.exp(-2.0 * contraction_rate * SAMPLE) * size, size
+
+
+@njit(cache=True)
+def half_line(bent, slope, level):
+    """a, b of the half-line with the smallest du of bent du^2 + 2 slope du + level <= 0; and the du nearest to that.
+
+    The first two are NaN where no du satisfies it: then only the third is of use. `bent` is above 0.
+    """
+    best = -slope / bent
+    if level <= 0.0:
+        return 0.0, 0.0, 0.0
+    reach = slope * slope - bent * level
+    if not reach >= 0.0:
+        return math.nan, math.nan, best
+    # the nearer root, in the form that does not cancel; it has the sign of -slope
+    end = -level / (slope + math.copysign(math.sqrt(reach), slope))
+    return (-1.0, -end, best) if end > 0.0 else (1.0, end, best)
+
+
+@njit(cache=True)
+def unasked(term, allowance):
+    """What of the law's integral I [N/s] is beyond `allowance` [N/s]."""
+    return term - min(max(term, -allowance), allowance)
+
+
+@njit(cache=True)
+def fade(size, floor):
+    """Share, 0 to 1, of a displacement with v'Mv = size that counts: none up to `floor`, all from twice that."""
+    if size <= floor:
+        return 0.0
+    if not floor > 0.0:
+        return 1.0
+    share = min(size / floor - 1.0, 1.0)
+    return share * share * (3.0 - 2.0 * share)

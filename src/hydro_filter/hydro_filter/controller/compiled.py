@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter with the constant metric in one compiled call: many benches at once, and compiled loops.
+
+::
+
+    bank = FilterBank(contraction_filter.certificate, count=64)
+    decisions = bank.correct(records)                           records of STATE_DTYPE, one per bench
+    decide(bank.parts, x, u_nom, f_r, K_p)                      in a compiled loop: delta_u, before, after, status
+
+The QP is solved by its closed form; the numbers are those of `ContractionFilter.correct`, which holds its OSQP against
+the same. `loop_filter.LoopBank` is the counterpart with the learned metric.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray
+from hydro_filter.certificate import continuous as certificate
+from hydro_filter.certificate import qp
+from hydro_filter.certificate.continuous import Certificate
+from hydro_filter.metric.constant import ConstantMetric
+from hydro_filter.model import analytic_kernels
+from hydro_filter.model import force_law as controller
+from hydro_filter.model.dynamics import AnalyticDynamics
+from hydro_filter.model.force_law import ForceLaw
+from hydro_filter.model.state import LOAD_FORCE, STATES
+
+
+class FilterParts(NamedTuple):
+    """A `Certificate` as the kernels take it."""
+
+    metric: FloatArray
+    """M, shape (8, 8)."""
+    metric_rate: FloatArray
+    """Zero, shape (8, 8)."""
+    model: npt.NDArray[np.void]
+    """What is linearized, shape (1,)."""
+    bench: npt.NDArray[np.void]
+    """What the box believes, shape (1,)."""
+    gain_floor: float
+    """N/s/A, the force law's."""
+    scale: FloatArray
+    """Shape (8,)."""
+    current_max: float
+    contraction_rate: float
+    noise_floor: float
+
+
+class Decisions(NamedTuple):
+    """Of N benches, each shape (N,)."""
+
+    delta_u: FloatArray
+    """A."""
+    before: FloatArray
+    """M_c [1/s] without the correction."""
+    after: FloatArray
+    """M_c [1/s] with it."""
+    status: npt.NDArray[np.uint8]
+    """`hydro_bridge.signals.CorrectionStatus`."""
+
+    @classmethod
+    def of(cls, count: int) -> Decisions:
+        """Room for those of `count` benches."""
+        return cls(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, np.uint8))
+
+
+def filter_parts(source: Certificate) -> FilterParts:
+    """The parts of a certificate.
+
+    Raises
+    ------
+    TypeError
+        If its metric, model or law has no compiled form.
+    """
+    metric, law, model = source.metric, source.controller, source.dynamics
+    known = isinstance(metric, ConstantMetric) and isinstance(law, ForceLaw) and isinstance(model, AnalyticDynamics)
+    if not known:
+        names = (type(part).__name__ for part in (metric, model, law))
+        raise TypeError(f"no compiled form of {', '.join(names)} together")
+    assert isinstance(law, ForceLaw) and isinstance(model, AnalyticDynamics)
+    at = np.zeros(STATES)
+    return FilterParts(
+        metric=metric.matrix(at),
+        metric_rate=metric.rate(at, at),
+        model=model.constants,
+        bench=law.constants,
+        gain_floor=law.gain_floor,
+        scale=source.scale,
+        current_max=source.current_max,
+        contraction_rate=source.contraction_rate,
+        noise_floor=source.noise_floor,
+    )
+
+
+@njit(cache=True)
+def half_line(parts, x, nominal, reference, gain):
+    """a and b of `Certificate.evaluate`, at x (8,), u_nom [A], f_r [N], K_p [1/s]."""
+    state_matrix, input_vector = np.empty((STATES, STATES)), np.empty(STATES)
+    law, v = np.empty(STATES), np.zeros(STATES)
+    current = min(max(nominal, -parts.current_max), parts.current_max)
+    analytic_kernels.linearize(parts.model, x, current, state_matrix, input_vector)
+    controller.gradient(parts.bench, x, nominal, gain, parts.gain_floor, law)
+    v[LOAD_FORCE] = -certificate.dead_zone(reference - x[LOAD_FORCE], parts.noise_floor) / parts.scale[LOAD_FORCE]
+    return certificate.half_line(
+        parts.metric, parts.metric_rate, state_matrix, input_vector, law, parts.scale, v, parts.contraction_rate
+    )
+
+
+@njit(cache=True)
+def decide(parts, x, nominal, reference, gain):
+    """delta_u [A], M_c before and after [1/s], status: `ContractionFilter.correct` of one sample."""
+    finite = math.isfinite(nominal)
+    for i in range(STATES):
+        finite = finite and math.isfinite(x[i])
+    if not finite:
+        return 0.0, math.nan, math.nan, qp.NAN
+    a, b = half_line(parts, x, nominal, reference, gain)
+    limit = parts.current_max
+    applied = min(max(nominal, -limit), limit)
+    change, status = qp.closed_form_kernel(a, b, -limit - applied, limit - applied)
+    if status == qp.NAN:
+        return 0.0, -b, -b, status
+    delta_u = change + (applied - nominal) if change != 0.0 else 0.0
+    return delta_u, -b, a * change - b, status
+
+
+@njit(cache=True)
+def decide_many(parts, x, nominal, reference, gain, delta_u, before, after, status):
+    """`decide` for N benches: x (N, 8), all others (N,)."""
+    for k in range(len(x)):
+        delta_u[k], before[k], after[k], status[k] = decide(parts, x[k], nominal[k], reference[k], gain[k])
+
+
+class FilterBank:
+    """The filter for N benches at once, without a solver and without memory: see the module.
+
+    Parameters
+    ----------
+    source
+        Of a `ContractionFilter`.
+    count
+        N, 1 or more.
+
+    Raises
+    ------
+    TypeError
+        If the certificate has no compiled form.
+    """
+
+    def __init__(self, source: Certificate, count: int) -> None:
+        self.parts = filter_parts(source)
+        self.decisions = Decisions.of(count)
+
+    def correct(self, records: StateArray) -> Decisions:
+        """Decide about one sample of each bench, records of `STATE_DTYPE`, shape (N,)."""
+        x = np.stack([records[name] for name in PLANT_FIELDS], axis=1)
+        names = ("nominal_valve_current", "reference_force", "proportional_gain")
+        return self.correct_arrays(x, *(np.ascontiguousarray(records[name]) for name in names))
+
+    def correct_arrays(self, x: FloatArray, nominal: FloatArray, reference: FloatArray, gain: FloatArray) -> Decisions:
+        """Decide about x (N, 8), u_nom [A], f_r [N], K_p [1/s], each (N,). The next call overwrites the answer."""
+        decide_many(self.parts, x, nominal, reference, gain, *self.decisions)
+        return self.decisions

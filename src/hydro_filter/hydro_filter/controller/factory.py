@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which filter runs: the learned metric on the learned model, or the constant one on the analytic model.
+
+=============== ============================================= ==========================================
+metric          learned (a file of `learn_metric`)            constant (solved for the bench file)
+model           learned (a file of `learn`)                   analytic, the bench file
+certificate     sampled, of the whole loop, with its delay    the paper's, in continuous time
+displacement    of the whole loop from its reference          of the load force alone (eq. v)
+settings        `LoopFilterSettings`                          `FilterSettings`
+=============== ============================================= ==========================================
+
+What each holds and does not: docs/safety.md.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from hydro_bridge.safety.box_info import KnownBox
+from hydro_filter.certificate.qp import QpCounts
+from hydro_filter.controller.filter import ContractionFilter, FilterSettings
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
+from hydro_filter.metric import learned as learned_metric
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.sample import Sample
+from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import Believed, MadeFor, unfit
+from hydro_sim.files.weights import WeightsError
+from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.hydraulics import rest_state
+from hydro_sim.structured.model import StructuredModel
+
+WAYS_ON = "or run `--metric constant`, which keeps to the bench file, with narrow gains"
+LEARNED, CONSTANT = "learned", "constant"
+DEFAULT = LEARNED
+
+Settings = FilterSettings | LoopFilterSettings
+Filter = ContractionFilter | LoopFilter
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """A filter by what was asked for."""
+
+    bench: Bench
+    """What the box believes."""
+    bench_file: Path | None = None
+    """Where that stands; None: the bench.yaml of hydro_sim."""
+    metric: str = DEFAULT
+    """`learned` (the shipped one), `constant`, or a file."""
+    model: Path | None = None
+    """Of the learned bench; None: the shipped one. The constant metric has none."""
+
+    @property
+    def constant(self) -> bool:
+        """Whether it is the constant one."""
+        return self.metric == CONSTANT
+
+    @property
+    def files(self) -> dict[str, Path]:
+        """Weights by what they are; none of the constant metric."""
+        if self.constant:
+            return {}
+        metric = learned_metric.shipped() if self.metric == LEARNED else Path(self.metric)
+        return {"metric": metric, "model": self.model or weights.shipped()}
+
+    def describe(self) -> dict[str, str]:
+        """What it is, with the files' digests: for logs and /diagnostics."""
+        if self.constant:
+            return {"metric": "constant, solved for the bench file", "model": "analytic, the bench file"}
+        return {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
+
+    def trouble(self, box: Believed | None = None) -> str:
+        """Why metric, model and bench do not belong together, in one sentence; empty where they do.
+
+        Parameters
+        ----------
+        box
+            What the box believes; None: this filter's own bench.
+
+        Raises
+        ------
+        WeightsError
+            A file is missing or unreadable.
+        """
+        if self.constant:
+            return ""
+        box = box or Believed(digest=self.bench.digest, source=self.source)
+        model, metric, digest = self.stamps
+        learn = f"learn one from its recordings with `ros2 run hydro_sim learn`, {WAYS_ON}"
+        learn_metric = f"make one with `ros2 run hydro_filter learn_metric` and its --bench and --model, {WAYS_ON}"
+        return unfit(f"the model {self.files['model'].name}", model, box, learn) or unfit(
+            f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest
+        )
+
+    @cached_property
+    def stamps(self) -> tuple[MadeFor | None, MadeFor | None, str]:
+        """What model and metric were made for, and the model's digest, as the files were when first asked for."""
+        model, metric = self.files["model"], self.files["metric"]
+        return Learned.load(model).made, LearnedMetric.load(metric).made, weights.digest(model)
+
+    def foreign(self, box: KnownBox) -> str:
+        """Why this filter does not belong to a box that runs; empty where it does, or where it is not known."""
+        theirs = Believed.of_box(box)
+        if theirs.digest and theirs.digest != self.bench.digest:
+            mine = f"the filter was started for bench {self.bench.digest} ({self.source})"
+            return f"{mine}, the box believes {theirs.told}: start it with the bench.yaml of this box (--bench)"
+        return self.trouble(theirs)
+
+    @property
+    def source(self) -> str:
+        """Where the bench file is, for people."""
+        return str(self.bench_file or "bench.yaml of hydro_sim")
+
+    def default_settings(self) -> Settings:
+        """Defaults of the settings that this filter has."""
+        return FilterSettings() if self.constant else LoopFilterSettings()
+
+    def make(self, settings: Settings) -> Filter:
+        """The filter.
+
+        Raises
+        ------
+        WeightsError
+            A file is missing, unreadable, or of a model that has no certificate.
+        ValueError
+            There is no constant metric for this bench.
+        """
+        if isinstance(settings, FilterSettings):
+            return ContractionFilter.for_bench(self.bench, settings)
+        files = self.files
+        model = Learned.load(files["model"]).model
+        if not isinstance(model, StructuredModel):
+            raise WeightsError(f"{files['model']} is a network alone: the learned metric needs a structured model")
+        return LoopFilter(loop_parts(LearnedMetric.load(files["metric"]), model, self.bench, settings), settings)
+
+
+def warm_up(contraction_filter: Filter, bench: Bench) -> None:
+    """Run what a filter can come across, so that nothing is compiled later; afterwards it is as new."""
+    still, x = rest_state(bench.constants()[0]), np.zeros(STATES)
+    x[PRESSURE_A], x[PRESSURE_B], x[POSITION] = still[:3]
+    limit = bench.valve_current_max
+    for gain, error, current in (
+        (60.0, 5.0, 0.0),
+        (-40.0, 100.0, 0.0),
+        (-40.0, 500.0, limit),
+        (-40.0, 500.0, 0.9 * limit),
+    ):
+        sample = Sample(x, current, error, gain, min(current, limit), 100.0, True)
+        for armed in (False, True):
+            contraction_filter.correct(sample._replace(armed=armed))
+    contraction_filter.correct(sample._replace(nominal_current=np.nan))
+    contraction_filter.reset()
+    contraction_filter.qp.counts = QpCounts()
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
+    except OSError as error:
+        raise WeightsError(f"{path} cannot be read as weights: {error.strerror}") from None

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contraction filter: one bench sample in, one correction of the valve current out, whatever the sample holds.
+
+    sample ──> Certificate ──> a, b ──> QpFilter ──> delta_u, status
+                 Metric, Dynamics, Controller          bounds: what the valve has left
+
+The bounds hold for what the valve gets: sat(u_nom) + du within +-u_max. A nominal current beyond the limit is the
+valve's to cut, not a reason to correct.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite, nan
+from typing import NamedTuple
+
+from hydro_bridge.signals import CorrectionStatus
+from hydro_filter.certificate.continuous import Certificate
+from hydro_filter.certificate.qp import QpFilter
+from hydro_filter.metric.constant import MetricDesign, constant_metric
+from hydro_filter.model.dynamics import AnalyticDynamics
+from hydro_filter.model.force_law import ForceLaw
+from hydro_filter.model.sample import Sample
+from hydro_filter.model.state import state_scale
+from hydro_sim.model.bench import Bench
+
+
+@dataclass(frozen=True, kw_only=True)
+class FilterSettings:
+    """How the filter decides."""
+
+    contraction_rate: float = 0.1
+    """lambda [1/s] of the certificate, [0, 50]; the paper's 0.1."""
+    noise_floor: float = 1.8
+    """N, force errors up to it are taken for noise, [0, 100]; three standard deviations of the load cell."""
+    state_age_max: float = 5e-3
+    """s, a state that is older, or stamped so far ahead, is not acted upon, [0.001, 0.1]."""
+    bypass: bool = False
+    """Correct nothing and say so in every correction: status BYPASSED."""
+
+
+class Result(NamedTuple):
+    """What the filter says about one sample."""
+
+    delta_u: float
+    """A, finite, 0 unless status is MODIFIED or RELAXED."""
+    before: float
+    """M_c [1/s] without the correction; NaN if it was not evaluated or not finite."""
+    after: float
+    """M_c [1/s] with it."""
+    status: CorrectionStatus
+
+
+class ContractionFilter:
+    """Assembles certificate and QP. Never raises on a sample.
+
+    Parameters
+    ----------
+    certificate
+        Metric, model and law, with rate, noise floor and valve limit; `for_bench` makes the analytic one.
+    settings
+        Of these only the age and the bypass are used here; the rest went into the certificate.
+    """
+
+    mismatch = ""
+    """It has no model to watch but the bench file's; see `LoopFilter.mismatch`."""
+
+    def __init__(self, certificate: Certificate, settings: FilterSettings | None = None) -> None:
+        self.certificate = certificate
+        self.settings = settings or FilterSettings()
+        self.qp = QpFilter()
+
+    @classmethod
+    def for_bench(
+        cls, bench: Bench, settings: FilterSettings | None = None, design: MetricDesign | None = None
+    ) -> ContractionFilter:
+        """The filter of the analytic bench with its constant metric (raises as `loop_weight`)."""
+        settings = settings or FilterSettings()
+        certificate = Certificate(
+            metric=constant_metric(bench, design),
+            dynamics=AnalyticDynamics(bench),
+            controller=ForceLaw(bench),
+            scale=state_scale(bench),
+            contraction_rate=settings.contraction_rate,
+            noise_floor=settings.noise_floor,
+            current_max=bench.valve_current_max,
+        )
+        return cls(certificate, settings)
+
+    def reset(self) -> None:
+        """Begin anew. Nothing here remembers samples."""
+
+    def skip(self) -> None:
+        """Samples are missing before the next one."""
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """Decide about a sample that is `age` [s] old."""
+        if self.settings.bypass:
+            before = -self.certificate.evaluate(sample).b
+            return Result(0.0, before, before, CorrectionStatus.BYPASSED)
+        if not abs(age) <= self.settings.state_age_max:
+            return Result(0.0, nan, nan, CorrectionStatus.STALE)
+        if not all(map(isfinite, (*sample.state, sample.nominal_current))):  # also of what v does not look at
+            return Result(0.0, nan, nan, CorrectionStatus.NAN)
+        line = self.certificate.evaluate(sample)
+        limit = self.certificate.current_max
+        applied = min(max(sample.nominal_current, -limit), limit)
+        change, status = self.qp.solve(line.a, line.b, -limit - applied, limit - applied)
+        if status is CorrectionStatus.NAN:
+            return Result(0.0, -line.b, -line.b, status)
+        # sat(u_nom + delta_u) = sat(u_nom) + change
+        delta_u = change + (applied - sample.nominal_current) if change else 0.0
+        return Result(delta_u, -line.b, line.value(change), status)

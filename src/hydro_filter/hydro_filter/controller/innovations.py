@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the learned model is still this bench's: what it predicts of the next sample, against what comes.
+
+Of three samples in a row the middle one gives the model's state, and the outer two what became of it. Taken this way
+each equation stands alone, and the lag of the box's velocity is in none of them. The error of each, T = 1 ms::
+
+    load             f_l - (gain F + bias)        F: the spring's force at x_p, behind the load cell's amplifier     N
+    motion           m (x_p'' - model's)          x_p'' of three positions                                           N
+    hydraulic force  f_h - (A p_a - alpha A p_b), with the cell's gain and bias                                      N
+    chamber a, b     (p_next - p_last) / 2 - T p'                                                                  Pa
+
+The test is a CUSUM (Page, Biometrika 41, 1954), two-sided, of each error over what is allowed of it::
+
+    z = error / (ALLOWED + SHARE size), within +-CLIP       up = max(0, up + z - 1)     down = max(0, down - z - 1)
+
+A sum above `ALARM` says that the equation does not hold. The model of a bench that was learned is wrong by little and
+for long (friction, leakage, temperature) and by much for some milliseconds (a spool at its rate limit): the allowance
+is for the first, the clip for the second. The sensors' noise is far below both: in the mean over the 50 samples of an
+alarm 0.1 N of load, 0.3 N of motion, 0.2 N of hydraulic force, 85 Pa of a chamber. So no alarm is chance.
+
+What was told stays told until the equations have held for `RETURN` samples that moved the bench at least half as hard
+as when it was told: neither a gap nor a new arming ends it. Measured: docs/safety.md.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from hydro_bridge.signals import FloatArray
+from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE, lag
+from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
+from hydro_sim.structured import physics
+from hydro_sim.structured import rollout as structured
+from hydro_sim.structured.integration import STATES
+from hydro_sim.structured.physics import (
+    AREA,
+    BIAS_H,
+    BIAS_L,
+    BULK,
+    CELL_DAMPING,
+    CELL_OMEGA,
+    DEAD_A,
+    DEAD_B,
+    GAIN_H,
+    GAIN_L,
+    MASS,
+    RATIO,
+    REST,
+    SPRING,
+    STROKE,
+)  # fmt: skip
+from hydro_sim.structured.rollout import INPUTS, OUTPUTS
+from hydro_sim.timing import SAMPLE
+
+EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
+SUSPECTS = (
+    "the spring or its load cell",
+    "mass, friction or spring",
+    "the piston's area or the load cell of f_h",
+    "valve, supply, oil or area",
+    "valve, supply, oil or area",
+)
+"""What makes the equation of that place wrong."""
+COUNT = len(EQUATIONS)
+
+ALLOWED: FloatArray = np.array([7.5, 15.0, 12.0, 3e3, 3e3])
+"""N, N, N, Pa, Pa in a sample: 2.5 % of 300 N; dry friction; a cell's drift; 0.03 l/min."""
+SHARE = 0.05
+"""Of what an equation moves, allowed besides: nothing is learned better, and the certificate does not need more."""
+CLIP = 5.0
+ALARM = 50.0
+"""Samples at twice what is allowed; a larger error takes fewer, 13 at least."""
+RETURN = 3000
+"""Samples, 3 s."""
+SETTLING = 100
+"""Samples after a gap until spool and amplifier are where the model takes them to be."""
+
+F_H, F_L, P_A, P_B, X_P = range(5)
+
+MONITOR_DTYPE = np.dtype(
+    [
+        ("last", np.float64, (5,)), ("middle", np.float64, (5,)), ("hidden", np.float64, (HIDDEN,)),
+        ("cell", np.float64), ("cell_rate", np.float64), ("seen", np.int64),
+        ("sums", np.float64, (COUNT, 2)), ("runs", np.int64, (COUNT, 2)),
+        ("broken", np.int64), ("ratio", np.float64), ("effort", np.float64), ("held", np.int64),
+    ],
+    align=True,
+)  # fmt: skip
+"""What is remembered of one bench: readings of the last two samples, hidden states of the middle one, the load cell's
+amplifier, the sums and for how long each is above zero; which equation is broken (1 + its place, 0: none), how many
+times what is allowed it was off, what moved then, and for how many samples the equations have held since."""
+
+
+@njit(cache=True)
+def begin(m):
+    """As at the start or after a gap: only what was told stays. `m`: one record of `MONITOR_DTYPE`."""
+    m.seen = m.held = 0
+    m.sums[:] = 0.0
+    m.runs[:] = 0
+
+
+@njit(cache=True)
+def watch(model, limit, m, x, hidden):
+    """Take in sample x, shape (8,), and the hidden states (3,) that belong to it; `limit` scales what is allowed.
+
+    `model` is `StructuredModel.compiled`. `m.broken` afterwards says which equation does not hold.
+    """
+    c = model[0]
+    if m.seen == 0:
+        m.cell, m.cell_rate = (x[LOAD_FORCE] - c[BIAS_L]) / c[GAIN_L], 0.0
+    elif m.seen > 1:
+        spring = c[SPRING] * (0.5 * (m.last[X_P] + m.middle[X_P]) - c[REST])
+        m.cell, m.cell_rate = lag(c[CELL_OMEGA], c[CELL_DAMPING], spring, m.cell, m.cell_rate)
+        if m.seen > SETTLING:
+            _judge(model, limit, m, x)
+    m.seen += 1
+    m.last[:] = m.middle
+    m.middle[F_H], m.middle[F_L], m.middle[X_P] = x[HYDRAULIC_FORCE], x[LOAD_FORCE], x[POSITION]
+    m.middle[P_A], m.middle[P_B] = x[PRESSURE_A], x[PRESSURE_B]
+    m.hidden[:] = hidden
+
+
+@njit(cache=True)
+def errors(model, m, x, error, size):
+    """Of each equation at the middle sample: its error, and the size of what it moves; both shape (5,)."""
+    c, layers, center, scale, _ = model
+    s, slope, inputs, r = np.empty(STATES), np.empty(8), np.empty(INPUTS), np.empty(OUTPUTS)
+    first, second = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
+    readings, position = m.middle, m.middle[X_P]
+    speed = (x[POSITION] - m.last[X_P]) / (2.0 * SAMPLE)
+    s[0], s[1], s[2], s[3] = readings[P_A], readings[P_B], position, speed
+    s[4], s[5], s[6], s[7], s[8] = m.hidden[SPOOL], m.hidden[SPOOL_RATE], m.cell, m.cell_rate, m.hidden[BRISTLE_STATE]
+    structured.residual(layers, center, scale, s, inputs, first, second, r)
+    physics.rates(c, s[:8], s[8], 0.0, r, slope)
+    bend = (x[POSITION] - 2.0 * position + m.last[X_P]) / SAMPLE**2
+    pushed = c[GAIN_H] * c[AREA] * (s[0] - c[RATIO] * s[1])
+    error[0] = readings[F_L] - c[GAIN_L] * m.cell - c[BIAS_L]
+    error[1] = c[MASS] * (bend - slope[3])
+    error[2] = readings[F_H] - pushed - c[BIAS_H]
+    error[3] = 0.5 * (x[PRESSURE_A] - m.last[P_A]) - SAMPLE * slope[0]
+    error[4] = 0.5 * (x[PRESSURE_B] - m.last[P_B]) - SAMPLE * slope[1]
+    area_b = c[RATIO] * c[AREA]
+    displaced = c[BULK] * SAMPLE * abs(speed)
+    size[0] = abs(c[GAIN_L] * m.cell)
+    size[1] = abs(c[SPRING] * (position - c[REST]))
+    size[2] = abs(pushed)
+    size[3] = SAMPLE * abs(slope[0]) + displaced * c[AREA] / (c[DEAD_A] + c[AREA] * position)
+    size[4] = SAMPLE * abs(slope[1]) + displaced * area_b / (c[DEAD_B] + area_b * (c[STROKE] - position))
+
+
+@njit(cache=True)
+def _judge(model, limit, m, x):
+    """Move the sums on, and what follows from them."""
+    error, size = np.empty(COUNT), np.empty(COUNT)
+    errors(model, m, x, error, size)
+    highest = 0.0
+    for i in range(COUNT):
+        z = min(max(error[i] / (limit * (ALLOWED[i] + SHARE * size[i])), -CLIP), CLIP)
+        for side in range(2):
+            total = min(max(m.sums[i, side] + (z if side == 0 else -z) - 1.0, 0.0), 2.0 * ALARM)
+            m.sums[i, side] = total
+            m.runs[i, side] = m.runs[i, side] + 1 if total > 0.0 else 0
+            highest = max(highest, total)
+            if total > ALARM and m.broken == 0:
+                m.broken, m.held = i + 1, 0
+                m.ratio, m.effort = 1.0 + total / m.runs[i, side], max(0.5 * size[i], limit * ALLOWED[i])
+    if m.broken != 0:
+        moved = size[m.broken - 1] >= m.effort
+        m.held = 0 if highest > 0.5 * ALARM else m.held + moved
+        if m.held >= RETURN:
+            m.broken = 0
+
+
+def sentence(m: np.void) -> str:
+    """Which equation does not hold, and how far it is off; empty where all do."""
+    if not m["broken"]:
+        return ""
+    place = int(m["broken"]) - 1
+    name, suspects = EQUATIONS[place], SUSPECTS[place]
+    return f"the model's {name} ({suspects}) is off by {m['ratio']:.1f} times what is allowed"

@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter with the learned metric: one sample of a bench in, one correction out, in one compiled call.
+
+::
+
+    sample, memory ──> linearize, displace ──> v, F, G, K ──┐
+                       metric network ──> M, M' ────────────┼──> quadratic in du ──> half-line ──> smallest du
+                       law's integral ──> w ────────────────┘
+
+Samples must follow one another, each once: the memory simulates the spool from the currents that they tell. For objects
+around this call see `loop_filter`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from hydro_bridge.signals import FloatArray
+from hydro_filter.certificate import qp
+from hydro_filter.certificate import sampled as sampled_certificate
+from hydro_filter.metric import network as metric_network
+from hydro_filter.metric.network import MetricParts, MetricValue, metric_value
+from hydro_filter.model import displacement
+from hydro_filter.model.loop_model import LOOP, LoopModel, LoopStep, linearize, loop_step
+from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
+from hydro_sim.model.hydraulics import input_gain, velocity_term
+from hydro_sim.timing import SAMPLE
+
+
+class LoopParts(NamedTuple):
+    """What `decide` reads."""
+
+    loop: LoopModel
+    metric: MetricParts
+    rate: float
+    """lambda [1/s] for gains of the certified range."""
+    foreign_rate: float
+    """lambda [1/s] for all other gains: how fast the correction makes the error decay."""
+    noise_size: float
+    """v'Mv of the noise for gains of the range: what is no more than that is nothing."""
+    foreign_noise_size: float
+    """The same for all other gains, whose metric has another size."""
+    integral_allowance: float
+    """N/s that the law's integral I may ask for: what disturbances take on stable runs."""
+
+
+class Space(NamedTuple):
+    """Scratch of one caller; `space` makes it."""
+
+    step: LoopStep
+    value: MetricValue
+    v: FloatArray
+    next_v: FloatArray
+    after_v: FloatArray
+
+
+class Decision(NamedTuple):
+    """What `decide` says."""
+
+    delta_u: float
+    """A."""
+    before: float
+    """M_c [1/s] without the correction."""
+    after: float
+    """M_c [1/s] with it."""
+    status: int
+    """`hydro_bridge.signals.CorrectionStatus`."""
+
+
+class Problem(NamedTuple):
+    """What is to be solved for one sample: `a du <= b`, `low <= du <= high`, and M_c as a function of du."""
+
+    a: float
+    b: float
+    low: float
+    high: float
+    bent: float
+    slope: float
+    level: float
+    best: float
+    """A, the du with the smallest M_c."""
+
+
+def space(parts: LoopParts) -> Space:
+    """New scratch for one caller."""
+    return Space(loop_step(), metric_value(parts.metric), np.zeros(LOOP), np.zeros(LOOP), np.zeros(LOOP))
+
+
+@njit(cache=True, inline="always")
+def integral_term(bench, gain_floor, x, nominal_current, reference, reference_rate, proportional_gain):
+    """I [N/s] of `hydro_sim.box.force_law` and g [N/s/A], from the current that the law made of it: of either form."""
+    position = min(max(x[POSITION], 0.0), bench.stroke)
+    gain = max(input_gain(bench, position, x[PRESSURE_A], x[PRESSURE_B], nominal_current), gain_floor)
+    driven = nominal_current * gain + velocity_term(bench, position, x[VELOCITY])
+    return driven - reference_rate - proportional_gain * (reference - x[LOAD_FORCE]), gain
+
+
+@njit(cache=True, inline="always")
+def pose(parts, memory, x, nominal, current, reference, reference_rate, gain, room):
+    """The problem of one sample, all finite, of an armed bench. Moves the memory on."""
+    loop, value, step = parts.loop, room.value, room.step
+    displacement.settle(loop, memory, x, current, reference_rate)
+    linearize(loop, memory.hidden, x, nominal, current, gain, step)
+    displacement.displace(loop, memory, x, reference, reference_rate, room.v)
+    displacement.follow(loop, memory, x, current, reference_rate)
+    metric_network.evaluate(parts.metric, x, step.state_rate, gain, value)
+    outside = metric_network.foreign(parts.metric, gain)
+    rate = parts.foreign_rate if outside else parts.rate
+    term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, reference, reference_rate, gain)
+    asked = sampled_certificate.unasked(term, parts.integral_allowance) / law_gain
+    bent, slope, level, size = sampled_certificate.quadratic(
+        step, value, room.v, current - nominal + asked, asked, rate, room.next_v, room.after_v
+    )
+    share = sampled_certificate.fade(size, parts.foreign_noise_size if outside else parts.noise_size)
+    slope, level = share * slope, share * share * level
+    a, b, best = sampled_certificate.half_line(bent, slope, level)
+    limit = loop.current_max
+    applied = min(max(nominal, -limit), limit)
+    return Problem(a, b, -limit - applied, limit - applied, bent, slope, level, best)
+
+
+@njit(cache=True)
+def judge(problem, change):
+    """M_c [1/s] before and with a change of the current [A]."""
+    after = problem.bent * change * change + 2.0 * problem.slope * change + problem.level
+    return problem.level / SAMPLE, after / SAMPLE
+
+
+@njit(cache=True)
+def beyond(nominal, change, limit):
+    """delta_u [A]: sat(u_nom + delta_u) = sat(u_nom) + change."""
+    return change + (min(max(nominal, -limit), limit) - nominal) if change != 0.0 else 0.0
+
+
+@njit(cache=True)
+def nearest(problem):
+    """The change [A] with the smallest M_c where none restores the certificate, and its status."""
+    change = min(max(problem.best, problem.low), problem.high)
+    removed = problem.level - (problem.bent * change * change + 2.0 * problem.slope * change + problem.level)
+    if removed < qp.LEAST_IMPROVEMENT * problem.level:
+        return 0.0, qp.INFEASIBLE
+    return change, qp.RELAXED
+
+
+@njit(cache=True)
+def finite(x, nominal, current, reference, reference_rate, gain):
+    """Whether all that a decision rests on is finite."""
+    good = math.isfinite(nominal) and math.isfinite(current) and math.isfinite(reference)
+    good = good and math.isfinite(reference_rate) and math.isfinite(gain)
+    for i in range(STATES):
+        good = good and math.isfinite(x[i])
+    return good
+
+
+@njit(cache=True, inline="always")
+def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, armed, room):
+    """Decide about a sample: `Decision`.
+
+    Parameters
+    ----------
+    parts, room
+        `loop_filter.LoopFilter.parts`, `space(parts)`.
+    memory
+        One record of `MEMORY_DTYPE`, zeros at the beginning.
+    x
+        State, shape (8,).
+    nominal, current
+        u_nom and what the valve got [A].
+    reference, reference_rate
+        f_r [N], f_r' [N/s].
+    gain
+        K_p + delta K_p [1/s].
+    armed
+        Whether the valve follows the law; if not there is nothing to correct.
+    """
+    if not finite(x, nominal, current, reference, reference_rate, gain):
+        displacement.begin(memory)
+        return Decision(0.0, math.nan, math.nan, qp.NAN)
+    problem = pose(parts, memory, x, nominal, current, reference, reference_rate, gain, room)
+    if not armed:
+        return Decision(0.0, 0.0, 0.0, qp.PASS)
+    if math.isnan(problem.a) and math.isfinite(problem.best):
+        change, status = nearest(problem)
+    else:
+        change, status = qp.closed_form_kernel(problem.a, problem.b, problem.low, problem.high)
+    before, after = judge(problem, change)
+    return Decision(beyond(nominal, change, parts.loop.current_max), before, after, status)

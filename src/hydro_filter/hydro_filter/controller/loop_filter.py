@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter with the learned metric as objects: one bench with OSQP, or many benches at once.
+
+::
+
+    contraction_filter = default_filter(bench)
+    contraction_filter.correct(sample)                    Sample in, Result out, one bench; OSQP, as the node runs it
+    bank = LoopBank(contraction_filter.parts, count=64)
+    delta_u = bank.correct(records).delta_u               records of STATE_DTYPE, one per bench; the QP's closed form
+    loop_decision.decide(parts, memory[i], x, ...)         the same call for a compiled loop
+
+Samples must follow one another, each once. A correction acts one sample after its own. Which gains are held, and what
+is not: docs/safety.md.
+
+`LoopFilter` also watches whether the model is still the bench's (`innovations`); where it is not, every answer is
+MISMATCH and corrects nothing. A `LoopBank` does not: its benches are simulated, by that model or on purpose by others.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numba
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hydro_bridge.settings import check
+from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, FloatArray, StateArray
+from hydro_filter.certificate.qp import QpFilter
+from hydro_filter.controller import innovations, loop_decision
+from hydro_filter.controller.filter import Result
+from hydro_filter.controller.innovations import MONITOR_DTYPE
+from hydro_filter.controller.loop_decision import LoopParts, Problem
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model import displacement
+from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_filter.model.loop_model import loop_model
+from hydro_filter.model.sample import Sample
+from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
+from hydro_sim.structured.model import StructuredModel
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopFilterSettings:
+    """How the filter decides."""
+
+    contraction_rate: float = 0.1
+    """lambda [1/s] for gains of the certified range, [0, 10]; the paper's 0.1."""
+    foreign_rate: float = 8.0
+    """lambda [1/s] for all other gains, whose loop the correction closes, [0, 15]: how fast an error has to decay."""
+    noise_share: float = 1.0
+    """What of the metric's own noise level counts as nothing, [0, 100]; 0: correct noise as well."""
+    innovation_limit: float = 1.0
+    """How far the model's predictions may be off before nothing rests on them, of what is allowed, [0.3, 10]."""
+    state_age_max: float = 5e-3
+    """s, a state that is older, or stamped so far ahead, is not acted upon, [0.001, 0.1]."""
+    bypass: bool = False
+    """Correct nothing and say so in every correction: status BYPASSED."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+judge, nearest, beyond = (each.py_func for each in (loop_decision.judge, loop_decision.nearest, loop_decision.beyond))
+"""Of one sample's numbers: a compiled call would take longer than they do."""
+
+
+NOT_FINITE, FITS, BROKEN = range(3)
+"""What `propose` says of a sample: a number is not finite; the model holds; it does not."""
+
+
+@njit(cache=True)
+def boxed(parts, room, monitor, limit):
+    """All of them where compiled code finds them: to hand seventy arrays over takes as long as all the rest."""
+    box = numba.typed.List()
+    box.append((parts, room, monitor, limit))
+    return box
+
+
+@njit(cache=True)
+def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
+    """How the sample is, and its `Problem`; moves the memory, shape (1,), and the monitor's on."""
+    parts, room, monitor, limit = box[0]
+    if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
+        displacement.begin(memory[0])
+        innovations.begin(monitor[0])
+        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    innovations.watch(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
+    p = loop_decision.pose(parts, memory[0], x, nominal, current, reference, reference_rate, gain, room)
+    state = BROKEN if monitor[0].broken != 0 else FITS
+    return state, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
+
+
+class LoopFilter:
+    """One bench's filter. Never raises on a sample.
+
+    Parameters
+    ----------
+    parts
+        Of `loop_parts`.
+    settings
+        Of these only age, bypass and `innovation_limit` are used here; the rest went into the parts.
+    """
+
+    _propose = staticmethod(propose)
+
+    def __init__(self, parts: LoopParts, settings: LoopFilterSettings | None = None) -> None:
+        self.parts = parts
+        self.settings = settings or LoopFilterSettings()
+        self.qp = QpFilter()
+        self.memory = np.zeros(1, MEMORY_DTYPE)
+        self.monitor = np.zeros(1, MONITOR_DTYPE)
+        self._box = boxed(parts, loop_decision.space(parts), self.monitor, self.settings.innovation_limit)
+
+    @property
+    def mismatch(self) -> str:
+        """Why the model is not this bench's, for people; empty while it is."""
+        return innovations.sentence(self.monitor[0])
+
+    def reset(self) -> None:
+        """Begin anew, as if nothing had been seen."""
+        self.skip()
+        self.monitor["broken"] = 0
+
+    def skip(self) -> None:
+        """Samples are missing before the next one. What was found out about the model stays."""
+        displacement.begin(self.memory[0])
+        innovations.begin(self.monitor[0])
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """Decide about a sample that is `age` [s] old."""
+        x, nominal = np.ascontiguousarray(sample.state), sample.nominal_current
+        signals = nominal, sample.valve_current, sample.reference_force, sample.reference_rate
+        state, *numbers = self._propose(self._box, self.memory, x, *signals, sample.proportional_gain)
+        if state == NOT_FINITE:
+            status = CorrectionStatus.BYPASSED if self.settings.bypass else CorrectionStatus.NAN
+            return Result(0.0, math.nan, math.nan, status)
+        problem = Problem(*numbers)  # also of an old sample: the memory moves on
+        if self.settings.bypass:
+            before, _ = judge(problem, 0.0)
+            return Result(0.0, before, before, CorrectionStatus.BYPASSED)
+        if state == BROKEN:  # a certificate of another bench says nothing
+            return Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
+        if not abs(age) <= self.settings.state_age_max:
+            return Result(0.0, math.nan, math.nan, CorrectionStatus.STALE)
+        if not sample.armed:
+            return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
+        if math.isnan(problem.a) and math.isfinite(problem.best):
+            change, number = nearest(problem)
+            status = CorrectionStatus(number)
+        else:
+            change, status = self.qp.solve(problem.a, problem.b, problem.low, problem.high)
+        before, after = judge(problem, change)
+        delta_u = beyond(nominal, change, self.parts.loop.current_max)
+        return Result(delta_u, before, after, status)
+
+
+@dataclass(frozen=True)
+class Decisions:
+    """Of N benches, each shape (N,)."""
+
+    delta_u: FloatArray
+    """A."""
+    before: FloatArray
+    """M_c [1/s] without the correction."""
+    after: FloatArray
+    """M_c [1/s] with it."""
+    status: npt.NDArray[np.uint8]
+    """`hydro_bridge.signals.CorrectionStatus`."""
+
+
+class LoopBank:
+    """The filter for N benches at once: the QP by its closed form, no solver, no ages."""
+
+    def __init__(self, parts: LoopParts, count: int) -> None:
+        self.parts = parts
+        self.memory = np.zeros(count, MEMORY_DTYPE)
+        self._room = loop_decision.space(parts)
+        self.decisions = Decisions(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, np.uint8))
+
+    def forget(self, benches: npt.NDArray[np.bool_] | slice = slice(None)) -> None:
+        """Begin anew, all or some benches."""
+        self.memory[benches] = np.zeros(1, MEMORY_DTYPE)[0]
+
+    def correct(self, records: StateArray) -> Decisions:
+        """Decide about one sample of each bench, records of `STATE_DTYPE`, shape (N,); overwritten by the next call."""
+        x = np.stack([records[name] for name in PLANT_FIELDS], axis=1)
+        names = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate")
+        signals = np.stack([records[name] for name in (*names, "proportional_gain")], axis=1)
+        armed = (records["flags"] & int(Flag.ARMED)) != 0
+        made = self.decisions
+        _decide_many(
+            self.parts, self.memory, x, signals, armed, self._room, made.delta_u, made.before, made.after, made.status
+        )
+        return made
+
+
+@njit(cache=True)
+def _decide_many(parts, memory, x, signals, armed, room, delta_u, before, after, status):
+    for k in range(len(x)):
+        nominal, current, reference, rate, gain = signals[k]
+        delta_u[k], before[k], after[k], status[k] = loop_decision.decide(
+            parts, memory[k], x[k], nominal, current, reference, rate, gain, armed[k], room
+        )
+
+
+def loop_parts(
+    metric: LearnedMetric, model: StructuredModel, bench: Bench, settings: LoopFilterSettings | None = None
+) -> LoopParts:
+    """What `decide` reads, of a metric, the learned model that it was trained on, and what the box believes."""
+    chosen, levels = settings or LoopFilterSettings(), metric.thresholds
+    return LoopParts(
+        loop=loop_model(model, bench),
+        metric=metric.parts,
+        rate=chosen.contraction_rate,
+        foreign_rate=chosen.foreign_rate,
+        noise_size=chosen.noise_share * levels.noise_size,
+        foreign_noise_size=chosen.noise_share * levels.foreign_noise_size,
+        integral_allowance=levels.integral_allowance,
+    )
+
+
+def default_filter(bench: Bench | None = None, settings: LoopFilterSettings | None = None) -> LoopFilter:
+    """The shipped metric on the shipped learned model, for a box that believes `bench` (default: the nominal one).
+
+    Raises
+    ------
+    WeightsError
+        If a weights file is missing or unreadable.
+    """
+    model = Learned.load().model
+    assert isinstance(model, StructuredModel)
+    parts = loop_parts(LearnedMetric.load(), model, bench or Bench.nominal(), settings)
+    return LoopFilter(parts, settings)

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metrics solved, not learned: of the loop about the still bench, one for each gain and one for all others.
+
+In the certified range of K_p, the frozen loop F + G K is what the metric must decay along, by itself: P solves the
+discrete Lyapunov equation of that loop, sped up by a part of its own decay. Outside, the correction closes the loop,
+so the metric is that of the best correction: P solves the discrete Riccati equation, and the loop under its feedback
+decays at some 20 1/s. Both are for the nominal bench at rest; that they hold elsewhere is for the training and the
+certificate to show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
+
+from hydro_bridge.signals import FloatArray
+from hydro_filter.metric.network import ENTRIES
+from hydro_filter.model.hidden_states import HIDDEN
+from hydro_filter.model.loop_model import LOOP, LoopModel, linearize, loop_step
+from hydro_sim.model.hydraulics import rest_state
+
+
+@dataclass(frozen=True, kw_only=True)
+class MetricDesign:
+    """For which loops metrics are solved."""
+
+    gain_low: float = 10.0
+    """1/s, the certified range's lower end, [1, 100]."""
+    gain_high: float = 95.0
+    """1/s, its upper end, [1, 200]: the rollouts turn unstable some 20 1/s above."""
+    gain_step: float = 5.0
+    """1/s, between the table's gains, [0.5, 50]."""
+    own_decay: float = 0.3
+    """Share of a loop's own decay that its metric is solved for, [0, 0.95]."""
+    foreign_weights: tuple[float, ...] = (1e-2, 1e-2, 1e-2, 1.0, 1e-2, 1.0, 1e-2, 1e-2)
+    """Of the loop coordinates' squares in the Riccati equation, each above 0; the Lyapunov equations have ones."""
+    effort: float = 1e-2
+    """Of the correction's square in it, in units of 0.14 of the valve's current, [1e-4, 100]."""
+    floor: float = 1e-6
+    """Smallest eigenvalue of M, over its largest entry, [1e-9, 1e-2]."""
+
+
+class Table(NamedTuple):
+    """What `network.MetricParts` holds of a design."""
+
+    gains: FloatArray
+    table: FloatArray
+    floor: float
+
+
+def rest_loop(loop: LoopModel, proportional_gain: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """F, G, K of the still bench, about no current."""
+    still = rest_state(loop.bench[0])
+    x = np.zeros(8)
+    x[4:7] = still[:3]
+    step = loop_step()
+    linearize(loop, np.zeros(HIDDEN), x, 1e-9, 0.0, float(proportional_gain), step)
+    return step.transition.copy(), step.push.copy(), step.feedback.copy()
+
+
+def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
+    """P of a closed loop, shape (8, 8), sped up by a share of its own decay.
+
+    Raises
+    ------
+    ValueError
+        If the loop does not decay.
+    """
+    slowest = float(np.abs(np.linalg.eigvals(closed)).max())
+    if slowest >= 1.0:
+        raise ValueError("a metric is wanted of a loop that does not decay: the certified range of K_p is too wide")
+    sped = closed / slowest**own_decay
+    return np.asarray(solve_discrete_lyapunov(sped.T, np.diag(weights)))
+
+
+def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: float) -> tuple[FloatArray, FloatArray]:
+    """P, shape (8, 8), and the feedback [per unit of `push`], shape (8,), of the best correction."""
+    column = push[:, np.newaxis]
+    weight = np.asarray(solve_discrete_are(free, column, np.diag(weights), np.array([[effort]])))
+    feedback = -(push @ weight @ free) / (effort + push @ weight @ push)
+    return weight, feedback
+
+
+def design_table(loop: LoopModel, design: MetricDesign) -> Table:
+    """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`)."""
+    gains = np.arange(design.gain_low, design.gain_high + 0.5 * design.gain_step, design.gain_step)
+    rows = []
+    for gain in gains:
+        free, push, feedback = rest_loop(loop, float(gain))
+        rows.append(lyapunov(free + np.outer(push, feedback), np.ones(LOOP), design.own_decay))
+    free, push, _ = rest_loop(loop, float(gains[0]))
+    unit = 0.14 * loop.current_max
+    rows.append(riccati(free, unit * push, np.array(design.foreign_weights), design.effort)[0])
+    return Table(
+        np.asarray(gains, np.float64), np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor
+    )
+
+
+def correcting_feedback(loop: LoopModel, design: MetricDesign) -> FloatArray:
+    """K [A] of the best correction about the still bench, shape (8,)."""
+    free, push, _ = rest_loop(loop, design.gain_low)
+    unit = 0.14 * loop.current_max
+    return unit * riccati(free, unit * push, np.array(design.foreign_weights), design.effort)[1]
+
+
+def factor_entries(weight: FloatArray) -> FloatArray:
+    """Lower Cholesky factor of a metric, row by row, shape (36,)."""
+    lower = cholesky(weight, lower=True)
+    entries = lower[np.tril_indices(LOOP)]
+    assert entries.shape == (ENTRIES,)
+    return np.asarray(entries)

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learned metric as an object, with what the filter needs beside it, and its file (safetensors).
+
+M(x, K_p) is `metric.network`'s. The thresholds beside it were measured with it, on held-out runs, and belong to it:
+what of a displacement is noise, what the law's integral asks for on stable runs, for which contraction rate it was
+trained.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.files.tensors import LARGEST, UnsoundError, check_shapes
+from hydro_bridge.settings import check as check_settings
+from hydro_bridge.signals import FloatArray
+from hydro_filter.metric import network as metric_network
+from hydro_filter.metric.design import MetricDesign, design_table
+from hydro_filter.metric.network import ENTRIES, HIDDEN, INPUTS, MetricParts, metric_value
+from hydro_filter.model.loop_model import LOOP_FIELDS, LoopModel
+from hydro_filter.model.state import STATES, state_scale
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import MadeFor, made_for
+from hydro_sim.files.weights import WeightsError
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.hydraulics import rest_state
+from hydro_sim.neural import mlp
+
+STRUCTURE = "metric"
+ARRAYS = ("center", "scale", "low", "high", "gains", "table")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Thresholds:
+    """What was measured on held-out runs; `training.levels`."""
+
+    noise_size: float = 0.0
+    """v'Mv of the noise for gains of the certified range, [0, 1e6]."""
+    foreign_noise_size: float = 0.0
+    """The same in the metric for all other gains, [0, 1e6]."""
+    integral_allowance: float = 200.0
+    """N/s that the law's integral asks for on stable runs, [0, 1e6]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearnedMetric:
+    """M(x, K_p) on loop coordinates."""
+
+    flat: FloatArray
+    """The network's weights."""
+    hidden: tuple[int, int]
+    center: FloatArray
+    """Shape (8,), of x."""
+    scale: FloatArray
+    """Shape (8,), of x."""
+    low: FloatArray
+    """Shape (8,), smallest x that the network was trained on."""
+    high: FloatArray
+    """Shape (8,), largest."""
+    gains: FloatArray
+    """K_p [1/s] of the table."""
+    table: FloatArray
+    """Cholesky factors, shape (n + 1, 36)."""
+    floor: float
+    thresholds: Thresholds = Thresholds()
+    training: dict[str, Any] = field(default_factory=dict)
+    """Command, settings, losses reached, digest of the model that it was trained on."""
+    made: MadeFor | None = None
+    """Which bench and model it is for; None: the file does not say."""
+
+    @classmethod
+    def designed(
+        cls, loop: LoopModel, bench: Bench, design: MetricDesign, *, hidden: tuple[int, int] = HIDDEN, seed: int = 0
+    ) -> LearnedMetric:
+        """The solved metrics alone: the network's last layer is zero."""
+        solved = design_table(loop, design)
+        center = np.zeros(STATES)
+        center[4:7] = rest_state(bench.constants()[0])[:3]
+        flat = mlp.initial(np.random.default_rng(seed), INPUTS, hidden, ENTRIES, last=0.0)
+        return cls(
+            flat=flat, hidden=hidden, center=center, scale=state_scale(bench),
+            low=np.full(STATES, -np.inf), high=np.full(STATES, np.inf),
+            gains=solved.gains, table=solved.table, floor=solved.floor,
+        )  # fmt: skip
+
+    @property
+    def parts(self) -> MetricParts:
+        """What the kernels take."""
+        layers = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)
+        ends = self.low, self.high
+        return MetricParts(layers, self.center, self.scale, *ends, self.gains, self.table, self.floor)
+
+    def matrix(self, x: FloatArray, gain: float) -> FloatArray:
+        """M, shape (8, 8), at x (8,) [SI units] and K_p [1/s]."""
+        return self.matrix_and_rate(x, np.zeros(STATES), gain)[0]
+
+    def matrix_and_rate(self, x: FloatArray, state_rate: FloatArray, gain: float) -> tuple[FloatArray, FloatArray]:
+        """M and M' [1/s] along x' (8,) [SI units per s]."""
+        value = metric_value(self.parts)
+        metric_network.evaluate(self.parts, x, state_rate, gain, value)
+        return value.matrix, value.rate
+
+    def with_weights(self, flat: FloatArray) -> LearnedMetric:
+        """The same with other weights."""
+        return replace(self, flat=np.asarray(flat, np.float64).copy())
+
+    def save(self, path: str | Path) -> None:
+        """Write a weights file."""
+        views = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)._asdict()
+        arrays = {name: getattr(self, name) for name in ARRAYS}
+        header = {
+            "structure": STRUCTURE, "hidden": list(self.hidden), "activation": "relu", "floor": self.floor,
+            "coordinates": list(LOOP_FIELDS), "thresholds": asdict(self.thresholds), "training": self.training,
+            "normalization": "(x - center) / scale, K_p / 100 or 0, foreign 0 or 1; out: Cholesky factor by rows",
+        }  # fmt: skip
+        weights.save(path, {**views, **arrays}, header, self.made)
+
+    @classmethod
+    def load(cls, path: str | Path | None = None) -> LearnedMetric:
+        """Read a weights file; None: the one that comes with this package. Raises WeightsError."""
+        path = path or shipped()
+        tensors, header = weights.load(path)
+        if header["structure"] != STRUCTURE:
+            raise WeightsError(
+                f"{path} has structure {header['structure']!r}, not a metric's: `learn_metric` makes one"
+            )
+        try:
+            hidden = (int(header["hidden"][0]), int(header["hidden"][1]))
+            flat = np.concatenate([np.asarray(tensors[name], np.float64).ravel() for name in mlp.Layers._fields])
+            mlp.layers(flat, INPUTS, hidden, ENTRIES)
+            arrays = {name: np.asarray(tensors[name], np.float64) for name in ARRAYS}
+            _check(arrays, float(header["floor"]), Thresholds(**header["thresholds"]))
+            return cls(
+                flat=flat, hidden=hidden, floor=float(header["floor"]), thresholds=Thresholds(**header["thresholds"]),
+                training=header.get("training", {}), made=made_for(header), **arrays,
+            )  # fmt: skip
+        except (KeyError, ValueError, IndexError, TypeError) as error:
+            raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
+
+
+def _check(arrays: Mapping[str, FloatArray], floor: float, thresholds: Thresholds) -> None:
+    """Raise ValueError if these cannot make a metric."""
+    gains = arrays["gains"]
+    state, table = (STATES,), (len(gains) + 1, ENTRIES)
+    check_shapes(arrays, {"center": state, "scale": state, "low": state, "high": state, "table": table})
+    check_settings(thresholds)
+    if not (arrays["scale"] > 0.0).all():
+        raise UnsoundError("scale holds a value that is not above 0")
+    if not (arrays["low"] <= arrays["high"]).all():
+        raise UnsoundError("a bound in low lies above the one in high")
+    if gains.ndim != 1 or not (np.diff(gains) > 0.0).all():
+        raise UnsoundError("gains do not rise")
+    if not 0.0 < floor < LARGEST:
+        raise UnsoundError(f"floor is {floor:g}: M is definite for a floor above 0 only")
+
+
+def shipped() -> Path:
+    """The metric that comes with this package."""
+    return Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors"))

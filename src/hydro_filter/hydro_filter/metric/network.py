@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learned metric, compiled: a Cholesky factor from a table, plus a network's, plus a floor.
+
+::
+
+    gain K_p --clip--> table of factors --> L_0(K_p) --+
+    (x - center) / scale  (8) --+                      +--> L --> M = L L' + floor I,   M' = L' L^T + L L'^T
+    K_p / 100, foreign    (2) --+--> 10 -> 64 -> 64 -> 36 ReLU, L row by row
+
+M is symmetric and positive definite whatever the weights are. L' is the network's derivative along x', exact where no
+ReLU changes sides. K_p is an input because no one metric holds for all stable gains: the loop is about s^2 + d s +
+w^2 with w^2 proportional to K_p, and one quadratic form decays for all of w^2 in [p, q] only if sqrt(q) - sqrt(p) < d
+(docs/safety.md). `foreign` is 1 for gains outside of the certified range: those are corrected by one metric of their
+own, the table's last factor, and their K_p is not shown to the network.
+
+The table holds solutions of Riccati and Lyapunov equations (`metric.design`): with the network's weights at zero they
+are the metric, the baseline that training starts from and is judged against.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from hydro_bridge.signals import FloatArray
+from hydro_filter.model.loop_model import LOOP
+from hydro_filter.model.state import STATES
+from hydro_sim.neural import mlp
+
+INPUTS = STATES + 2
+ENTRIES = LOOP * (LOOP + 1) // 2
+"""Of a Cholesky factor, row by row."""
+HIDDEN = (64, 64)
+"""Table training_metric."""
+GAIN_UNIT = 100.0
+"""1/s, what K_p is divided by."""
+
+
+class MetricParts(NamedTuple):
+    """What the kernels take."""
+
+    layers: mlp.Layers
+    """10 inputs, 36 outputs."""
+    center: FloatArray
+    """Shape (8,), SI units."""
+    scale: FloatArray
+    """Shape (8,), SI units."""
+    low: FloatArray
+    """Shape (8,), SI units: what the network was trained on; a state outside is taken for the nearest inside."""
+    high: FloatArray
+    """Shape (8,), SI units."""
+    gains: FloatArray
+    """K_p [1/s] of the table's factors but the last, evenly spaced, shape (n,); the ends are the certified range."""
+    table: FloatArray
+    """L_0 entries, shape (n + 1, 36); the last row is for foreign gains."""
+    floor: float
+    """Smallest eigenvalue of M, above 0."""
+
+
+class MetricValue(NamedTuple):
+    """M and M' at one state, and scratch; `metric_value` makes it."""
+
+    matrix: FloatArray
+    """M on loop coordinates in units of their scale, shape (8, 8)."""
+    rate: FloatArray
+    """M' [1/s], shape (8, 8)."""
+    inputs: FloatArray
+    nudge: FloatArray
+    first: FloatArray
+    first_nudge: FloatArray
+    second: FloatArray
+    second_nudge: FloatArray
+    factor: FloatArray
+    factor_nudge: FloatArray
+
+
+def metric_value(parts: MetricParts) -> MetricValue:
+    """New space for one caller."""
+    h1, h2 = parts.layers.b1.shape[0], parts.layers.b2.shape[0]
+    shapes = ((LOOP, LOOP), (LOOP, LOOP), INPUTS, INPUTS, h1, h1, h2, h2, ENTRIES, ENTRIES)
+    return MetricValue(*(np.zeros(shape) for shape in shapes))
+
+
+@njit(cache=True, inline="always")
+def foreign(parts, gain):
+    """Whether K_p [1/s] lies outside of the certified range; NaN does."""
+    return not parts.gains[0] <= gain <= parts.gains[-1]
+
+
+@njit(cache=True, inline="always")
+def evaluate(parts, x, state_rate, gain, value):
+    """Fill `value` at x (8,) along x' (8,), both in SI units, for K_p [1/s]."""
+    layers, outside = parts.layers, foreign(parts, gain)
+    for i in range(STATES):
+        seen = min(max(x[i], parts.low[i]), parts.high[i])
+        value.inputs[i] = (seen - parts.center[i]) / parts.scale[i]
+        value.nudge[i] = state_rate[i] / parts.scale[i] if seen == x[i] else 0.0
+    value.inputs[STATES] = 0.0 if outside else gain / GAIN_UNIT
+    value.inputs[STATES + 1] = 1.0 if outside else 0.0
+    value.nudge[STATES:] = 0.0
+    _affine(layers.w1, layers.b1, value.inputs, value.nudge, value.first, value.first_nudge)
+    _relu(value.first, value.first_nudge)
+    _affine(layers.w2, layers.b2, value.first, value.first_nudge, value.second, value.second_nudge)
+    _relu(value.second, value.second_nudge)
+    _affine(layers.w3, layers.b3, value.second, value.second_nudge, value.factor, value.factor_nudge)
+    _add_table(parts, gain, outside, value.factor)
+    _square(value.factor, value.factor_nudge, parts.floor, value.matrix, value.rate)
+
+
+@njit(cache=True, inline="always")
+def _add_table(parts, gain, outside, factor):
+    """L_0, between the table's factors by straight lines."""
+    rows = len(parts.gains)
+    if outside or rows == 1:
+        row = parts.table[rows if outside else 0]
+        for i in range(ENTRIES):
+            factor[i] += row[i]
+        return
+    place = (gain - parts.gains[0]) / (parts.gains[1] - parts.gains[0])
+    low = min(int(place), rows - 2)
+    share = place - low
+    for i in range(ENTRIES):
+        factor[i] += (1.0 - share) * parts.table[low, i] + share * parts.table[low + 1, i]
+
+
+@njit(cache=True, fastmath=mlp.LOOSE)
+def _affine(w, b, x, dx, y, dy):
+    """y = x W + b, and its derivative dy along dx, in one pass over the weights."""
+    for j in range(y.shape[0]):
+        y[j], dy[j] = b[j], 0.0
+    for i in range(x.shape[0]):
+        value, nudge = x[i], dx[i]
+        if value != 0.0 or nudge != 0.0:  # half of the units are off
+            for j in range(y.shape[0]):
+                y[j] += w[i, j] * value
+                dy[j] += w[i, j] * nudge
+
+
+@njit(cache=True)
+def _relu(y, dy):
+    for i in range(y.shape[0]):
+        if y[i] <= 0.0:
+            y[i] = dy[i] = 0.0
+
+
+@njit(cache=True)
+def _square(factor, nudge, floor, matrix, rate):
+    """M and M' from the factor's entries and theirs."""
+    for i in range(LOOP):
+        for j in range(i + 1):
+            total, turned = 0.0, 0.0
+            for k in range(j + 1):
+                left, right = factor[i * (i + 1) // 2 + k], factor[j * (j + 1) // 2 + k]
+                total += left * right
+                turned += nudge[i * (i + 1) // 2 + k] * right + left * nudge[j * (j + 1) // 2 + k]
+            matrix[i, j] = matrix[j, i] = total
+            rate[i, j] = rate[j, i] = turned
+        matrix[i, i] += floor

@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the metric is trained on: rollouts of the learned bench with its sensors' noise, labelled by what they do.
+
+A rollout is run twice with the same noise, the second time with a pulse of valve current after one second. **Label**:
+the distance between the twins, largest |difference of f_l| in a window, early and late::
+
+    stable      late < 0.6 early         unstable    late > early, or the box tripped       else: neither, not used
+
+Gains are drawn from all that the box takes; references are those of `hydro_sim.excitation.drawn`. Every rollout gives
+windows of successive samples (paper: horizon H_m = 10) with what the certificate needs of each: x, x', v as the
+filter sees it, noise and all, and the exact F, G, K. None of these depends on the metric: they are computed once, not
+once per epoch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
+from hydro_filter.model import displacement
+from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_filter.model.loop_model import LOOP, LoopModel, linearize, loop_step
+from hydro_filter.model.state import STATES
+from hydro_sim.excitation import drawn as schedule
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
+from hydro_sim.simulation.offline import Schedule, simulate
+
+PULSE = 3e-3
+"""A, over 10 ms, of the twin: some 15 N."""
+PULSE_AT = 1000
+EARLY, LATE = slice(1050, 1350), slice(-300, None)
+STABLE, UNSTABLE, NEITHER = 1, -1, 0
+DECAYED = 0.6
+SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DataSettings:
+    """What is rolled out."""
+
+    rollouts: int = 160
+    """How many, [8, 100000]."""
+    seconds: float = 3.0
+    """s, each, [2, 30]."""
+    windows: int = 20
+    """Of each rollout, [1, 1000]."""
+    horizon: int = 10
+    """Successive samples of a window, [1, 100] (Table training_metric)."""
+    gain_min: float = -40.0
+    """1/s, smallest K_p, [-40, 0]."""
+    gain_max: float = 300.0
+    """1/s, largest K_p, [1, 300]."""
+    integral_gain_max: float = 30.0
+    """1/s^2, largest K_i; the smallest is -5, [0, 100]."""
+    seed: int = 0
+    """Of gains, references and noise."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rollout:
+    """One rollout: what happened, and what it is called."""
+
+    states: StateArray
+    """Up to where the box tripped."""
+    gains: tuple[float, float]
+    label: int
+    """STABLE, UNSTABLE or NEITHER."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Windows:
+    """n windows of H samples; loop coordinates in units of their scale."""
+
+    x: FloatArray
+    """Shape (n, H, 8), SI units, with noise."""
+    state_rate: FloatArray
+    """x', shape (n, H, 8)."""
+    v: FloatArray
+    """Shape (n, H, 8)."""
+    transition: FloatArray
+    """F, shape (n, H, 8, 8)."""
+    push: FloatArray
+    """G [1/A], shape (n, H, 8)."""
+    feedback: FloatArray
+    """K [A], shape (n, H, 8)."""
+    gain: FloatArray
+    """K_p [1/s], shape (n,)."""
+    label: npt.NDArray[np.int64]
+    """Shape (n,)."""
+
+    def __len__(self) -> int:
+        return len(self.gain)
+
+    def part(self, which: npt.NDArray[np.bool_]) -> Windows:
+        """Some of them."""
+        return Windows(**{entry.name: getattr(self, entry.name)[which] for entry in fields(self)})
+
+
+def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int) -> Rollout:
+    """Rollout number `index`: the same for the same settings."""
+    rng = np.random.default_rng((settings.seed, index))
+    low, high = settings.gain_min, settings.gain_max
+    edges = ((low, 0.0), (0.0, 0.4 * high), (0.0, 0.4 * high), (0.4 * high, high))
+    gains = float(rng.uniform(*edges[index % 4])), float(rng.uniform(-5.0, settings.integral_gain_max))
+    reference, seed = _reference(rng), int(rng.integers(2**31))
+    plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds)
+    pulse = np.zeros(plan.samples)
+    first = simulate(plant, bench, _corrected(plan, pulse), seed=seed)
+    pulse[PULSE_AT : PULSE_AT + 10] = PULSE
+    second = simulate(plant, bench, _corrected(plan, pulse), seed=seed)
+    trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
+    kept = first[: trips[0]] if len(trips) else first
+    return Rollout(states=kept, gains=gains, label=label_of(first, second))
+
+
+def _corrected(plan: Schedule, correction: FloatArray) -> Schedule:
+    return Schedule(reference=plan.reference, gains=plan.gains, seconds=plan.seconds, correction=correction)
+
+
+def _reference(rng: np.random.Generator) -> ReferenceSignal:
+    limits = schedule.Range(seconds=(4.0, 5.0), force_max=330.0, offset_max=100.0, frequency=(0.3, 3.0))
+    return schedule.draw(5.0, int(rng.integers(2**31)), limits)[0].signal
+
+
+def label_of(first: StateArray, second: StateArray) -> int:
+    """What two runs, the second with a pulse, say about their gains."""
+    if any(((run["flags"] & Flag.TRIPPED) != 0).any() for run in (first, second)):
+        return UNSTABLE
+    distance = np.abs(first["load_force"] - second["load_force"])
+    early, late = distance[EARLY].max(), distance[LATE].max()
+    return UNSTABLE if late > early else STABLE if late < DECAYED * early else NEITHER
+
+
+def windows_of(rollout: Rollout, loop: LoopModel, settings: DataSettings, seed: int) -> Windows | None:
+    """Windows at random places after the first 0.1 s; None of a rollout that is too short."""
+    count, span = len(rollout.states), settings.horizon
+    if count < 100 + 2 * span:
+        return None
+    starts = np.sort(np.random.default_rng(seed).integers(100, count - span, settings.windows))
+    shape = (settings.windows, span)
+    made = Windows(
+        x=np.empty((*shape, STATES)), state_rate=np.empty((*shape, STATES)), v=np.empty((*shape, LOOP)),
+        transition=np.empty((*shape, LOOP, LOOP)), push=np.empty((*shape, LOOP)), feedback=np.empty((*shape, LOOP)),
+        gain=np.full(settings.windows, rollout.gains[0]), label=np.full(settings.windows, rollout.label),
+    )  # fmt: skip
+    _follow(
+        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, np.zeros(1, MEMORY_DTYPE), loop_step(),
+        made.x, made.state_rate, made.v, made.transition, made.push, made.feedback,
+    )  # fmt: skip
+    return made
+
+
+@njit(cache=True)
+def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, pushes, feedbacks):
+    """Walk through a run with the filter's memory and write down the samples of every window."""
+    span = xs.shape[1]
+    for k in range(len(x)):
+        nominal, current, reference, reference_rate, gain = signals[k]
+        displacement.settle(loop, memory[0], x[k], current, reference_rate)
+        for n in range(len(starts)):
+            h = k - starts[n]
+            if 0 <= h < span:
+                linearize(loop, memory[0].hidden, x[k], nominal, current, gain, step)
+                displacement.displace(loop, memory[0], x[k], reference, reference_rate, vs[n, h])
+                xs[n, h], rates[n, h], transitions[n, h] = x[k], step.state_rate, step.transition
+                pushes[n, h], feedbacks[n, h] = step.push, step.feedback
+        displacement.follow(loop, memory[0], x[k], current, reference_rate)
+
+
+def collect(
+    plant: Plant, bench: Bench, loop: LoopModel, settings: DataSettings
+) -> Iterator[tuple[Rollout, Windows | None]]:
+    """All rollouts of the settings with their windows, as they come."""
+    for index in range(settings.rollouts):
+        rollout = roll_out(plant, bench, settings, index)
+        yield rollout, windows_of(rollout, loop, settings, index)
+
+
+def joined(windows: list[Windows]) -> Windows:
+    """All in one."""
+    return Windows(**{e.name: np.concatenate([getattr(w, e.name) for w in windows]) for e in fields(Windows)})
+
+
+def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0, high_share: float = 0.8) -> tuple[float, float]:
+    """Range of K_p [1/s] that is to be left alone.
+
+    From `low_reserve` above the highest small gain that is not stable to `high_share` of the lowest large one that is
+    not.
+
+    Raises
+    ------
+    ValueError
+        If nothing is left between them.
+    """
+    stable = np.array([r.gains[0] for r in rollouts if r.label == STABLE])
+    others = np.array([r.gains[0] for r in rollouts if r.label != STABLE])
+    if not len(stable):
+        raise ValueError("no rollout is stable: the learned model or the bench file is not of this bench")
+    middle = float(np.median(stable))
+    low = max(float(others[others < middle].max(initial=0.0)), 0.0) + low_reserve
+    high = high_share * min(float(others[others > middle].min(initial=np.inf)), float(stable.max()) / high_share)
+    if not high > low:
+        raise ValueError(f"no range of gains is stable with a reserve: {low:.0f} to {high:.0f} 1/s")
+    return low, high

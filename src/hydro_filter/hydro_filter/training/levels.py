@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The thresholds of a metric, measured: what of v'Mv is the sensors' noise, and what stable loops ask of the integral.
+
+Noise: the still bench with a closed valve, once with its sensors' noise and once without; the difference of both v,
+moved by one sample as the certificate moves it. Integral: runs of an episode's length under stable gains; what I asks
+for, friction, leakage and lags in it. The gains of a run stay, so that both forms of the integral give the same.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from hydro_bridge.signals import PLANT_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_filter.controller.loop_decision import integral_term
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model import displacement
+from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_filter.model.loop_model import LOOP, LoopModel, linearize, loop_step
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
+from hydro_sim.simulation.offline import Schedule, simulate
+
+SAMPLES = 4000
+QUANTILE = 0.99
+"""Of the noise's v'Mv: what is taken for noise."""
+
+
+def displacements(loop: LoopModel, plant: Plant, gain: float, seed: int) -> FloatArray:
+    """v_1 of a still bench, its valve closed, shape (samples, 8)."""
+    x, memory, step = plant.reset(seed), np.zeros(1, MEMORY_DTYPE), loop_step()
+    out = np.empty((SAMPLES, LOOP))
+    for k in range(SAMPLES):
+        displacement.settle(loop, memory[0], x, 0.0, 0.0)
+        linearize(loop, memory[0]["hidden"], x, 1e-9, 0.0, gain, step)
+        displacement.displace(loop, memory[0], x, 0.0, 0.0, out[k])
+        out[k] = (step.transition + np.outer(step.push, step.feedback)) @ out[k]
+        displacement.follow(loop, memory[0], x, 0.0, 0.0)
+        x = plant.step(0.0)
+    return out[100:]
+
+
+def noise_sizes(
+    metric: LearnedMetric, loop: LoopModel, noisy: Plant, clean: Plant, seed: int = 0
+) -> tuple[float, float]:
+    """`QUANTILE` of v'Mv of the noise: the largest over the certified range, and that of the metric for other gains."""
+    x, sizes = clean.reset(seed), []
+    for gain in (metric.gains[0], float(np.median(metric.gains)), metric.gains[-1], np.inf):
+        law = float(min(gain, metric.gains[-1]))
+        v = displacements(loop, noisy, law, seed) - displacements(loop, clean, law, seed)
+        matrix = metric.matrix(x, float(gain))
+        sizes.append(float(np.quantile(np.einsum("ki,ij,kj->k", v, matrix, v), QUANTILE)))
+    return max(sizes[:-1]), sizes[-1]
+
+
+def integral_terms(loop: LoopModel, states: StateArray) -> FloatArray:
+    """I [N/s] of the force law at the samples of a run, shape (n,)."""
+    out = np.empty(len(states))
+    for k, record in enumerate(states):
+        x = np.array([record[name] for name in PLANT_FIELDS])
+        law = (record["nominal_valve_current"], record["reference_force"], record["reference_force_rate"])
+        out[k] = integral_term(loop.bench[0], loop.gain_floor, x, *law, record["proportional_gain"])[0]
+    return out
+
+
+ASKING = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
+"""K_p, K_i [1/s], [1/s^2] of the runs that show what the integral asks for."""
+ASKED_BY = (
+    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0),
+    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, offset=150.0, frequency=0.5),
+    ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, offset=-150.0, frequency=0.5),
+    ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=300.0, frequency=1.0),
+)
+ASKED_FOR = 18.0
+"""s: the integral takes some K_p / K_i = 6 s to get where it is needed."""
+
+
+def integral_allowance(loop: LoopModel, plant: Plant, bench: Bench, seed: int = 0) -> float:
+    """Largest that the integral of stable loops asks for after the first second [N/s], a quarter on top."""
+    largest = 0.0
+    for gains, reference in product(ASKING, ASKED_BY):
+        states = simulate(plant, bench, Schedule(reference=reference, gains=gains, seconds=ASKED_FOR), seed=seed)
+        largest = max(largest, float(np.abs(integral_terms(loop, states[1000:])).max()))
+    return 1.25 * largest

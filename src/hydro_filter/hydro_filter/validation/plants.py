@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The benches that `validate` runs: the emulator as the bench, and the learned simulation.
+
+The emulator's plant is the one that runs behind the serial line, sample for sample; only its clock is left out. Nothing
+else in this package imports the emulator.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
+from hydro_sim.emulator.truth.parameters import compile_parameters
+from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.plant import Plant
+
+CHANGES: dict[str, dict[str, float]] = {
+    "emulator": {},
+    "spring 10 kN/m": {"spring_stiffness": 1e4},
+    "spring 30 kN/m": {"spring_stiffness": 3e4},
+    "supply 12 MPa": {"supply_pressure": 12e6},
+}
+"""The emulated bench, and what is changed of it while filter and box believe the nominal one."""
+
+PLANTS = (*CHANGES, "sim")
+
+
+def plant_named(name: str, model: str | None = None) -> Plant:
+    """One of `PLANTS`; `model`: weights of the learned simulation, the shipped ones by default."""
+    if name == "sim":
+        return LearnedPlant(model)
+    if not CHANGES[name]:
+        return TruthPlant(profile("default"))
+    return TruthPlant(truth_from_mapping({"profile": "default", "bench": CHANGES[name]}))
+
+
+def changed(change: Mapping[str, Any]) -> TruthConfig:
+    """The emulator's default truth with other `bench` numbers or `effects`."""
+    return truth_from_mapping({"profile": "default", **change})
+
+
+class ChangingPlant:
+    """The emulated bench that becomes another one while it runs, its piston where it was.
+
+    Parameters
+    ----------
+    truths
+        One after the other.
+    samples
+        At which each but the first takes over.
+    """
+
+    def __init__(self, truths: Sequence[TruthConfig], samples: Sequence[int]) -> None:
+        self.plant, self._taken = TruthPlant(truths[0]), 0
+        self._parameters = [compile_parameters(truth) for truth in truths]
+        self._at = dict(zip(samples, self._parameters[1:], strict=True))
+
+    def reset(self, seed: int) -> FloatArray:
+        """See `hydro_sim.model.plant.Plant`."""
+        self._taken, self.plant.parameters = 0, self._parameters[0]
+        return self.plant.reset(seed)
+
+    def step(self, valve_current: float) -> FloatArray:
+        """See `hydro_sim.model.plant.Plant`."""
+        self._taken += 1
+        self.plant.parameters = self._at.get(self._taken, self.plant.parameters)
+        return self.plant.step(valve_current)

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table val_cont: runs of a case on a bench under a filter, and what they come to.
+
+Runs go sample by sample as the graph runs (`trial`): the correction acts one sample after its state. A run ends where
+the box trips (700 N, sensor ranges): that is not bounded.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.signals import FloatArray, StateArray
+from hydro_filter.controller.filter import ContractionFilter, FilterSettings
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.validation.cases import CASES, Case
+from hydro_filter.validation.plants import plant_named
+from hydro_filter.validation.trial import Corrector, Gammas, Run, Trial, gammas, run
+from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
+from hydro_sim.structured.model import StructuredModel
+from hydro_sim.timing import SAMPLE
+
+FILTERS = ("none", "learned", "solved", "projected")
+"""none: bypassed, its certificate evaluated; learned: the default; solved: its metric with the network at zero;
+projected: the paper's v on the constant metric, lambda 2 1/s.
+"""
+SETTLING = 2000
+"""Samples left out of RMSE and chattering: the fade from rest."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One run; all in plain words, so that it can be sent to another process."""
+
+    plant: str
+    case: str
+    filter: str
+    seed: int
+    seconds: float
+    metric: str | None = None
+    model: str | None = None
+    bench: str | None = None
+    rate: float | None = None
+    """lambda of the certified range [1/s]; None: the filter's default."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """What one run came to."""
+
+    bounded: bool
+    seconds: float
+    peak: float
+    """N, largest |f_l|."""
+    rmse: float
+    """N, of f_r - f_l."""
+    chattering: float
+    """A/s, RMS of u'."""
+    numbers: Gammas
+    samples: int
+    failed: int
+    """Samples with status RELAXED, INFEASIBLE or NAN."""
+
+
+_MADE: dict[tuple[Any, ...], Any] = {}
+"""Plants and filters of this process, by what they were made of."""
+
+
+def make_filter(task: Task, bench: Bench) -> Corrector:
+    """The filter of a task."""
+    if task.filter == "projected":
+        return ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=2.0))
+    key = ("filter", task.metric, task.model, task.bench, task.filter, task.rate)
+    if key not in _MADE:
+        model = Learned.load(task.model).model
+        assert isinstance(model, StructuredModel)
+        metric = LearnedMetric.load(task.metric)
+        if task.filter == "solved":
+            metric = metric.with_weights(np.zeros_like(metric.flat))
+        rate = {} if task.rate is None else {"contraction_rate": task.rate}
+        settings = LoopFilterSettings(bypass=task.filter == "none", **rate)
+        _MADE[key] = LoopFilter(loop_parts(metric, model, bench, settings), settings)
+    return _MADE[key]
+
+
+def make_plant(task: Task) -> Plant:
+    """The bench of a task."""
+    key = ("plant", task.plant, task.model)
+    if key not in _MADE:
+        _MADE[key] = plant_named(task.plant, task.model)
+    return _MADE[key]
+
+
+def perform(task: Task) -> tuple[Run, Case]:
+    """Run a task."""
+    case = CASES[task.case]
+    bench = Bench.load(task.bench) if task.bench else Bench.nominal()
+    trial = Trial(bench=bench, reference=case.reference, gains=case.draw(task.seed, task.seconds), seed=task.seed)
+    return run(trial, make_plant(task), make_filter(task, bench)), case
+
+
+def outcome(task: Task) -> Outcome:
+    """Run a task and say what it came to."""
+    done, _ = perform(task)
+    states = done.states
+    settled = states[min(SETTLING, len(states) // 2) :]
+    numbers = gammas(done.results, Bench.nominal().valve_current_max)
+    return Outcome(
+        bounded=done.bounded, seconds=len(states) * SAMPLE, peak=float(np.abs(states["load_force"]).max()),
+        rmse=float(np.sqrt(np.mean(error_of(settled) ** 2))), chattering=chattering(settled), numbers=numbers,
+        samples=len(states), failed=sum(int(result.status) in (2, 3, 4) for result in done.results),
+    )  # fmt: skip
+
+
+def error_of(states: StateArray) -> FloatArray:
+    """f_r - f_l [N]."""
+    return np.asarray(states["reference_force"] - states["load_force"])
+
+
+def chattering(states: StateArray) -> float:
+    """RMS of u' [A/s]."""
+    return float(np.sqrt(np.mean((np.diff(states["valve_current"]) / SAMPLE) ** 2))) if len(states) > 1 else 0.0
+
+
+COLUMNS = {
+    "plant": "",
+    "case": "",
+    "filter": "none: bypassed, evaluated only",
+    "runs": "",
+    "bounded": "%, runs in which the box never tripped (700 N, sensor ranges)",
+    "peak": "N, largest |f_l| of all runs",
+    "rmse": "N, median over runs of the RMSE of f_r - f_l, first 2 s left out, until the end or the trip",
+    "chatter": "A/s, median over runs of the RMS of u'",
+    "gamma_1": "%, mean |delta_u| over u_max",
+    "gamma_2": "%, samples with M_c > 0 (violated) before the correction",
+    "verified_2": "%, samples with M_c <= 0 (verified) before",
+    "gamma_3": "1/s, mean M_c before",
+    "gamma_4": "%, violated after the correction",
+    "verified_4": "%, verified after",
+    "gamma_5": "1/s, mean M_c after",
+    "failed": "%, samples whose certificate could not be restored",
+}
+
+
+def row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> dict[str, Any]:
+    """One line of the table; shares and means over all samples of all runs."""
+    weights = np.array([one.samples for one in outcomes], float)
+    numbers = np.average(np.array([tuple(one.numbers) for one in outcomes]), axis=0, weights=weights)
+    return {
+        "plant": plant, "case": case, "filter": chosen, "runs": len(outcomes),
+        "bounded": 100.0 * sum(one.bounded for one in outcomes) / len(outcomes),
+        "peak": max(one.peak for one in outcomes), "rmse": float(np.median([one.rmse for one in outcomes])),
+        "chatter": float(np.median([one.chattering for one in outcomes])),
+        "gamma_1": 100.0 * numbers[0], "gamma_2": 100.0 * numbers[1], "verified_2": 100.0 * (1.0 - numbers[1]),
+        "gamma_3": numbers[2], "gamma_4": 100.0 * numbers[3], "verified_4": 100.0 * (1.0 - numbers[3]),
+        "gamma_5": numbers[4], "failed": 100.0 * sum(one.failed for one in outcomes) / weights.sum(),
+    }  # fmt: skip

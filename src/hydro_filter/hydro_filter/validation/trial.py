@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter in the loop without a graph: plant, box and filter sample by sample, with the graph's delays.
+
+::
+
+    k:   tick(x_k) -> BenchState_k -> filter -> delta_u_k          plant holds u_k -> x_{k+1}
+    k+1: receive(delta_u_k)  tick(x_{k+1})                         a correction acts one sample after its state
+
+The plant's guard stands between, opened to what the box takes: what a filter that says MISMATCH costs in gains is
+part of the run. Gains change at 100 Hz. The five numbers of the paper's Table val_cont come from `gammas`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import nan
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from hydro_bridge.safety.guard import CommandGuard, GuardSettings
+from hydro_bridge.signals import STATE_DTYPE, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, StateArray
+from hydro_filter.controller.filter import Result
+from hydro_filter.model.sample import Sample
+from hydro_sim.box.box import Box, BoxConfig
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
+from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
+
+
+class Corrector(Protocol):
+    """A filter: one sample in, one correction out."""
+
+    def reset(self) -> None:
+        """Begin anew, as if nothing had been seen."""
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """Decide about a sample that is `age` [s] old."""
+
+
+class Run(NamedTuple):
+    """What happened; a run ends with the sample at which the box tripped."""
+
+    states: StateArray
+    """Records of `STATE_DTYPE`, shape (samples,)."""
+    results: list[Result]
+    """One per sample."""
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the box never tripped (force limit, sensor range)."""
+        return not int(self.states["flags"][-1]) & Flag.TRIPPED
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """One closed loop to try."""
+
+    bench: Bench
+    """What box and filter believe."""
+    reference: ReferenceSignal
+    gains: FloatArray
+    """K_p [1/s], K_i [1/s^2] in force at 100 Hz, shape (policy steps, 2)."""
+    box: BoxConfig = field(default_factory=BoxConfig)
+    """Settings of the box."""
+    seed: int = 0
+    """Of the plant's noise."""
+
+
+def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
+    """Run a trial; a filter with `bypass` set shows what happens without it."""
+    contraction_filter.reset()
+    box = Box(trial.bench, trial.box)
+    guard = CommandGuard(settings=roomy(box.config))
+    guard.set_arm(True)
+    guard.set_reference(trial.reference)
+    changes = np.asarray(trial.gains) - (box.config.base_kp, box.config.base_ki)
+    states = np.empty(len(changes) * POLICY_SAMPLES, STATE_DTYPE)
+    results: list[Result] = []
+    box.receive(Command(), 0.0)
+    measurement = plant.reset(trial.seed)
+    for k in range(len(states)):
+        now = k * SAMPLE
+        if k % POLICY_SAMPLES == 0:
+            delta_kp, delta_ki = (float(change) for change in changes[k // POLICY_SAMPLES])
+            guard.set_gains(delta_kp, delta_ki, now)
+        box.receive(guard.command(now), now)
+        states[k] = box.tick(measurement, now)
+        results.append(contraction_filter.correct(Sample.of(states[k])))
+        guard.note_sample(k)
+        guard.set_correction(results[-1].delta_u, results[-1].status, k, now)
+        if int(states["flags"][k]) & Flag.TRIPPED:
+            return Run(states[: k + 1], results)
+        measurement = plant.step(float(states["valve_current"][k]))
+    return Run(states, results)
+
+
+def roomy(box: BoxConfig) -> GuardSettings:
+    """A guard that lets through what the box takes, with a filter or without: what the filter holds is to be seen."""
+    return GuardSettings(
+        delta_kp_min=box.delta_kp_min, delta_kp_max=box.delta_kp_max, delta_ki_min=box.delta_ki_min,
+        delta_ki_max=box.delta_ki_max, require_filter=False,
+    )  # fmt: skip
+
+
+class Gammas(NamedTuple):
+    """The paper's Table val_cont, with the shares named by what they count (docs/physics.md, decisions)."""
+
+    correction: float
+    """gamma_1: mean |delta_u| over u_max."""
+    violated_before: float
+    """gamma_2: share of samples with M_c > 0 without the correction."""
+    mean_before: float
+    """gamma_3: mean M_c [1/s] without it."""
+    violated_after: float
+    """gamma_4: share with M_c > 0 under it."""
+    mean_after: float
+    """gamma_5: mean M_c [1/s] under it."""
+
+
+def gammas(results: list[Result], current_max: float, tolerance: float = 1e-6) -> Gammas:
+    """The five numbers over all samples that were evaluated; M_c within `tolerance` [1/s] of zero holds."""
+    skipped = (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH)
+    table = np.array([result[:3] for result in results if result.status not in skipped] or [(nan, nan, nan)])
+    correction, before, after = np.abs(table[:, 0]) / current_max, table[:, 1], table[:, 2]
+    shares = (before > tolerance).mean(), (after > tolerance).mean()
+    return Gammas(
+        float(correction.mean()), float(shares[0]), float(before.mean()), float(shares[1]), float(after.mean())
+    )

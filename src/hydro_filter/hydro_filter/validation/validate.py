@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ros2 run hydro_filter validate: the paper's Table val_cont, with and without the filter, on emulator and simulation.
+
+Every case runs with several seeds, each once without and once with the filter, sample by sample in this process: the
+emulator's own plant and box, without the serial line. `--plots DIR` draws the paper's tracking figure, first seed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections import defaultdict
+from itertools import product
+from pathlib import Path
+
+from joblib import Parallel, delayed
+
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
+from hydro_filter.controller.factory import LEARNED, Choice
+from hydro_filter.validation.cases import CASES
+from hydro_filter.validation.plants import PLANTS
+from hydro_filter.validation.plots import draw_tracking
+from hydro_filter.validation.runs import COLUMNS, FILTERS, Outcome, Task, outcome, perform, row
+from hydro_sim.files.pairing import refuse
+from hydro_sim.files.weights import WeightsError
+from hydro_sim.model.bench import Bench
+
+
+@command(WeightsError, ValueError)
+def main() -> None:
+    """Entry point."""
+    options = arguments(sys.argv[1:])
+    if set(options.filters) != {"projected"}:  # that is the constant metric's
+        refuse(_choice(options).trouble())  # before the work
+    lines = list(product(options.plants, options.cases, options.filters))
+    tasks = [task(options, *line, seed) for line in lines for seed in range(options.seeds)]
+    table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
+    done: dict[tuple[str, str, str], list[Outcome]] = defaultdict(list)
+    work = Parallel(n_jobs=options.jobs, return_as="generator")(delayed(outcome)(each) for each in tasks)
+    for each, result in zip(tasks, progress(work, total=len(tasks), label="runs", unit="run"), strict=True):
+        line = (each.plant, each.case, each.filter)
+        done[line].append(result)
+        if len(done[line]) == options.seeds:
+            table.add(**row(*line, done[line]))
+            if options.json:
+                table.write_json(options.json)  # what is done stays, whatever comes
+    table.show(options.json)
+    print("\n" + "\n".join(f"{name}: {CASES[name].about}" for name in options.cases))
+    if options.plots:
+        _draw(options)
+
+
+def task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
+    """One run as the words want it."""
+    return Task(
+        plant=plant, case=case, filter=chosen, seed=seed, seconds=options.seconds, metric=options.metric,
+        model=options.model, bench=options.bench, rate=options.contraction_rate,
+    )  # fmt: skip
+
+
+def _choice(options: argparse.Namespace) -> Choice:
+    """The filter that the words ask for."""
+    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    file, model = (Path(name) if name else None for name in (options.bench, options.model))
+    return Choice(bench=bench, bench_file=file, metric=options.metric or LEARNED, model=model)
+
+
+def _draw(options: argparse.Namespace) -> None:
+    """The tracking figure of the first seed of every case that was run with and without the filter."""
+    chosen = next((name for name in options.filters if name != "none"), None)
+    if chosen is None:
+        raise UserError("--plots compares a filter with none: name one in --filters")
+    for plant, case in product(options.plants, options.cases):
+        without, filtered = (perform(task(options, plant, case, name, 0))[0] for name in ("none", chosen))
+        path = Path(options.plots) / f"{plant}_{case}.png".replace(" ", "_").replace("/", "-")
+        draw_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
+
+
+def arguments(given: list[str]) -> argparse.Namespace:
+    """Parse the command line."""
+    listed = "\n".join(f"  {case.name:14} {case.about}" for case in CASES.values())
+    parser = argparse.ArgumentParser(
+        prog="validate", description=__doc__, epilog=f"cases:\n{listed}",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    parser.add_argument("--metric", metavar="METRIC", help="of `learn_metric`; the shipped one by default")
+    parser.add_argument("--model", metavar="WEIGHTS", help="the learned bench; the shipped one by default")
+    parser.add_argument(
+        "--bench", metavar="FILE", help="bench.yaml that box and filter believe; the nominal one by default"
+    )
+    parser.add_argument("--plants", nargs="+", choices=PLANTS, default=["emulator", "sim"], metavar="PLANT",
+                        help=f"of {', '.join(PLANTS)}; the changed ones are emulators")  # fmt: skip
+    parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES), metavar="CASE", help="see below; all")
+    parser.add_argument("--filters", nargs="+", choices=FILTERS, default=["none", "learned"], metavar="FILTER",
+                        help=f"of {', '.join(FILTERS)}")  # fmt: skip
+    parser.add_argument("--seeds", type=int, default=20, help="runs of each line")
+    parser.add_argument("--seconds", type=float, default=18.0, help="s, of each run; the paper's episode")
+    parser.add_argument("--contraction-rate", type=float, help="lambda [1/s] of the certified range; default 0.1")
+    parser.add_argument("--jobs", type=int, default=-1, help="processes at once; -1: one a core")
+    parser.add_argument("--plots", type=writable_folder, metavar="DIR", help="draw the tracking figures into DIR")
+    add_json_argument(parser)
+    asked = parser.parse_args(given)
+    if asked.seeds < 1 or not asked.seconds >= 1.0 or asked.jobs == 0:
+        parser.error("--seeds needs 1 or more, --seconds 1 or more, --jobs not 0")
+    return asked

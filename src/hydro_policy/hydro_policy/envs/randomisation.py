@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Domain randomisation: another bench for every episode, drawn around the one that is known.
+
+What changes on a real bench from day to day (spring, supply pressure), what is known badly (oil, valve, friction,
+mass), the sensors' noise and the delays on the way. The box goes on believing in the bench that it was told of.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydro_bridge.settings import check
+from hydro_bridge.signals import ReferenceSignal
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.structured import constants as learned_constants
+from hydro_sim.structured.model import StructuredModel
+
+REACH = 0.8
+"""Share of what the spring carries within the stroke that a reference may ask for."""
+
+_SPREAD = {
+    "bulk_modulus": 0.2, "moving_mass": 0.2, "viscous_friction": 0.5, "friction_coulomb": 0.5, "friction_stribeck": 0.5,
+    "leakage_internal": 0.5, "load_cell_frequency": 0.2, "spool_frequency": 0.2, "valve_gain": 0.15,
+}  # fmt: skip
+"""Largest relative change at `spread` 1; valve gains change together."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Randomisation:
+    """What is drawn anew for each episode, uniformly (spring: uniformly in its logarithm)."""
+
+    known_share: float = 0.125
+    """Share of the episodes that run on the bench as it is known. [0, 1]."""
+    spring_min: float = 5e3
+    """N/m. [1e3, 1e6]."""
+    spring_max: float = 5.5e4
+    """N/m. [1e3, 1e6]."""
+    supply_min: float = 9.5e6
+    """Pa. [1e6, 5e7]."""
+    supply_max: float = 17e6
+    """Pa; above the nominal pressure, for policies are worst at the edge of what they were trained on. [1e6, 5e7]."""
+    spread: float = 0.5
+    """Scale of the changes of what is known badly; 1: oil 20 %, mass 20 %, friction 50 %, valve 15 % ... [0, 1.5]."""
+    noise_min: float = 0.5
+    """Scale of the sensors' noise. [0, 10]."""
+    noise_max: float = 2.0
+    """Scale of the sensors' noise. [0, 10]."""
+    gain_delay_max: int = 2
+    """Samples until gains act, from 1 on. [1, 10]."""
+    dead_time_max: int = 1
+    """Samples between the box and the valve, from 0 on. [0, 8]."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drawn:
+    """One bench as drawn."""
+
+    plant: Plant
+    spring: float
+    """N/m."""
+    gain_delay: int
+    dead_time: int
+    stroke: float
+    """m."""
+
+    def within_reach(self, reference: ReferenceSignal) -> ReferenceSignal:
+        """The reference, its amplitude no larger than the spring carries within the stroke."""
+        return replace(reference, amplitude=min(reference.amplitude, REACH * 0.5 * self.stroke * self.spring))
+
+
+def draw(settings: Randomisation, source: Bench | Learned, seed: int) -> Drawn:
+    """A bench around `source`.
+
+    Raises
+    ------
+    ValueError
+        `source` is a network: it has no constants to change.
+    """
+    rng = np.random.default_rng(seed)
+    spring = math.exp(rng.uniform(math.log(settings.spring_min), math.log(settings.spring_max)))
+    supply = rng.uniform(settings.supply_min, settings.supply_max)
+    factors = {name: 1.0 + settings.spread * reach * rng.uniform(-1.0, 1.0) for name, reach in _SPREAD.items()}
+    noise = rng.uniform(settings.noise_min, settings.noise_max)
+    delays = int(rng.integers(1, settings.gain_delay_max + 1)), int(rng.integers(0, settings.dead_time_max + 1))
+    if isinstance(source, Bench):
+        plant: Plant = AnalyticPlant(_analytic(source, spring, supply, factors), noise=noise)
+        stroke = source.stroke
+    else:
+        plant = LearnedPlant(replace(source, model=_learned(source.model, spring, supply, factors)), noise=noise)
+        stroke = source.model.bench.stroke if isinstance(source.model, StructuredModel) else math.nan
+    return Drawn(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=stroke)
+
+
+def _analytic(bench: Bench, spring: float, supply: float, factors: dict[str, float]) -> Bench:
+    bandwidth = bench.load_cell_bandwidth
+    return replace(
+        bench,
+        spring_stiffness=spring,
+        supply_pressure=supply,
+        bulk_modulus=bench.bulk_modulus * factors["bulk_modulus"],
+        moving_mass=bench.moving_mass * factors["moving_mass"],
+        viscous_friction=bench.viscous_friction * factors["viscous_friction"],
+        valve_nominal_flow=bench.valve_nominal_flow * factors["valve_gain"],
+        load_cell_bandwidth=bandwidth and bandwidth * factors["load_cell_frequency"],
+    )
+
+
+def _learned(model: object, spring: float, supply: float, factors: dict[str, float]) -> StructuredModel:
+    if not isinstance(model, StructuredModel):
+        raise ValueError("domain randomisation needs a structured or analytic model: a network has no constants")
+    c, _ = learned_constants.values(model.table, model.theta)
+    theta, rest = model.theta.copy(), model.rest.copy()
+    absolute: dict[str, Callable[[float], float]] = {
+        "spring_stiffness": lambda old: spring,
+        "supply_pressure": lambda old: supply,
+    }
+    for index, entry in enumerate(model.table):
+        family = "valve_gain" if entry.name.startswith("valve_gain") else entry.name
+        factor = absolute[entry.name](c[index]) / c[index] if entry.name in absolute else factors.get(family, 1.0)
+        if entry.step is None:
+            theta[index] += math.log(factor)
+        else:
+            theta[index] += (factor - 1.0) * c[index] / entry.step
+        if entry.name == "supply_pressure":
+            rest[:2] *= factor
+    return replace(model, theta=theta, rest=rest)

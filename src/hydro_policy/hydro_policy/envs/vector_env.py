@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many benches side by side, box and plant each, stepped ten samples at a time by one compiled loop.
+
+::
+
+    axes        [bench]                             every record array below has one row per bench
+    sample s    plant holds u_s -> x_{s+1}          box receives gains, ticks -> u_{s+1}, BenchState_{s+1}
+    step        ten such samples, from one policy step (sequence number divisible by ten) to the next
+
+Numbers are those of `simulation.offline.simulate` and of the nodes, to the bit: box and plants are the same compiled
+functions. Gains act `gain_delay` samples after the step that chose them (1 to 10; 1: as fast as a graph can be), and
+the valve follows its current `dead_time` samples late (0: the box's own loop).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, ReferenceSignal, StateArray
+from hydro_policy.envs import vector_filter as fleet_filter
+from hydro_policy.envs import vector_plants as fleet_plants
+from hydro_policy.envs.vector_filter import FleetFilter, NoFilter
+from hydro_policy.envs.vector_plants import PlantRows
+from hydro_sim.box import kernel as box_kernel
+from hydro_sim.box.box import BoxConfig, fill_command
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
+from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
+
+DEAD_TIME_MAX = 8
+"""Samples that a command can be late at most."""
+
+LINK_DTYPE = np.dtype([("gain_delay", np.int64), ("dead_time", np.int64), ("held", np.float64, (DEAD_TIME_MAX + 1,))])
+"""What lies between policy, box and valve: delays in samples, and the currents still on their way, newest first."""
+
+
+class Fleet:
+    """See the module.
+
+    Parameters
+    ----------
+    benches
+        What each box believes.
+    plants
+        The bench behind each box, all of one kind.
+    config
+        Settings of the boxes.
+    filters
+        The filter between policy and box; None: none.
+    """
+
+    def __init__(
+        self,
+        benches: Sequence[Bench],
+        plants: Sequence[Plant],
+        config: BoxConfig | None = None,
+        filters: FleetFilter | None = None,
+    ) -> None:
+        self.config, self.filters = config or BoxConfig(), filters or NoFilter()
+        self.rows: PlantRows = fleet_plants.rows(plants)
+        count = len(plants)
+        self.benches = np.concatenate([bench.constants() for bench in benches])
+        self.settings = np.concatenate([self.config.constants(bench) for bench in benches])
+        self.boxes = np.zeros(count, box_kernel.STATE_DTYPE)
+        self.commands = np.zeros(count, box_kernel.COMMAND_DTYPE)
+        self.links = np.zeros(count, LINK_DTYPE)
+        self.links["gain_delay"] = 1
+        self.samples: StateArray = np.zeros((count, POLICY_SAMPLES), STATE_DTYPE)
+        """The last step's samples, shape (benches, 10); the last column is what the policy acts upon."""
+
+    def __len__(self) -> int:
+        return len(self.boxes)
+
+    def replace(self, index: int, bench: Bench, plant: Plant, gain_delay: int = 1, dead_time: int = 0) -> None:
+        """Put another bench in this place; `begin` it next."""
+        self.benches[index] = bench.constants()[0]
+        self.settings[index] = self.config.constants(bench)[0]
+        self.links[index]["gain_delay"], self.links[index]["dead_time"] = gain_delay, dead_time
+        fleet_plants.put(self.rows, index, plant)
+
+    def begin(
+        self, index: int, reference: ReferenceSignal, seed: int, changes: tuple[float, float] = (0.0, 0.0)
+    ) -> None:
+        """From rest: disarmed once, armed with `reference` and gain changes, first sample taken."""
+        one = slice(index, index + 1)
+        fleet_plants.restart(self.rows, index, seed)
+        box_kernel.reset(self.boxes[one])
+        fill_command(self.commands[one], Command())
+        box_kernel.receive(self.settings[one], self.boxes[one], self.commands[one], 0.0)
+        fill_command(
+            self.commands[one],
+            Command(
+                arm=True,
+                reference=reference,
+                delta_kp=changes[0],
+                delta_ki=changes[1],
+                filter_fresh=self.filters.fresh,
+            ),
+        )
+        self.links[index]["held"] = 0.0
+        fleet_filter.forget(self.filters, index)
+        box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
+        _exchange(*box, self.filters, index, fleet_plants.measurements(self.rows)[index], self.samples[index, -1:])
+
+    def step(self, changes: FloatArray) -> StateArray:
+        """Ten samples with gain changes (delta_kp, delta_ki), shape (benches, 2); returns `samples`."""
+        box = self.benches, self.settings, self.boxes, self.commands
+        noise = fleet_plants.noise(self.rows, POLICY_SAMPLES)
+        step = _step if type(self.rows.arrays).__module__.startswith("hydro_policy.") else _step_foreign
+        step(*box, self.filters, self.rows.arrays, self.links, np.ascontiguousarray(changes), noise, self.samples)
+        return self.samples
+
+
+@njit(cache=True)
+def _exchange(bench, settings, box, command, filters, i, measurement, sample):
+    """The box's millisecond: a command down, a sample up; and the filter's word on it, for the next command."""
+    time = box[0].sequence * SAMPLE
+    box_kernel.receive(settings, box, command, time)
+    box_kernel.tick(bench, settings, box, measurement, time, sample)
+    command[0].delta_u = fleet_filter.correct(filters, i, measurement, sample[0])
+
+
+@njit(cache=True)
+def _step(benches, settings, boxes, commands, filters, plants, links, changes, noise, samples):
+    count, length = samples.shape
+    for i in range(count):
+        one, link = slice(i, i + 1), links[i]
+        current = samples[i, length - 1].valve_current
+        for k in range(length):
+            fleet_plants.advance(plants, i, noise[i, k], _delayed(link, current))
+            if k == link.gain_delay - 1:
+                commands[i].delta_kp, commands[i].delta_ki = changes[i, 0], changes[i, 1]
+            sample = samples[i, k : k + 1]
+            measurement = fleet_plants.measurement(plants, i)
+            _exchange(benches[one], settings[one], boxes[one], commands[one], filters, i, measurement, sample)
+            current = sample[0].valve_current
+
+
+# Plants of a kind from elsewhere (a benchmark's): the cache's index would name a module that others cannot import.
+_step_foreign = njit(_step.py_func)
+
+
+@njit(cache=True)
+def _delayed(link, current):
+    """The current that reaches the valve when `current` leaves the box."""
+    late = link.dead_time
+    if late == 0:
+        return current
+    for j in range(late, 0, -1):
+        link.held[j] = link.held[j - 1]
+    link.held[0] = current
+    return link.held[late]
+
+
+def records(samples: StateArray, fields: Sequence[str]) -> npt.NDArray[np.float64]:
+    """Fields of sample records, shape (..., len(fields))."""
+    return np.stack([samples[name] for name in fields], axis=-1)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The contraction filter inside a fleet: one sample in, the correction of the next one out, as in the graph.
+
+A kind is a NamedTuple and a compiled `correct` on it, found by its type: none, the constant metric, the learned one.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba.extending import overload
+
+from hydro_bridge.signals import Flag
+from hydro_filter.controller import compiled, loop_decision
+from hydro_filter.controller.compiled import FilterParts
+from hydro_filter.controller.filter import ContractionFilter
+from hydro_filter.controller.loop_decision import LoopParts, Space
+from hydro_filter.controller.loop_filter import default_filter
+from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_sim.model.bench import Bench
+
+FILTERS = ("none", "constant", "learned")
+"""Kinds, by name."""
+
+_ARMED = np.uint32(Flag.ARMED)
+
+
+class NoFilter(NamedTuple):
+    """Gains go to the box as they are, flagged FILTER_STALE."""
+
+    fresh: bool = False
+
+
+class ConstantFilter(NamedTuple):
+    """The filter with the constant metric; it remembers nothing."""
+
+    fresh: bool
+    parts: FilterParts
+
+
+class LearnedFilter(NamedTuple):
+    """The filter with the learned metric, a memory for each bench."""
+
+    fresh: bool
+    parts: LoopParts
+    memory: npt.NDArray[np.void]
+    room: Space
+
+
+FleetFilter = NoFilter | ConstantFilter | LearnedFilter
+
+
+def fleet_filter(kind: str, believed: Bench, count: int) -> FleetFilter:
+    """The filter of a kind of `FILTERS` for so many benches that are all believed to be `believed`."""
+    if kind == "none":
+        return NoFilter()
+    if kind == "constant":
+        return ConstantFilter(True, compiled.filter_parts(ContractionFilter.for_bench(believed).certificate))
+    if kind == "learned":
+        parts = default_filter(believed).parts
+        return LearnedFilter(True, parts, np.zeros(count, MEMORY_DTYPE), loop_decision.space(parts))
+    raise ValueError(f"there is no filter {kind!r}; there are {', '.join(FILTERS)}")
+
+
+def forget(filters: FleetFilter, index: int) -> None:
+    """The next sample of this bench does not follow its last one."""
+    if isinstance(filters, LearnedFilter):
+        filters.memory[index] = np.zeros(1, MEMORY_DTYPE)[0]
+
+
+def correct(filters: Any, i: int, x: Any, sample: Any) -> float:
+    """delta_u [A] for the sample after this one of bench i: for compiled code."""
+    raise NotImplementedError("compiled code only")
+
+
+@overload(correct)
+def _correct(filters, i, x, sample):
+    kind = getattr(filters, "instance_class", None)
+    if kind is NoFilter:
+        return lambda filters, i, x, sample: 0.0
+    if kind is ConstantFilter:
+
+        def constant(filters, i, x, sample):
+            nominal, reference = sample.nominal_valve_current, sample.reference_force
+            return compiled.decide(filters.parts, x, nominal, reference, sample.proportional_gain)[0]
+
+        return constant
+    if kind is LearnedFilter:
+
+        def learned(filters, i, x, sample):
+            signals = sample.nominal_valve_current, sample.valve_current, sample.reference_force
+            armed = (sample.flags & _ARMED) != 0
+            return loop_decision.decide(
+                filters.parts, filters.memory[i], x, signals[0], signals[1], signals[2], sample.reference_force_rate,
+                sample.proportional_gain, armed, filters.room,
+            )[0]  # fmt: skip
+
+        return learned
+    return None

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Many runs at once, without a graph: each bench of a fleet plays one case under one controller.
+
+The measure is that of `evaluation.session`: from rest, time to settle, then whole periods over which e counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray, StateArray
+from hydro_policy.envs.vector_env import Fleet, records
+from hydro_policy.sac.policy import Policy
+from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
+from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
+
+Chooser = Callable[[FloatArray], FloatArray]
+"""From the last samples of all benches, shape (n, 14), to their gain changes, shape (n, 2)."""
+
+
+@dataclass
+class PolicyChooser:
+    """The mean action of a policy, on every bench."""
+
+    policy: Policy
+    gains: GainRange
+    _previous: FloatArray | None = None
+
+    def __call__(self, samples: FloatArray) -> FloatArray:
+        """See `Chooser`."""
+        if self._previous is None:
+            self._previous = np.zeros((len(samples), ACTIONS))
+        self._previous = self.policy.act(observe(samples, self._previous))
+        return self.gains.changes(self._previous)
+
+
+def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
+    """The same gains (K_p, K_i), shape (n, 2) or (2,), always."""
+    return lambda samples: np.broadcast_to(np.asarray(gains) - base, (len(samples), ACTIONS))
+
+
+def rmse(
+    fleet: Fleet, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
+) -> FloatArray:
+    """Force RMSE [N] of each run, shape (n,), bench i playing `cases[i]`; NaN if the box tripped."""
+    return _run(fleet, cases, choose, settings, seed, keep=False)[0]
+
+
+def record(
+    fleet: Fleet, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
+) -> tuple[FloatArray, StateArray]:
+    """As `rmse`, and all samples after the first, shape (n, samples)."""
+    return _run(fleet, cases, choose, settings, seed, keep=True)
+
+
+def _run(
+    fleet: Fleet, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int, *, keep: bool
+) -> tuple[FloatArray, StateArray]:
+    for index, case in enumerate(cases):
+        fleet.begin(index, case.signal, seed)
+    ends = np.array([round(settings.length(case) / SAMPLE) for case in cases])
+    first = round(settings.settle / SAMPLE)
+    squares, tripped = np.zeros(len(fleet)), np.zeros(len(fleet), bool)
+    kept: list[StateArray] = []
+    for start in range(1, int(ends.max()), POLICY_SAMPLES):
+        samples = fleet.step(choose(records(fleet.samples[:, -1], STATE_FIELDS)))
+        number = start + np.arange(POLICY_SAMPLES)
+        counted = (number >= first) & (number < ends[:, np.newaxis])
+        error = np.where(counted, samples["reference_force"] - samples["load_force"], 0.0)
+        squares += np.sum(error * error, axis=1)
+        tripped |= np.any(samples["flags"] & Flag.TRIPPED, axis=1)
+        if keep:
+            kept.append(samples.copy())
+    errors = np.where(tripped, np.nan, np.sqrt(squares / (ends - first)))
+    return errors, np.concatenate(kept, axis=1) if keep else fleet.samples

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What may choose the gains in an evaluation: a trained policy, or fixed gains."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from hydro_bridge.signals import FloatArray
+from hydro_policy.runs.run import RunDirectory
+from hydro_policy.sac.policy import Policy, load_policy
+from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
+
+
+class Controller(Protocol):
+    """Chooses gains at 100 Hz."""
+
+    @property
+    def name(self) -> str:
+        """For tables."""
+
+    def reset(self) -> None:
+        """Before a run."""
+
+    @property
+    def reach(self) -> GainRange:
+        """All gain changes that it may ask for."""
+
+    def gains(self, sample: FloatArray) -> tuple[float, float]:
+        """(delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
+
+
+@dataclass(frozen=True)
+class FixedGains:
+    """The same gains always, given in all (K_p, K_i); the box's base gains are taken off."""
+
+    proportional: float
+    integral: float
+    base: tuple[float, float] = BASE
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.proportional) and math.isfinite(self.integral)):
+            raise ValueError(f"fixed gains are two finite numbers, not {self.proportional:g} and {self.integral:g}")
+
+    @property
+    def name(self) -> str:
+        """For tables."""
+        return f"fixed ({self.proportional:g}, {self.integral:g})"
+
+    @property
+    def reach(self) -> GainRange:
+        """One point."""
+        kp, ki = self.proportional - self.base[0], self.integral - self.base[1]
+        return GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
+
+    def reset(self) -> None:
+        """Nothing to forget."""
+
+    def gains(self, sample: FloatArray) -> tuple[float, float]:
+        """See `Controller`."""
+        return self.proportional - self.base[0], self.integral - self.base[1]
+
+
+class PolicyController:
+    """The mean action of a trained policy."""
+
+    def __init__(self, policy: Policy, gains: GainRange, name: str) -> None:
+        self.name, self.reach = name, gains
+        self._policy = policy
+        self._action: FloatArray = np.zeros(ACTIONS)
+
+    def reset(self) -> None:
+        """Forget the previous action."""
+        self._action = np.zeros(ACTIONS)
+
+    def gains(self, sample: FloatArray) -> tuple[float, float]:
+        """See `Controller`."""
+        observation = observe(sample, self._action)
+        if np.isfinite(observation).all():
+            self._action = self._policy.act(observation)
+        return self.reach.gains(self._action)
+
+
+def policy_controller(path: Path) -> PolicyController:
+    """The policy of a run's folder, or of a file.
+
+    Raises
+    ------
+    ValueError
+        Neither is there.
+    """
+    policy, gains, _ = load_policy(policy_file(path))
+    return PolicyController(policy, gains, f"policy {path.name if path.is_dir() else path.stem}")
+
+
+def policy_file(path: Path) -> Path:
+    """The policy's file: `path` itself, or that of the run in folder `path`."""
+    return RunDirectory(path).policy if path.is_dir() else path

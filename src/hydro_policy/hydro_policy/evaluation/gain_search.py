@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The best fixed gains, found by a grid on the bench itself: what a sceptic would ask a policy to beat.
+
+coarse    for each K_i, K_p rises in steps until the loop is stopped (monitor, box) or cycles: no gains far beyond the
+          bench's limit are ever tried
+fine      the eight neighbours of the best pair at half the step, and once more at a quarter
+score     mean over the references of the RMSE relative to the best that any pair reached there
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydro_bridge.safety.readiness import Requirement
+from hydro_bridge.settings import check
+from hydro_bridge.signals import FloatArray
+from hydro_policy.evaluation.controllers import FixedGains
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.supervision.monitor import SafetyMonitor
+from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.supervision.plant_supervisor import PlantWatch
+from hydro_policy.task.cases import EvaluationSettings
+
+Gains = tuple[float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GridSettings:
+    """Where the grid lies."""
+
+    kp_min: float = 60.0
+    """1/s, where K_p begins to rise: not so low that the monitor stops a run for its lag. [0, 500]."""
+    kp_max: float = 300.0
+    """1/s, K_p is never above. [0, 500]."""
+    kp_step: float = 30.0
+    """1/s, coarse. [1, 100]."""
+    ki_values: tuple[float, ...] = (15.0, 45.0)
+    """1/s^2, coarse; the fine steps begin at half their distance."""
+    ki_min: float = 5.0
+    """1/s^2, K_i is never below. [0, 500]."""
+    ki_max: float = 100.0
+    """1/s^2, K_i is never above. [0, 500]."""
+    refinements: int = 2
+    """Halvings of the step. [0, 5]."""
+    hopeless: float = 2.0
+    """K_p rises no further where the score is this much above the best: the loop cycles already. [1, 100]."""
+
+    def __post_init__(self) -> None:
+        check(self)
+        if not self.ki_values:
+            raise ValueError("a grid needs at least one K_i")
+        if self.kp_min > self.kp_max:
+            raise ValueError(f"a grid begins at K_p = {self.kp_min:g}, which is above its largest, {self.kp_max:g}")
+        if not all(self.ki_min <= ki <= self.ki_max for ki in self.ki_values):
+            raise ValueError(f"a grid begins at K_i = {self.ki_values}, not all in [{self.ki_min:g}, {self.ki_max:g}]")
+
+
+@dataclass
+class GridSearch:
+    """Decides which pair is tried next; knows nothing of benches."""
+
+    settings: GridSettings
+    tried: dict[Gains, FloatArray] = field(default_factory=dict)
+    """RMSE [N] on each reference; infinite where the run was stopped."""
+    _rising: list[Gains] = field(default_factory=list)
+    _fine: list[Gains] = field(default_factory=list)
+    _round: int = 0
+
+    def __post_init__(self) -> None:
+        self._rising = [(self.settings.kp_min, ki) for ki in self.settings.ki_values]
+
+    def next(self) -> Gains | None:
+        """The pair to try; None when all is known."""
+        self._fine = [pair for pair in self._fine if pair[0] < self._edge]
+        while not self._rising and not self._fine and self._round < self.settings.refinements:
+            self._round += 1
+            self._fine = [pair for pair in self._neighbours() if pair not in self.tried and pair[0] < self._edge]
+        return self._rising[0] if self._rising else self._fine[0] if self._fine else None
+
+    def tell(self, pair: Gains, rmse: Sequence[float]) -> None:
+        """What a pair reached on each reference; infinite or NaN: it was stopped."""
+        self.tried[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf, posinf=np.inf)
+        if self._rising:
+            self._rising.pop(0)
+            higher = (pair[0] + self.settings.kp_step, pair[1])
+            if (
+                higher[0] <= self.settings.kp_max
+                and higher[0] < self._edge
+                and self.scores[pair] < self.settings.hopeless * self._best_score
+            ):
+                self._rising.insert(0, higher)
+        else:
+            self._fine.remove(pair)
+
+    @property
+    def scores(self) -> dict[Gains, float]:
+        """Mean over the references of RMSE over the smallest RMSE there; infinite where a run was stopped."""
+        smallest = np.min(list(self.tried.values()), axis=0)
+        came_through = {pair: np.isfinite(rmse).all() for pair, rmse in self.tried.items()}
+        return {
+            pair: float(np.mean(self.tried[pair] / smallest)) if came_through[pair] else np.inf for pair in came_through
+        }
+
+    @property
+    def found(self) -> bool:
+        """Whether any pair came through every reference."""
+        return any(np.isfinite(rmse).all() for rmse in self.tried.values())
+
+    @property
+    def best(self) -> Gains:
+        """The pair with the smallest score; one that was stopped if none was `found`."""
+        scores = self.scores
+        return min(scores, key=scores.__getitem__)
+
+    @property
+    def best_each(self) -> list[Gains]:
+        """For each reference the pair that is best there: more than any one pair can be."""
+        pairs = list(self.tried)
+        return [pairs[int(index)] for index in np.argmin(list(self.tried.values()), axis=0)]
+
+    @property
+    def _best_score(self) -> float:
+        return min(self.scores.values())
+
+    @property
+    def _edge(self) -> float:
+        """1/s, the smallest K_p that had to be stopped: nothing there or above is tried again."""
+        return min((kp for (kp, _), rmse in self.tried.items() if not np.isfinite(rmse).all()), default=np.inf)
+
+    def _neighbours(self) -> list[Gains]:
+        limits, (kp, ki) = self.settings, self.best
+        spacing = float(np.diff(limits.ki_values).mean()) if len(limits.ki_values) > 1 else 2.0 * ki
+        kp_step, ki_step = limits.kp_step / 2.0**self._round, spacing / 2.0**self._round
+        pairs = [(kp + i * kp_step, ki + j * ki_step) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+        return [(p, i) for p, i in pairs if limits.kp_min <= p <= limits.kp_max and limits.ki_min <= i <= limits.ki_max]
+
+
+class GridSession:
+    """Runs a search on a live plant; a session like training and evaluation.
+
+    Parameters
+    ----------
+    settings
+        The grid.
+    evaluation
+        References and lengths; nothing is repeated.
+    outputs
+        The graph.
+    rearm
+        See `PlantWatch`.
+    override
+        Gains that a person holds.
+    monitor
+        Stops a pair that the bench does not bear, before the box has to.
+    requirements
+        What must be there before the plant is armed, besides plant and filter.
+    """
+
+    def __init__(
+        self,
+        settings: GridSettings,
+        evaluation: EvaluationSettings,
+        outputs: Outputs,
+        *,
+        rearm: bool = True,
+        override: GainOverride | None = None,
+        monitor: SafetyMonitor | None = None,
+        requirements: Sequence[Requirement] = (),
+    ) -> None:
+        self.search, self.evaluation = GridSearch(settings), evaluation
+        self.override = override or GainOverride()
+        self.watch = PlantWatch(outputs, rearm, requirements, self.override)
+        self._outputs, self._monitor = outputs, monitor or SafetyMonitor()
+        self._pair: Gains | None = None
+        self._next()
+
+    @property
+    def finished(self) -> bool:
+        """Whether all is known."""
+        return self._pair is None
+
+    @property
+    def pair(self) -> Gains | None:
+        """The pair that is being tried."""
+        return self._pair
+
+    def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        """Take a sample [14]; True if gains went out."""
+        if self._pair is None:
+            self.watch.on_sample(flags, now)
+            return False
+        acted = self._running.on_sample(sequence, sample, flags, now)
+        stopped = any(score.stopped for score in self._running.scores)
+        if stopped or self._running.finished:
+            cases = len(self.evaluation.cases)
+            rmse = [np.inf] * cases if stopped else [score.rmse for score in self._running.scores]
+            self.search.tell(self._pair, rmse)
+            self._next()
+        return acted
+
+    def on_correction(self, after: float, status: int) -> None:
+        """See `EvaluationSession`."""
+        self._running.on_correction(after, status)
+
+    def on_tick(self, now: float) -> None:
+        """Some twenty times a second."""
+        self._running.on_tick(now)
+
+    def _next(self) -> None:
+        self._pair = self.search.next()
+        if self._pair is not None:
+            self._running = EvaluationSession(
+                self.evaluation,
+                [FixedGains(*self._pair, self.override.base)],
+                self._outputs,
+                watch=self.watch,
+                override=self.override,
+                monitor=self._monitor,
+            )

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an evaluation leaves behind: the table (paper Table rmse), JSON, the tracking plot."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.cli.console import Table
+from hydro_policy.evaluation.gain_search import GridSearch
+from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+
+
+def table(session: EvaluationSession) -> Table:
+    """Force RMSE, one row for each controller, one column for each case; mean, and spread where runs repeat."""
+    cases = [case.name for case in session.settings.cases]
+    columns = {"controller": "", **dict.fromkeys(cases, "")}
+    spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
+    result = Table(columns, title=f"Force RMSE [N], sines of {session.settings.amplitude:g} N{spread}")
+    for name in dict.fromkeys(score.controller for score in session.scores):
+        result.add(controller=name, **{case: _cell(runs(session.scores, name, case)) for case in cases})
+    return result
+
+
+def runs(scores: list[Score], controller: str, case: str) -> list[Score]:
+    """The runs of one controller on one reference."""
+    return [score for score in scores if score.controller == controller and score.case == case]
+
+
+def _cell(scores: list[Score]) -> float | str:
+    stopped = sum(score.tripped for score in scores)
+    if stopped:
+        return f"stopped {stopped}/{len(scores)}"
+    values = [score.rmse for score in scores]
+    if len(values) == 1:
+        return float(f"{values[0]:.2f}")
+    return f"{np.mean(values):.2f} +- {np.std(values, ddof=1):.2f}" if values else "-"
+
+
+def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
+    """All pairs that were tried, the best first."""
+    cases = [case.name for case in settings.cases]
+    columns = {"K_p": "1/s", "K_i": "1/s^2", "score": "mean of RMSE over the smallest RMSE of the column"}
+    table = Table({**columns, **dict.fromkeys(cases, "")}, title="Fixed gains, force RMSE [N]; inf: stopped")
+    scores = search.scores
+    for pair in sorted(scores, key=scores.__getitem__):
+        rmse = {case: float(value) for case, value in zip(cases, search.tried[pair], strict=True)}
+        table.add(**{"K_p": pair[0], "K_i": pair[1], "score": scores[pair], **rmse})
+    return table
+
+
+def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:
+    """Settings, every single run, and `notes`; what is not finite becomes null. A missing folder is made."""
+
+    def plain(score: Score) -> dict[str, Any]:
+        values = asdict(score)
+        return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in values.items()}
+
+    content = {
+        **notes,
+        "settings": asdict(session.settings),
+        "units": {"rmse": "N", "peak": "N", "chatter": "A/s", "frequency": "Hz", "lost": "samples", "held": "samples"},
+        "warnings": session.warnings,
+        "runs": [plain(score) for score in session.scores],
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def plot(session: EvaluationSession, path: Path) -> None:
+    """The paper's two figures at the fastest sine: tracking and error of the controllers, gains of the first one."""
+    sines = session.settings.frequencies
+    case = f"{max(sines):g} Hz" if sines else session.settings.cases[0].name
+    traces = {t.controller: t for t in session.traces if t.case == case}
+    if not traces:
+        return
+    first = next(iter(traces.values()))
+    with figure(path, 3, size=(8.0, 6.5), sharex=True, height_ratios=(3, 2, 1.5)) as (drawing, (force, error, gain)):
+        drawing.suptitle(f"Force tracking, {session.settings.amplitude:g} N, {case}", x=0.01, ha="left")
+        force.plot(first.states["time"], first.states["reference_force"], color=GRAY, linestyle="--", label="reference")
+        for color, trace in zip((BLUE, ORANGE, RED, GREEN), traces.values(), strict=False):
+            states = trace.states
+            e = states["reference_force"] - states["load_force"]
+            force.plot(states["time"], states["load_force"], color=color, label=trace.controller)
+            rmse = np.sqrt(np.mean(e**2))
+            error.plot(states["time"], e, color=color, label=f"{rmse:.1f} N RMSE")
+        _plot_gains(gain, first)
+        force.set_ylabel("load force [N]")
+        error.set_ylabel("error [N]")
+        for panel in (force, error, gain):
+            legend(panel)
+        drawing.align_ylabels()
+
+
+def _plot_gains(axes: Any, trace: Trace) -> None:
+    states = trace.states
+    axes.plot(states["time"], states["proportional_gain"], color=GREEN, label=f"$K_p$ of {trace.controller}")
+    axes.plot(states["time"], states["integral_gain"], color=ORANGE, label="$K_i$")
+    axes.set(ylabel="[1/s], [1/s²]", xlabel="time [s]", xlim=(states["time"][0], states["time"][-1]))

@@ -1,0 +1,236 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Force RMSE of controllers, run by run on a live plant; knows no ROS.
+
+run       a new reference, 2 s to settle, then whole periods of at least 3 s in all over which e = f_r - f_l counts
+order     repeat, case, controller: controllers follow each other closely, so a drifting bench treats them alike
+failure   the box trips, or the monitor asks for a stop: the run counts as stopped, and a second of calm follows. The
+          plant is lost, or a person takes the gains: the run is begun anew
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hydro_bridge.safety.readiness import Requirement
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Flag, FloatArray
+from hydro_policy.evaluation.controllers import Controller
+from hydro_policy.supervision.monitor import SafetyMonitor
+from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantWatch
+from hydro_policy.task.cases import Case, EvaluationSettings
+from hydro_policy.task.mdp import SAMPLES_PER_STEP
+from hydro_policy.task.scoring import Score, Trace, score
+from hydro_policy.task.step_aggregator import HELD, StepClock
+
+HELD_MAX = 0.01
+"""Share of a run's samples for which the box may hold base gains."""
+
+__all__ = ["EvaluationSession", "EvaluationSettings", "Score", "Trace"]
+
+
+@dataclass
+class _Run:
+    """What has been seen of the present run."""
+
+    repeat: int
+    case: Case
+    controller: Controller
+    first: int
+    rows: list[tuple[float, ...]] = field(default_factory=list)
+
+
+class EvaluationSession:
+    """Drives all runs one after another.
+
+    Parameters
+    ----------
+    settings
+        Which references, how long.
+    controllers
+        At least one.
+    outputs
+        The graph.
+    watch, rearm
+        Of a session that this one is part of; else one of its own, with `rearm` (see `plant_supervisor.PlantWatch`).
+    after
+        The watch of the session before this one, whose plant is taken over as it is: see `PlantWatch.take_over`.
+    override
+        Gains that a person holds.
+    monitor
+        Stops a run that goes wrong before the box has to; None: only the box does.
+    retries
+        How often a run is repeated in which the box held base gains for too long (`HELD_MAX`).
+    requirements
+        What must be there before the plant is armed, besides plant and filter.
+    """
+
+    def __init__(
+        self,
+        settings: EvaluationSettings,
+        controllers: Sequence[Controller],
+        outputs: Outputs,
+        *,
+        rearm: bool = True,
+        watch: PlantWatch | None = None,
+        after: PlantWatch | None = None,
+        override: GainOverride | None = None,
+        monitor: SafetyMonitor | None = None,
+        retries: int = 0,
+        requirements: Sequence[Requirement] = (),
+    ) -> None:
+        if not controllers:
+            raise ValueError("an evaluation needs a controller")
+        self.settings, self.override = settings, override or GainOverride()
+        self.watch = watch or PlantWatch(outputs, rearm, requirements, self.override)
+        self.plan = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
+        self.scores: list[Score] = []
+        self.traces: list[Trace] = []
+        self.warnings: list[str] = []
+        self._outputs, self.monitor = outputs, monitor
+        self._retries, self._retried = retries, 0
+        self._clock = StepClock()
+        self._run: _Run | None = None
+        self._steps = 0
+        if after is not None:
+            self.watch.take_over(after)
+
+    @property
+    def finished(self) -> bool:
+        """Whether all runs are scored."""
+        return len(self.scores) == len(self.plan)
+
+    @property
+    def seconds(self) -> float:
+        """Bench time of the whole plan."""
+        return sum(self.settings.length(case) for _, case, _ in self.plan)
+
+    @property
+    def seconds_done(self) -> float:
+        """Bench time of the runs scored."""
+        return sum(self.settings.length(case) for _, case, _ in self.plan[: len(self.scores)])
+
+    def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        """Take a sample [14]; True if gains went out."""
+        self.watch.on_sample(flags, now)
+        if self.finished:
+            return False
+        if not flags & Flag.ARMED:
+            if flags & Flag.TRIPPED:
+                self._on_trip()
+            self._run = None
+            return False
+        held = self.override.gains(now)
+        if held is not None:
+            self._run = None
+            return self._publish(held) if sequence % SAMPLES_PER_STEP == 0 else False
+        if self.watch.mismatched and not self.watch.calming and not self.watch.unfit(now):
+            self._run = None  # begun anew once the filter fits
+            self.watch.acted(now)
+            return self._publish(FALLBACK) if sequence % SAMPLES_PER_STEP == 0 else False
+        if self._run is None:
+            if not self.watch.may_begin(now):
+                return self.watch.calming and sequence % SAMPLES_PER_STEP == 0 and self._publish((0.0, 0.0))
+            self._run = self._begin(sequence)
+        self.watch.acted(now)
+        return self._advance(self._run, sequence, sample, flags)
+
+    def on_tick(self, now: float) -> None:
+        """Some twenty times a second."""
+        self.watch.on_tick(now)
+        if self.watch.lost and self._run is not None:
+            self._run = None
+            self._outputs.say("no samples: this run is begun anew", warning=True)
+
+    def on_correction(self, after: float, status: int) -> None:
+        """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
+        self.watch.on_correction(status)
+        if self.monitor is not None:
+            self.monitor.on_correction(after, status)
+
+    def _begin(self, sequence: int) -> _Run:
+        repeat, case, controller = self.plan[len(self.scores)]
+        controller.reset()
+        self._clock = StepClock()  # what was under way in a step is not this run's
+        if self.monitor is not None:
+            self.monitor.reset()
+        self._outputs.reference(case.signal)
+        return _Run(repeat, case, controller, sequence)
+
+    def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> bool:
+        time = (sequence - run.first) * SAMPLE_PERIOD - self.settings.settle
+        if time >= 0.0:
+            run.rows.append((time, sequence, *sample, flags))
+        step = self._clock.add(sequence, sample, flags)
+        reason = self.monitor.add(step) if step is not None and self.monitor is not None else None
+        if reason is not None:
+            self._publish((0.0, 0.0))
+            self._stop(run, reason)
+        elif sequence % SAMPLES_PER_STEP == 0:
+            self._publish(run.controller.gains(sample))
+        if (
+            self._run is run
+            and run.rows
+            and time + SAMPLE_PERIOD >= self.settings.measured(run.case.signal.frequency) - 1e-9
+        ):
+            self._end(run)
+        return sequence % SAMPLES_PER_STEP == 0
+
+    def _publish(self, gains: tuple[float, float]) -> bool:
+        self._outputs.gains(*gains, self._steps)
+        self._steps += 1
+        return True
+
+    def _end(self, run: _Run) -> None:
+        trace = Trace(run.controller.name, run.case.name, run.case.signal.frequency, np.array(run.rows, STATE_DTYPE))
+        self._run = None
+        held = float(np.mean((trace.states["flags"] & HELD) != 0))
+        if held > HELD_MAX and self._retried < self._retries:
+            self._retried += 1
+            return
+        self._retried = 0
+        self._check_gains(run.controller, trace)
+        self._check_held(trace, held)
+        self.scores.append(score(trace, run.repeat))
+        self.traces.append(trace)
+
+    def _stop(self, run: _Run, reason: str) -> None:
+        name, case = run.controller.name, run.case
+        frequency = case.signal.frequency
+        self.scores.append(
+            Score(controller=name, case=case.name, frequency=frequency, repeat=run.repeat, stopped=reason)
+        )
+        self._outputs.say(f"{name} at {case.name}: {reason}", warning=True)
+        self.watch.calm()
+        self._run = None
+
+    def _on_trip(self) -> None:
+        """The run's doing, or under gains that a person holds: nobody's."""
+        if self._run is not None:
+            self._stop(self._run, self.watch.condition)
+        elif not self.watch.calming:
+            self.watch.calm()
+
+    def _check_held(self, trace: Trace, held: float) -> None:
+        """Base gains instead of the controller's for much of the time are no fair comparison."""
+        if held > HELD_MAX:
+            sentence = f"{trace.controller} at {trace.case}: base gains in {100 * held:.0f} % of the samples"
+            self._warn(f"{sentence}, corrections came late (machine too busy?)")
+
+    def _check_gains(self, controller: Controller, trace: Trace) -> None:
+        """A guard narrower than the controller would silently compare something else."""
+        asked = getattr(controller, "proportional", None)
+        applied = float(np.median(trace.states["proportional_gain"]))
+        if asked is not None and abs(asked - applied) > 1e-3 * max(abs(asked), 1.0):
+            sentence = (
+                f"{controller.name}: the box applied K_p = {applied:g}, not {asked:g}; widen the plant's gain limits"
+            )
+            self._warn(sentence)
+
+    def _warn(self, sentence: str) -> None:
+        if sentence not in self.warnings:
+            self.warnings.append(sentence)
+            self._outputs.say(sentence, warning=True)

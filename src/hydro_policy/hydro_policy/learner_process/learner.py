@@ -1,0 +1,258 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learning process: draws from the shared replay buffer, updates, publishes weights, writes checkpoints.
+
+It shares with the acting process five pieces of memory, and a pipe for requests:
+
+    replay     transitions              acting appends, learning draws
+    weights    the actor's parameters   learning publishes some fifty times a second, acting reads before each step
+    snapshot   all of `Sac` (bytes)     learning publishes twice a second; a successor starts from it
+    good       the same bytes           acting leaves here what learning goes back to when it is told to roll back
+    status     a few float64            updates, temperature, ...
+"""
+
+from __future__ import annotations
+
+import ctypes
+import multiprocessing
+import os
+import signal
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.signals import FloatArray
+from hydro_policy.learner_process.shared_memory import SharedBlob
+from hydro_policy.runs.checkpoint import save_checkpoint
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.snapshot import actor_parameters, dump, restore
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from hydro_sim.files.stamping import stamped
+
+SNAPSHOT_PERIOD = 0.5  # s
+_CONTEXT = multiprocessing.get_context("spawn")
+CHUNK = 8  # updates between looks at the pipe and publications, some 1 to 2 ms
+
+
+class LearnerMemory:
+    """The memory that both processes map; made by the acting one, handed to each learner it starts."""
+
+    def __init__(self, settings: TrainingSettings) -> None:
+        self.capacity = settings.replay_capacity
+        hidden = settings.sac.hidden_size
+        parameters = 4 * (
+            2 * (OBSERVATIONS + 8) * hidden + 2 * hidden * hidden + 64
+        )  # bytes, of one network, generously
+
+        self._replay = self._block(ReplayBuffer.memory_size(OBSERVATIONS, ACTIONS, self.capacity))
+        self._weights = self._block(SharedBlob.memory_size(parameters))
+        self._snapshot = self._block(SharedBlob.memory_size(16 * parameters + 16384))
+        self._good = self._block(SharedBlob.memory_size(16 * parameters + 16384))
+        self._status = self._block(64)
+
+    def _block(self, size: int) -> Any:
+        return _CONTEXT.RawArray(ctypes.c_uint8, size)
+
+    def replay(self) -> ReplayBuffer:
+        """The replay buffer on this memory."""
+        return ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
+
+    def weights(self) -> SharedBlob:
+        """The actor's flat parameters, float32."""
+        return SharedBlob(self._weights)
+
+    def snapshot(self) -> SharedBlob:
+        """All of `Sac`, as `snapshot.dump` gives it."""
+        return SharedBlob(self._snapshot)
+
+    def good(self) -> SharedBlob:
+        """The last good state of `Sac`, as `snapshot.dump` gives it."""
+        return SharedBlob(self._good)
+
+    def status(self) -> FloatArray:
+        """[updates, entropy coefficient, checkpoints written, 1 when ready, rollbacks done]."""
+        return np.frombuffer(self._status, np.float64)
+
+
+UPDATES, ENTROPY, CHECKPOINTS, READY, ROLLBACKS = range(5)  # places in status
+
+
+@dataclass(frozen=True)
+class RollBack:
+    """Go back to the last good state."""
+
+
+@dataclass(frozen=True)
+class Trouble:
+    """Sent back by the learner: why it ends, or why a checkpoint cannot be written."""
+
+    sentence: str
+    disk: bool = False
+
+
+@dataclass(frozen=True)
+class SaveRequest:
+    """Write a checkpoint; with `best`, the last good state also as the best so far."""
+
+    run: Path
+    trainer: dict[str, Any]
+    best: bool
+
+
+class Learner:
+    """The learning loop's state, without the process around it."""
+
+    def __init__(self, memory: LearnerMemory, settings: TrainingSettings) -> None:
+        self.settings = settings
+        self.sac = Sac(OBSERVATIONS, ACTIONS, settings.sac)
+        self.replay = memory.replay()
+        self._weights, self._snapshot, self._status = memory.weights(), memory.snapshot(), memory.status()
+        self._good = memory.good()
+        start = self._snapshot.latest()  # of a predecessor, or of a checkpoint
+        if start is not None:
+            restore(self.sac, start)
+        self._published = 0.0
+        self.publish(time.monotonic())
+
+    @property
+    def owed(self) -> int:
+        """Updates that the transitions so far entitle to and that are not done yet."""
+        learnt_from = self.replay.produced - self.settings.warmup_steps
+        return int(self.settings.updates_per_step * max(learnt_from, 0)) - self.sac.updates
+
+    def work(self) -> int:
+        """Up to `CHUNK` of the updates owed; returns how many were done."""
+        count = min(self.owed, CHUNK)
+        if count > 0:
+            self.sac.learn(self.replay, count)
+        return max(count, 0)
+
+    def publish(self, now: float) -> None:
+        """Give the actor its weights, and twice a second a successor all it needs.
+
+        Raises
+        ------
+        FloatingPointError
+            The networks hold NaN or infinity: nothing is published, the supervisor starts anew from the last snapshot.
+        """
+        if not torch.isfinite(self.sac.actor_network.parameters.sum() + self.sac.critics.parameters.sum()):
+            raise FloatingPointError(f"the networks diverged at update {self.sac.updates}")
+        self._weights.publish(self.sac.actor_network.parameters.numpy().tobytes())
+        self._status[UPDATES], self._status[ENTROPY] = self.sac.updates, self.sac.entropy_coefficient
+        if now - self._published >= SNAPSHOT_PERIOD:
+            self._snapshot.publish(dump(self.sac))
+            self._published = now
+        self._status[READY] = 1.0
+
+    def roll_back(self) -> None:
+        """Go on from the last good state; the updates done stay counted, or they would be owed again.
+
+        What the replay buffer holds of the policy that failed stays: it is what there is to learn from.
+        """
+        good = self._good.latest()
+        if good is not None:
+            updates = self.sac.updates
+            restore(self.sac, good)
+            self.sac.updates = updates
+        self._published = 0.0  # a successor, too, shall start from here
+        self.publish(time.monotonic())
+        self._status[ROLLBACKS] += 1  # last: whoever sees the count finds the weights
+
+    def save(self, request: SaveRequest) -> None:
+        """Write the checkpoint and, where there is news, the policy's file."""
+        write_run(request, dump(self.sac), self._good.latest(), self.replay, self.settings)
+        self._status[CHECKPOINTS] += 1
+
+
+def write_run(
+    request: SaveRequest, learner: bytes, good: bytes | None, replay: ReplayBuffer, settings: TrainingSettings
+) -> None:
+    """Checkpoint; policy.safetensors is the best policy so far, and before there is one, the latest.
+
+    A run's folder that somebody took away is there again, whole.
+
+    Raises
+    ------
+    OSError
+        The disk refuses; the checkpoint before is as it was.
+    """
+    run = RunDirectory(request.run)
+    save_checkpoint(run.latest, stamped(learner, settings.made), replay, request.trainer)
+    if request.trainer and not run.config.exists():
+        run.save_settings(settings)
+    best = good if request.best else None
+    if best is not None:
+        run.best.mkdir(parents=True, exist_ok=True)
+        write_whole(run.best / "learner.safetensors", stamped(best, settings.made))
+    if best is None and (run.best / "learner.safetensors").exists():
+        return
+    policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
+    policy.load_flat(actor_parameters(best or learner))
+    notes = {key: request.trainer.get(key) for key in ("episode", "total_steps", "last_rmse")}
+    policy.save(run.policy, settings.task.gains, notes, settings.made)
+
+
+def compile_updates(settings: SacSettings) -> None:
+    """One update of a throwaway learner. Where it is the first ever it compiles: no episode should pass unlearnt."""
+    replay = ReplayBuffer(OBSERVATIONS, ACTIONS, 2 * settings.batch_size + 128)
+    replay.extend(np.zeros((settings.batch_size, replay.rows.shape[1]), np.float32))
+    Sac(OBSERVATIONS, ACTIONS, settings).learn(replay, 1)
+
+
+def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection) -> None:
+    """Body of the learning process; ends on None from the pipe, or when the acting process is gone."""
+    for number in (signal.SIGINT, signal.SIGHUP):  # they reach the whole terminal; the acting process ends us in order
+        signal.signal(number, signal.SIG_IGN)
+    os.nice(10)
+    torch.set_num_threads(1)
+    torch.set_grad_enabled(False)
+    try:
+        compile_updates(settings.sac)
+        learner = Learner(memory, settings)  # from here on it is ready
+        _attend(learner, requests)
+    except Exception as error:
+        with suppress(OSError):
+            requests.send(Trouble(str(error) or type(error).__name__))
+        if isinstance(error, (FloatingPointError, ValueError)):  # the sentence says it all
+            raise SystemExit(1) from None
+        raise
+
+
+def _attend(learner: Learner, requests: Connection) -> None:
+    """Learn, and do what is asked for, until the end."""
+    last: SaveRequest | None = None
+    while True:
+        worked = learner.work()
+        if worked:
+            learner.publish(time.monotonic())
+        try:
+            while requests.poll(0.0 if worked else 0.002):
+                request = requests.recv()
+                if request is None:
+                    return
+                if isinstance(request, RollBack):
+                    learner.roll_back()
+                else:
+                    last = request
+                    _save(learner, request, requests)
+        except EOFError:  # the acting process died without a word: keep what was learnt
+            if last is not None:
+                _save(learner, last, requests)
+            return
+
+
+def _save(learner: Learner, request: SaveRequest, requests: Connection) -> None:
+    try:
+        learner.save(request)
+    except OSError as error:
+        with suppress(OSError):
+            requests.send(Trouble(error.strerror or str(error), disk=True))

@@ -1,0 +1,248 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The acting side's handle on the learning process: start, watch, restart, stop. None of its calls waits but `stop`."""
+
+from __future__ import annotations
+
+import multiprocessing
+import select
+import signal
+import time
+from collections import deque
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.signals import FloatArray
+from hydro_policy.learner_process.learner import (
+    CHECKPOINTS,
+    ENTROPY,
+    READY,
+    ROLLBACKS,
+    UPDATES,
+    LearnerMemory,
+    RollBack,
+    SaveRequest,
+    Trouble,
+    run_learner,
+    write_run,
+)
+from hydro_policy.runs.checkpoint import Checkpoint
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
+
+RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds, and it is not bad luck
+STOP_TIMEOUT = 15.0  # s, for the last checkpoint
+
+
+class LearnerError(Exception):
+    """The learner keeps dying, cannot begin, or cannot write a checkpoint."""
+
+
+class LearnerSupervisor:
+    """Owns the shared memory and one learning process at a time.
+
+    Parameters
+    ----------
+    settings
+        Of the run.
+    run
+        Where checkpoints go.
+    resumed
+        Checkpoint to go on from, or None.
+    start
+        An agent to start from, as `snapshot.dump` gives it, or None: networks as they are initialised.
+    """
+
+    def __init__(
+        self,
+        settings: TrainingSettings,
+        run: RunDirectory,
+        resumed: Checkpoint | None = None,
+        start: bytes | None = None,
+    ) -> None:
+        self._context = multiprocessing.get_context("spawn")  # fork would copy the middleware's threads half alive
+        self._settings, self._run = settings, run
+        self._memory = LearnerMemory(settings)
+        self.replay = self._memory.replay()
+        self._weights, self._snapshot, self._status = (
+            self._memory.weights(),
+            self._memory.snapshot(),
+            self._memory.status(),
+        )
+        self._good = self._memory.good()
+        self._rollbacks, self._unheard = 0, False  # asked for; whether the learner had no ear for the last one
+        if resumed is not None:
+            self.replay.restore(resumed.replay, resumed.produced)
+            start = resumed.learner
+        if start is not None:
+            self._snapshot.publish(start)
+        self._deaths: deque[float] = deque()
+        self.restarts = 0
+        self._start()
+
+    @property
+    def alive(self) -> bool:
+        """Whether the learning process runs."""
+        return self._process.is_alive()
+
+    @property
+    def pid(self) -> int | None:
+        """Of the learning process."""
+        return self._process.pid
+
+    @property
+    def ready(self) -> bool:
+        """Whether the present learning process has published weights."""
+        return bool(self._status[READY])
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+        return int(self._status[UPDATES])
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """alpha."""
+        return float(self._status[ENTROPY])
+
+    @property
+    def checkpoints(self) -> int:
+        """Checkpoints written since the start."""
+        return int(self._status[CHECKPOINTS])
+
+    def new_weights(self) -> FloatArray | None:
+        """The actor's flat parameters if there are newer ones than at the last call, else None.
+
+        None, too, until a rollback that was asked for is done: what comes before it is not to act.
+        """
+        if self._status[ROLLBACKS] < self._rollbacks:
+            return None
+        blob = self._weights.read()
+        return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
+
+    def revive(self) -> str | None:
+        """If the learner died, start another from its last snapshot; what to tell the user of that.
+
+        Raises
+        ------
+        LearnerError
+            It keeps dying, cannot begin, or cannot write a checkpoint.
+        """
+        self._hear()
+        if self.alive:
+            if self._unheard:
+                self._ask_to_roll_back()
+            return None
+        if self._said and not self.ready:
+            raise LearnerError(f"the learner cannot begin: {self._said}")
+        now, code = time.monotonic(), self._process.exitcode
+        self._deaths.append(now)
+        while now - self._deaths[0] > RESTART_WINDOW:
+            self._deaths.popleft()
+        if len(self._deaths) > RESTARTS:
+            raise LearnerError(
+                f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s ({self._how_it_ended(code)})"
+            )
+        how = self._how_it_ended(code)
+        self.restarts += 1
+        self._requests.close()
+        self._start()
+        if self._status[ROLLBACKS] < self._rollbacks:  # it died before it had gone back
+            self._ask_to_roll_back()
+        return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
+
+    def snapshot(self) -> bytes | None:
+        """The learner's whole state, half a second old at most; None before the first."""
+        return self._snapshot.latest()
+
+    def keep(self, good: bytes) -> None:
+        """Take this state for the last good one."""
+        self._good.publish(good)
+
+    def roll_back(self) -> None:
+        """Let the learner go back to the last good state."""
+        self._rollbacks = int(self._status[ROLLBACKS]) + 1
+        self._ask_to_roll_back()
+
+    def _ask_to_roll_back(self) -> None:
+        self._unheard = not self._ask(RollBack())  # `revive` asks again, or its successor
+
+    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
+        """Ask for a checkpoint; False if the learner is not there to hear it."""
+        return self._ask(SaveRequest(self._run.path, trainer, best))
+
+    def _ask(self, request: RollBack | SaveRequest | None, patience: float = 0.0) -> bool:
+        """Send a request; False if the learner is dead, or has read nothing for so long that there is no room for it.
+
+        A pipe that is ready to be written to has room for more than any of them. `patience` in s.
+        """
+        room = select.poll()
+        with suppress(OSError):
+            room.register(self._requests, select.POLLOUT)
+            if room.poll(round(1e3 * patience)):
+                self._requests.send(request)
+                return True
+        return False
+
+    def stop(self, trainer: dict[str, Any]) -> None:
+        """Write the last checkpoint and end the process; if it is dead or hangs, write the checkpoint from here.
+
+        Raises
+        ------
+        LearnerError
+            The checkpoint cannot be written.
+        """
+        before = self.checkpoints
+        last = SaveRequest(self._run.path, trainer, best=False)
+        asked = self._ask(last, STOP_TIMEOUT) and self._ask(None, STOP_TIMEOUT)
+        self._process.join(STOP_TIMEOUT if asked else 0.5)
+        if self._process.is_alive():
+            self._process.kill()
+            self._process.join()
+        if self.checkpoints == before:
+            snapshot = self._snapshot.latest()
+            if snapshot is not None:
+                try:
+                    write_run(SaveRequest(self._run.path, trainer, False), snapshot, None, self.replay, self._settings)
+                except OSError as error:
+                    raise LearnerError(self._unwritten(error.strerror or str(error))) from None
+
+    def _hear(self) -> None:
+        """Take what the learner sent back."""
+        with suppress(OSError, EOFError):
+            while self._requests.poll():
+                trouble: Trouble = self._requests.recv()
+                if trouble.disk:
+                    raise LearnerError(self._unwritten(trouble.sentence))
+                self._said = trouble.sentence
+
+    def _unwritten(self, why: str) -> str:
+        return (
+            f"no checkpoint can be written ({why}): the training ends here; make room, and go on from the one before "
+            f"with --resume {self._run.path}"
+        )
+
+    def _how_it_ended(self, code: int | None) -> str:
+        if code is not None and code < 0:
+            return f"killed by signal {-code}"
+        return self._said or f"exit code {code}"
+
+    def _start(self) -> None:
+        self._status[READY] = 0.0
+        self._said = ""  # by a learner that ends
+        self._requests: Connection
+        self._requests, theirs = self._context.Pipe()
+        arguments = (self._memory, self._settings, theirs)  # small: what does not fit the pipe would wait for the child
+        self._process: BaseProcess = self._context.Process(
+            target=run_learner, args=arguments, name="learner", daemon=True
+        )
+        # Ctrl-C and a hangup go to the whole terminal, and would meet the child importing, long before it can say that
+        # it ignores them. A blocked signal is inherited; ours, if one comes now, waits.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
+        try:
+            self._process.start()
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        theirs.close()

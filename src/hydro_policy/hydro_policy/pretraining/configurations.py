@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The named configurations: `paper` is Table training_agent, `wide` what the better filter allows.
+
+docs/training.md says what each value of `wide` was measured to do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
+
+WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)
+"""K_p from 15 to 300, K_i from 5 to 100: as far as the box goes."""
+
+WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, trip_penalty=100.0)
+"""The root of the paper's reward with less weight on e', whose noise would hide the small errors of slow sines."""
+
+CONFIGURATIONS = ("paper", "wide")
+
+
+def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) -> TrainingSettings:
+    """One of `CONFIGURATIONS`, for a run of 160 episodes on a box with these base gains: K_p and K_i in all stay.
+
+    Raises
+    ------
+    ValueError
+        There is no such configuration.
+    """
+    if name == "paper":
+        task, sac = TaskSettings(), SacSettings(seed=seed)
+    elif name == "wide":
+        task, sac = WIDE_TASK, SacSettings(seed=seed, reward_scale=0.2)
+    else:
+        raise ValueError(f"there is no configuration {name!r}; there are {', '.join(CONFIGURATIONS)}")
+    gains = task.gains.shifted(BASE[0] - base[0], BASE[1] - base[1])
+    return TrainingSettings(seed=seed, sac=sac, task=replace(task, gains=gains))
+
+
+def configuration_of(settings: TrainingSettings) -> str | None:
+    """The name of the configuration that a run was begun with; None if its task is that of no name."""
+    task, scale = settings.task, settings.sac.reward_scale
+    named = {name: configuration(name, base=settings.base_gains) for name in CONFIGURATIONS}
+    return next(
+        (
+            name
+            for name, other in named.items()
+            if replace(other.task, steps_per_episode=task.steps_per_episode) == task and other.sac.reward_scale == scale
+        ),
+        None,
+    )

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a pretraining simulates: from the command line, and to and from the run's folder."""
+
+from __future__ import annotations
+
+import argparse
+import os
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_bridge.cli.console import UserError
+from hydro_filter.controller.factory import Choice
+from hydro_policy.envs.randomisation import Randomisation
+from hydro_policy.pretraining.training import Pretraining, PretrainSettings
+from hydro_policy.runs.run import TrainingSettings
+from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import Believed, MadeFor, unfit
+from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
+
+SOURCE = "pretrain.yaml"
+"""In a run's folder, beside config.yaml."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """What is simulated; all that `--resume` needs besides config.yaml."""
+
+    model: str
+    """shipped, analytic, or a weights file of `hydro_sim learn`."""
+    bench: str | None = None
+    """bench.yaml or corrected.yaml that is simulated by the analytic model; None: the nominal bench."""
+    box: str | None = None
+    """bench.yaml that the box believes in; None: the nominal bench."""
+    base_gains: list[float] | None = None
+    """K_p [1/s], K_i [1/s^2] of the box; None: the paper's."""
+    randomise: bool = False
+    filter: str = "none"
+    """A name of `vector_filter.FILTERS`."""
+    benches: int = 8
+    integral: Integral = "bumpless"
+    """Form of the force law's integral, `BoxConfig.integral`."""
+
+    def simulated(self) -> Bench | Learned:
+        """The analytic bench or the learned model."""
+        if self.model == "analytic":
+            return Bench.load(self.bench) if self.bench else Bench.nominal()
+        return Learned.load(None if self.model == "shipped" else self.model)
+
+    def believed(self) -> Bench:
+        """What the box's force law takes for true."""
+        return Bench.load(self.box) if self.box else Bench.nominal()
+
+    def box_config(self) -> BoxConfig:
+        """Base gains and limits of the box."""
+        box = BoxConfig() if self.base_gains is None else with_base_gains(*self.base_gains)
+        return replace(box, integral=self.integral)
+
+    def made_for(self) -> MadeFor:
+        """Which box its policies are for: the one that is simulated around whatever plant."""
+        box, learned = self.box_config(), self.weights
+        return MadeFor(
+            box=self.believed().digest, model=weights.digest(learned) if learned else "", base_kp=box.base_kp,
+            base_ki=box.base_ki, integral=box.integral, any_bench=self.randomise,
+        )  # fmt: skip
+
+    @property
+    def weights(self) -> Path | None:
+        """File of the learned model; None: the analytic one is simulated."""
+        if self.model == "analytic":
+            return None
+        return weights.shipped() if self.model == "shipped" else Path(self.model)
+
+    def trouble(self) -> str:
+        """Why what is simulated does not belong together, in one sentence; empty where it does."""
+        box, learned = Believed.of_file(self.box), self.weights
+        remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --bench FILE --box FILE"
+        made = None if learned is None else Learned.load(learned).made
+        wrong = "" if learned is None else unfit(f"the model {learned.name}", made, box, remedy)
+        if wrong or self.filter != "learned":
+            return wrong
+        return Choice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()
+
+    def pretraining(self, training: TrainingSettings) -> Pretraining:
+        """A pretraining at its beginning."""
+        randomisation = Randomisation() if self.randomise else None
+        settings = PretrainSettings(
+            training=training, benches=self.benches, randomisation=randomisation, filter=self.filter,
+            box=self.box_config(),
+        )  # fmt: skip
+        return Pretraining(settings, self.simulated(), self.believed())
+
+    def save(self, folder: Path) -> None:
+        """Into a run's folder, beside config.yaml."""
+        (folder / SOURCE).write_text(yaml.safe_dump(asdict(self), sort_keys=False))
+
+
+def source_of(options: argparse.Namespace) -> Source:
+    """What the command line asks to be simulated."""
+    model = options.model or ("analytic" if options.bench else "shipped")
+    if options.bench and model != "analytic":
+        raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
+    files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}
+    model = model if model in ("analytic", "shipped") else os.path.abspath(model)
+    chosen: dict[str, Any] = {
+        "base_gains": options.base_gains,
+        "integral": options.integral,
+        "randomise": options.randomise,
+        "filter": options.filter,
+        "benches": options.benches,
+    }
+    return Source(model=model, **chosen, **files)
+
+
+def load_source(folder: Path) -> Source:
+    """What a run simulates.
+
+    Raises
+    ------
+    UserError
+        The folder holds no pretraining.
+    """
+    try:
+        return Source(**{"integral": "paper", **yaml.safe_load((folder / SOURCE).read_text())})  # what older runs had
+    except (OSError, TypeError, yaml.YAMLError) as error:
+        raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error

@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pretraining: Soft Actor-Critic on a fleet of simulated benches, deterministic by seed, resumable between rounds.
+
+::
+
+    round     one episode on every bench of the fleet, all from rest, references as `trainer` would give them
+    step      all benches act, ten samples pass, transitions are remembered, the updates owed are made
+    after     the mean action on four sines of 300 N: the learning curve, and which policy was the best so far;
+              with drawn benches also on eight of those that no episode runs on
+
+A round's references, benches and noise follow from the seed and the episode's number alone, so that a run that was
+interrupted and resumed ends with the same weights as one that was not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.settings import check
+from hydro_bridge.signals import ReferenceSignal
+from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs.environment import Environment, Transitions
+from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
+from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_filter import fleet_filter
+from hydro_policy.pretraining.examination import Examination
+from hydro_policy.runs.checkpoint import Checkpoint
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.algorithm import Sac
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.snapshot import dump, restore
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
+
+Simulated = Bench | Learned | Callable[[], Plant]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PretrainSettings:
+    """A pretraining: the run's own settings, and what it runs on."""
+
+    training: TrainingSettings = field(default_factory=TrainingSettings)
+    benches: int = 8
+    """Benches side by side; each plays its share of the episodes. [1, 256]."""
+    randomisation: Randomisation | None = None
+    """None: the same bench always."""
+    examined: int = 8
+    """Drawn benches that a policy is examined on besides the known one, if benches are drawn. [0, 256]."""
+    filter: str = "none"
+    """The filter between policy and box: none, constant, learned (`fleet_filter`)."""
+    box: BoxConfig = field(default_factory=BoxConfig)
+    """Base gains, limits and form of the integral of the boxes."""
+    evaluation: EvaluationSettings = field(default_factory=EvaluationSettings)
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+class Pretraining:
+    """The whole state of a pretraining.
+
+    Parameters
+    ----------
+    settings
+        See `PretrainSettings`.
+    source
+        What is simulated: a learned model, a bench by the analytic equations, or what makes any other plant.
+    believed
+        The bench that the box believes in.
+    """
+
+    def __init__(self, settings: PretrainSettings, source: Simulated, believed: Bench) -> None:
+        self.settings, self._source, self._believed = settings, source, believed
+        training = settings.training
+        self.fleet = self._fleet(settings.benches)
+        self.environment = Environment(self.fleet, training.task)
+        self.sac = Sac(OBSERVATIONS, ACTIONS, training.sac)
+        self.replay = ReplayBuffer(OBSERVATIONS, ACTIONS, training.replay_capacity)
+        self.policy = Policy(training.sac.hidden_size, (training.sac.log_std_min, training.sac.log_std_max))
+        self.rng = np.random.default_rng(training.seed)
+        self.episode = 0
+        """Episodes finished."""
+        self.history: list[dict[str, Any]] = []
+        """One entry per round: episode, mean return, trips, RMSE at each frequency, scores (`examination`)."""
+        self.best_score = math.inf
+        self.best: bytes | None = None
+        """The agent (`snapshot.dump`) with the best score so far; not part of `state`."""
+        self._take_weights()
+        drawn = None if settings.randomisation is None else lambda number: self._draw(self._seed(number, 3))
+        self._exam = Examination(
+            self._fleet,
+            believed,
+            settings.evaluation,
+            drawn,
+            settings.examined,
+            (settings.box.base_kp, settings.box.base_ki),
+        )
+        self.reference_rmse = self._exam.reference[0]
+        """N, RMSE of the reference gains on the known bench, shape (cases,)."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether all episodes are done."""
+        return self.episode >= self.settings.training.episodes
+
+    def round(self, each_step: Callable[[Transitions], object] = lambda transitions: None) -> dict[str, Any]:
+        """One episode on every bench; returns the new entry of `history`."""
+        training = self.settings.training
+        count = min(len(self.fleet), training.episodes - self.episode)
+        references = [self._bench_of(index, self.episode + index) for index in range(len(self.fleet))]
+        seeds = [self._seed(self.episode + index, 1) for index in range(len(self.fleet))]
+        observation = self.environment.begin(references, seeds)
+        returns, trips = np.zeros(len(self.fleet)), 0
+        for _ in range(training.task.steps_per_episode):
+            transitions = self.environment.step(self.policy.act(observation, self.rng))
+            observation = self.environment.observation
+            self.replay.extend(transitions.rows()[:count])
+            self._learn()
+            returns += transitions.reward
+            trips += int(transitions.terminated[:count].sum())
+            each_step(transitions)
+        self.episode += count
+        self.examine(float(returns[:count].mean()), trips)
+        return self.history[-1]
+
+    def state(self) -> dict[str, Any]:
+        """What a checkpoint holds besides learner and replay buffer, as JSON types."""
+        return {
+            "episode": self.episode, "history": self.history, "best_score": self.best_score,
+            "random_state": self.rng.bit_generator.state,
+        }  # fmt: skip
+
+    def start_from(self, agent: bytes) -> None:
+        """Begin with this agent (`snapshot.dump`) instead of a new one; its updates do not count."""
+        restore(self.sac, agent)
+        self.sac.updates = 0
+        self._take_weights()
+
+    def restore(self, checkpoint: Checkpoint, best: bytes | None) -> None:
+        """Go on from a checkpoint that holds `state`, the agent and the replay buffer; `best` as it was then."""
+        restore(self.sac, checkpoint.learner)
+        self.replay.restore(checkpoint.replay, checkpoint.produced)
+        state = checkpoint.trainer
+        self.episode, self.history, self.best_score = state["episode"], state["history"], state["best_score"]
+        self.best, self.rng.bit_generator.state = best, state["random_state"]
+        self._take_weights()
+
+    def _learn(self) -> None:
+        training = self.settings.training
+        entitled = int(training.updates_per_step * max(self.replay.produced - training.warmup_steps, 0))
+        owed = entitled - self.sac.updates
+        if owed > 0:
+            self.sac.learn(self.replay, owed)
+            self._take_weights()
+
+    def _take_weights(self) -> None:
+        self.policy.load_flat(self.sac.actor_parameters())
+
+    def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
+        """The mean action on the four sines: a new entry of `history`, and perhaps the best agent so far."""
+        marks = self._exam(fleet_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
+        if marks.score < self.best_score:
+            self.best_score, self.best = marks.score, dump(self.sac)
+        self.history.append(
+            {
+                "episode": self.episode, "return": mean_return, "trips": trips, "score": marks.score,
+                "changed": marks.changed, "rmse": marks.rmse[0].tolist(), "updates": self.sac.updates,
+                "entropy_coefficient": self.sac.entropy_coefficient,
+            }
+        )  # fmt: skip
+
+    def _fleet(self, count: int) -> Fleet:
+        filters = fleet_filter(self.settings.filter, self._believed, count)
+        plants = [self._plant() for _ in range(count)]
+        return Fleet([self._believed] * count, plants, self.settings.box, filters)
+
+    def _plant(self) -> Plant:
+        if isinstance(self._source, Learned):
+            return LearnedPlant(self._source)
+        return AnalyticPlant(self._source) if isinstance(self._source, Bench) else self._source()
+
+    def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
+        """The episode's reference; with randomisation its bench is put in place, too."""
+        training, randomisation = self.settings.training, self.settings.randomisation
+        reference = training.task.reference(episode, training.seed)
+        if randomisation is None:
+            return reference
+        if self._rng(episode, 4).random() < randomisation.known_share:
+            self.fleet.replace(index, self._believed, self._plant())
+            return reference
+        drawn = self._draw(self._seed(episode, 2))
+        self.fleet.replace(index, self._believed, drawn.plant, drawn.gain_delay, drawn.dead_time)
+        return drawn.within_reach(reference)
+
+    def _draw(self, seed: int) -> Drawn:
+        assert isinstance(self._source, (Bench, Learned)), "only what has constants can be drawn"
+        assert self.settings.randomisation is not None
+        return draw(self.settings.randomisation, self._source, seed)
+
+    def _rng(self, episode: int, stream: int) -> np.random.Generator:
+        return np.random.default_rng((self.settings.training.seed, episode, stream))
+
+    def _seed(self, episode: int, stream: int) -> int:
+        return int(self._rng(episode, stream).integers(2**62))

@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A checkpoint: everything that a run needs to go on, in a folder that is either whole or not there.
+
+    learner.safetensors   networks, optimizers, temperature, random generator (`snapshot`)
+    replay.npy            transitions held, oldest first; their count ever in trainer.json
+    trainer.json          episode, steps, random states of the acting side, best episode
+
+It is written into a folder beside and renamed, so an interrupted writer leaves the previous one.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_bridge.files.tensors import UnsoundError, check_numbers
+from hydro_bridge.files.atomic import flush_folder, write_whole
+from hydro_policy.sac.replay import ReplayBuffer
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """What was read: learner's bytes, transitions [n, width], how many were ever produced, the acting side's state."""
+
+    learner: bytes
+    replay: NDArray[np.float32]
+    produced: int
+    trainer: dict[str, Any]
+
+
+def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer: dict[str, Any]) -> None:
+    """Write a checkpoint to `folder`, replacing the one there only once it is complete on disk.
+
+    Raises
+    ------
+    OSError
+        It cannot be written; the one that was there is as it was.
+    """
+    partial, previous = folder.with_name(folder.name + ".partial"), folder.with_name(folder.name + ".previous")
+    shutil.rmtree(partial, ignore_errors=True)
+    try:
+        partial.mkdir(parents=True)
+        rows, produced = replay.stored()
+        with (partial / "replay.npy").open("wb") as file:
+            np.save(file, rows)
+            _flush(file)
+        write_whole(partial / "learner.safetensors", learner)
+        state = {"produced": produced, "trainer": trainer}
+        write_whole(partial / "trainer.json", json.dumps(state, indent=1).encode())
+    except OSError:  # a full disk: what was begun takes room that others need
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+    shutil.rmtree(previous, ignore_errors=True)
+    if folder.exists():
+        folder.rename(previous)
+    partial.rename(folder)
+    flush_folder(folder.parent)
+    shutil.rmtree(previous, ignore_errors=True)
+
+
+def load_checkpoint(folder: Path) -> Checkpoint:
+    """Read a checkpoint, or the previous one if the writer died between the two renames.
+
+    Raises
+    ------
+    ValueError
+        There is none, or it is damaged.
+    """
+    previous = folder.with_name(folder.name + ".previous")
+    source = previous if not (folder / "trainer.json").exists() and previous.exists() else folder
+    try:
+        state = json.loads((source / "trainer.json").read_text())
+        rows = np.load(source / "replay.npy", allow_pickle=False)
+        if rows.ndim != 2 or not len(rows) <= int(state["produced"]) or not isinstance(state["trainer"], dict):
+            raise UnsoundError(f"{rows.shape} transitions of {state['produced']} and the state beside them do not fit")
+        check_numbers({"replay.npy": rows})
+        return Checkpoint((source / "learner.safetensors").read_bytes(), rows, int(state["produced"]), state["trainer"])
+    except (OSError, EOFError, ValueError, KeyError, TypeError) as error:
+        raise ValueError(f"{folder} holds no readable checkpoint: {error}") from error
+
+
+def _flush(file: Any) -> None:
+    file.flush()
+    os.fsync(file.fileno())

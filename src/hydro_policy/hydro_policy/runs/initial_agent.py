@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training on the bench starts from: an agent that was trained before, critics, temperature and all."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from hydro_policy.sac.policy import load_policy
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sac.snapshot import as_beginning, settings_of
+from hydro_policy.task.mdp import GainRange
+from hydro_sim.files.pairing import MadeFor
+from hydro_sim.files.stamping import stamp_of
+
+AGENT = "learner.safetensors"
+
+CARE = 0.1
+"""Share of the actor's learning rate that is left on the bench."""
+
+REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
+"""Fields of `TaskSettings` that make the reward."""
+
+
+@dataclass(frozen=True)
+class Start:
+    """An agent to start from."""
+
+    agent: bytes
+    """As `snapshot.dump` gives it."""
+    sac: SacSettings
+    """What it was trained with."""
+    gains: GainRange
+    """What its actions mean."""
+    reward: dict[str, Any]
+    """What it was rewarded for, fields of `TaskSettings`: its critics know no other reward."""
+    source: Path
+    made: MadeFor | None = None
+    """Which box it was made for; None: its files do not say."""
+
+    def adopted(self, settings: TrainingSettings) -> TrainingSettings:
+        """The settings, with what this agent needs: the networks' size, the range of gains, the reward.
+
+        What is good already is changed with care: the replay buffer holds an episode of the bench before anything is
+        learnt from it, and the actor's step is a tenth of what it was.
+        """
+        sac = replace(
+            settings.sac,
+            actor_learning_rate=CARE * settings.sac.actor_learning_rate,
+            hidden_size=self.sac.hidden_size,
+            log_std_min=self.sac.log_std_min,
+            log_std_max=self.sac.log_std_max,
+            reward_scale=self.sac.reward_scale,
+        )
+        task = replace(settings.task, gains=self.gains, **self.reward)
+        return replace(settings, sac=sac, task=task, warmup_steps=max(settings.warmup_steps, task.steps_per_episode))
+
+
+def shipped_start(authority: str) -> Start | None:
+    """The agent that comes with the package for an authority, made by `pretrain`; None if none does."""
+    folder = Path(str(resources.files("hydro_policy") / "data" / f"pretrained_{authority}"))
+    return load_start(folder) if folder.is_dir() else None
+
+
+def load_start(path: Path) -> Start:
+    """The agent of a run's folder (its best, else its latest), or of any folder with agent and policy in it.
+
+    Raises
+    ------
+    ValueError
+        There is none, or only a policy without critics: nothing to go on learning with.
+    """
+    run = RunDirectory(path)
+    folders = (path, run.best, run.latest)
+    found = next((folder / AGENT for folder in folders if (folder / AGENT).is_file()), None)
+    if found is None:
+        raise ValueError(f"{path} holds no {AGENT}: an agent to start from is a run's folder, or one made by pretrain")
+    try:
+        agent = as_beginning(found.read_bytes())
+        sac = settings_of(agent)
+    except (OSError, KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"{found} is not an agent: {error}") from error
+    _, gains, notes = load_policy(run.policy)
+    task = notes.get("task")
+    reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
+    return Start(agent, sac, gains, reward, path, stamp_of(found) or stamp_of(run.policy))

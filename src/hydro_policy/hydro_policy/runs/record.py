@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""run.json: what happened in a run, for people and programs, rewritten whole at each event.
+
+    {"events": [{"time": ISO 8601, "kind": KIND, "sentence": ..., further numbers by name}, ...]}
+
+KIND is one of `start`, `episode`, `exam`, `stop`, `override`, `end`. A resumed run appends to what happened before.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from hydro_bridge.files.atomic import write_whole
+
+
+class RunRecord:
+    """Appends events; keeps them in `path` if there is one.
+
+    Parameters
+    ----------
+    path
+        run.json; None: in memory only.
+    """
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._path = path
+        self._writer = ThreadPoolExecutor(max_workers=1)  # a disk that is busy holds up no gains
+        self._written: Future[None] = Future()
+        self._written.set_result(None)
+        self.events: list[dict[str, Any]] = []
+        if path is not None and path.exists():
+            try:
+                self.events = list(json.loads(path.read_text(encoding="utf-8"))["events"])
+            except (ValueError, KeyError, TypeError) as error:
+                raise ValueError(f"{path} is no record of a run ({error}): move it away to begin another") from error
+
+    def add(self, kind: str, sentence: str = "", **numbers: Any) -> None:
+        """Add an event, now; what is not finite becomes null."""
+        event = {"time": datetime.now().astimezone().isoformat(timespec="milliseconds"), "kind": kind}
+        if sentence:
+            event["sentence"] = sentence
+        self.events.append(event | {key: _plain(value) for key, value in numbers.items()})
+        if self._path is not None:
+            if self._written.done():
+                self._written.result()  # raises what went wrong
+            self._written = self._writer.submit(_write, self._path, tuple(self.events))
+
+    def of(self, kind: str) -> list[dict[str, Any]]:
+        """All events of a kind."""
+        return [event for event in self.events if event["kind"] == kind]
+
+    def flush(self) -> None:
+        """Wait until all is on disk; the end of the process does, too.
+
+        Raises
+        ------
+        OSError
+            It cannot be written.
+        """
+        self._written.result()
+
+
+def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)  # somebody may have taken the folder away
+    write_whole(path, (json.dumps({"events": events}, indent=1) + "\n").encode())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, (list, tuple)):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

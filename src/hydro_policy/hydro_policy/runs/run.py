@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The files of one training run, and its settings as YAML.
+
+runs/NAME/
+    config.yaml            settings, and which plant; `--resume` reads them back
+    policy.safetensors     the best policy so far (`policy` module); before an examination: the latest
+    checkpoints/latest/    learner.safetensors, replay.npy, trainer.json (`checkpoint` module)
+    checkpoints/best/      learner.safetensors of the best policy so far: all of the agent, to start others from
+    run.json               what happened: episodes, examinations, rollbacks, overrides (`record` module)
+    bag/                   the recording
+    evaluation.json, tracking.png, log.txt
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_bridge.settings import check
+from hydro_bridge.files.atomic import write_whole
+from hydro_policy.task.cases import ExamSettings
+from hydro_policy.supervision.monitor import MonitorSettings
+from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
+from hydro_sim.files.pairing import MadeFor
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrainingSettings:
+    """A run: how long, how much is learnt per step, how much is remembered."""
+
+    episodes: int = 160
+    """Episodes of the run (paper: 160). [1, 1e6]."""
+    updates_per_step: float = 1.0
+    """Gradient updates owed per policy step; the learner catches up in pauses. [0, 100]."""
+    warmup_steps: int = 500
+    """Policy steps before learning starts; they act with the initial, broad policy. [1, 1e6]."""
+    replay_capacity: int = 288_000
+    """Transitions remembered (the paper's whole training). [65, 1e8]."""
+    seed: int = 0
+    """Seed of references and of exploration in the actor. [0, 9e15]."""
+    sac: SacSettings = field(default_factory=SacSettings)
+    task: TaskSettings = field(default_factory=TaskSettings)
+    exam: ExamSettings = field(default_factory=ExamSettings)
+    monitor: MonitorSettings = field(default_factory=MonitorSettings)
+    made: MadeFor | None = None
+    """Which box its policies are for: what `--resume` is held to, and what goes into every file; None: not known."""
+
+    @property
+    def base_gains(self) -> tuple[float, float]:
+        """K_p [1/s] and K_i [1/s^2] of the box, to which its actions are changes."""
+        made = self.made
+        if made is None or made.base_kp is None or made.base_ki is None:
+            return BASE
+        return made.base_kp, made.base_ki
+
+    def __post_init__(self) -> None:
+        for part in (self, self.sac, self.task, self.task.gains, self.exam, self.monitor):
+            check(part)
+
+
+@dataclass(frozen=True)
+class RunDirectory:
+    """Where the files of a run lie."""
+
+    path: Path
+
+    config = property(lambda self: self.path / "config.yaml")
+    policy = property(lambda self: self.path / "policy.safetensors")
+    latest = property(lambda self: self.path / "checkpoints" / "latest")
+    best = property(lambda self: self.path / "checkpoints" / "best")
+    record = property(lambda self: self.path / "run.json")
+    bag = property(lambda self: self.path / "bag")
+    evaluation = property(lambda self: self.path / "evaluation.json")
+    tracking_plot = property(lambda self: self.path / "tracking.png")
+    log = property(lambda self: self.path / "log.txt")
+
+    def create(self) -> RunDirectory:
+        """Make the folders.
+
+        Raises
+        ------
+        FileExistsError
+            There is a run here already.
+        """
+        self.refuse_existing()
+        for folder in (self.latest, self.best):
+            folder.mkdir(parents=True, exist_ok=True)
+        return self
+
+    def refuse_existing(self) -> None:
+        """Raise FileExistsError if there is a run here already."""
+        if self.config.exists():
+            raise FileExistsError(
+                f"{self.path} holds a run already: continue it with --resume {self.path}, or name another"
+            )
+
+    def save_settings(self, settings: TrainingSettings, plant: Mapping[str, Any] | None = None) -> None:
+        """Write config.yaml; `plant`: the words about the plant that the run was begun with, if they are known."""
+        values = asdict(settings) | ({"plant": dict(plant)} if plant else {})
+        write_whole(self.config, yaml.safe_dump(values, sort_keys=False).encode())
+
+    def load_plant(self) -> dict[str, Any]:
+        """The words about the plant that the run was begun with; none where nobody has written them down."""
+        try:
+            values = yaml.safe_load(self.config.read_text())
+        except (OSError, yaml.YAMLError):
+            return {}
+        plant = values.get("plant") if isinstance(values, dict) else None
+        return plant if isinstance(plant, dict) else {}
+
+    def load_settings(self) -> TrainingSettings:
+        """Read config.yaml back.
+
+        Raises
+        ------
+        ValueError
+            There is none, or it does not hold the settings of a run.
+        """
+        try:
+            values: dict[str, Any] = yaml.safe_load(self.config.read_text())
+            values.pop("plant", None)
+            task, sac = values.pop("task"), values.pop("sac")
+            gains = GainRange(**_numbers(task.pop("gains")))
+            made = values.pop("made", None)
+            parts: dict[str, Any] = {
+                "made": MadeFor(**made) if made else None,
+                "sac": SacSettings(**_numbers(sac)),
+                "task": TaskSettings(**_numbers(task), gains=gains),
+                "exam": ExamSettings(**_numbers(values.pop("exam", {}))),  # runs of the first version had neither
+                "monitor": MonitorSettings(**_numbers(values.pop("monitor", {}))),
+            }
+            return TrainingSettings(**_numbers(values), **parts)
+        except (OSError, KeyError, TypeError, AttributeError, ValueError, yaml.YAMLError) as error:
+            raise ValueError(f"{self.path} holds no run to resume: {error}") from error
+
+
+def new_run(parent: Path, name: str | None) -> RunDirectory:
+    """runs/NAME, by default named after date and time."""
+    return RunDirectory(parent / (name or datetime.now().strftime("%Y%m%d-%H%M%S")))
+
+
+def _numbers(values: dict[str, Any]) -> dict[str, Any]:
+    """PyYAML reads 1e-3 as text; numbers are numbers here."""
+    return {key: float(value) if isinstance(value, str) else value for key, value in values.items()}

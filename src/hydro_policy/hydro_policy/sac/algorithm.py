@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Soft Actor-Critic (Haarnoja et al. 2018) with the paper's Table training_agent as defaults.
+
+docs/training.md gives the equations line by line. The gradients of the two losses are written out (`mlp` says why), and
+that shows how little there is to the algorithm. Nothing here knows of hydraulics, ROS or processes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hydro_bridge.signals import FloatArray
+from hydro_policy.sac import kernel as sac_kernel
+from hydro_policy.sac import network_kernel
+from hydro_policy.sac.mlp import FlatAdam, StackedMlp
+from hydro_policy.sac.replay import Batch, ReplayBuffer
+from hydro_sim.neural.mlp import Layers
+
+
+@dataclass(frozen=True, kw_only=True)
+class SacSettings:
+    """Settings of the algorithm (paper Table training_agent, where it gives a value)."""
+
+    hidden_size: int = 32
+    """Units in each of the two hidden layers of the actor and of each critic. [1, 1024]."""
+    actor_learning_rate: float = 1e-3
+    """Adam's step size for the actor. [1e-7, 0.1]."""
+    critic_learning_rate: float = 1e-3
+    """Adam's step size for the critics. [1e-7, 0.1]."""
+    discount: float = 0.99
+    """gamma: what a reward one step later is worth; 0.99 at 100 Hz looks about 1 s ahead. [0, 0.99999]."""
+    target_rate: float = 0.005
+    """tau: share by which the target critics move to the critics at each update. [1e-6, 1]."""
+    initial_entropy_coefficient: float = 0.005
+    """alpha at the start: what a nat of entropy is worth in reward. [1e-6, 10]."""
+    entropy_learning_rate: float = 1e-3
+    """Adam's step size for log(alpha); 0 keeps alpha fixed. [0, 0.1]."""
+    target_entropy: float = -2.0
+    """Entropy in nats that alpha is steered to; minus the number of actions is usual. [-10, 2]."""
+    batch_size: int = 256
+    """Transitions per update. [1, 65536]."""
+    reward_scale: float = 0.02
+    """Factor on the reward before learning, so that the critics' values are of order one to a hundred. [1e-6, 100]."""
+    log_std_min: float = -5.0
+    """Lower bound of the logarithm of the policy's standard deviation. [-20, 0]."""
+    log_std_max: float = 2.0
+    """Upper bound of the same. [0, 4]."""
+    seed: int = 0
+    """Seed of the initial weights, of the exploration in updates and of the batches drawn. [0, 9e15]."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PolicySample:
+    """A batch drawn from the policy and what its gradient needs; all [batch, actions] but `log_probability` [batch]."""
+
+    action: Tensor
+    log_probability: Tensor
+    deviation: Tensor  # sigma * epsilon = u - mu
+    inside: Tensor  # 1 where log sigma is within its bounds, 0 where it is clamped
+
+
+class SquashedGaussian:
+    """The actor: a = tanh(u), u ~ N(mu(o), sigma(o)^2); mu and log sigma are the halves of a perceptron's output."""
+
+    def __init__(self, network: StackedMlp, settings: SacSettings) -> None:
+        self.network, self._low, self._high = network, settings.log_std_min, settings.log_std_max
+
+    def sample(self, observation: Tensor, noise: Tensor) -> PolicySample:
+        """Draw an action for each row of `observation` [batch, n] with standard normal `noise` [batch, actions]."""
+        mean, raw = self.network.forward(observation.unsqueeze(0))[0].chunk(2, dim=1)
+        log_std = raw.clamp(self._low, self._high)
+        deviation = log_std.exp().mul_(noise)
+        squashed = mean + deviation
+        # log pi = sum_j log N(u_j) - log(1 - tanh(u_j)^2), the latter 2 (log 2 - u - softplus(-2u)) for large |u|
+        correction = torch.nn.functional.softplus(-2.0 * squashed).add_(squashed).sub_(math.log(2.0)).mul_(2.0)
+        density = noise.square().mul_(-0.5).sub_(log_std).sub_(0.5 * math.log(2.0 * math.pi))
+        return PolicySample(
+            action=squashed.tanh(),
+            log_probability=density.add_(correction).sum(1),
+            deviation=deviation,
+            inside=(raw == log_std).to(raw.dtype),
+        )
+
+    def backward(self, sample: PolicySample, action_gradient: Tensor, entropy_coefficient: float) -> None:
+        """Gradient of mean(alpha log pi - Q) at the last `sample`, given dQ/da [batch, actions], into the network.
+
+        With epsilon held: d(log pi)/du = 2a, d(log pi)/d(log sigma) = -1 + 2a sigma epsilon, da/du = 1 - a^2.
+        """
+        action = sample.action
+        to_mean = 2.0 * entropy_coefficient * action - action_gradient * (1.0 - action * action)
+        to_log_std = (to_mean * sample.deviation - entropy_coefficient) * sample.inside
+        self.network.backward(torch.cat((to_mean, to_log_std), dim=1).div_(len(action)).unsqueeze(0))
+
+
+class Sac:
+    """The algorithm's whole state: actor, twin critics, their targets, temperature, optimisers, random generator.
+
+    Parameters
+    ----------
+    observations, actions
+        Sizes of the observation and of the action; actions lie in (-1, 1).
+    settings
+        See `SacSettings`.
+    """
+
+    def __init__(
+        self, observations: int, actions: int, settings: SacSettings, dtype: torch.dtype = torch.float32
+    ) -> None:
+        self.settings = settings
+        self.generator = torch.Generator().manual_seed(settings.seed)
+        hidden = (settings.hidden_size, settings.hidden_size)
+        self.actor_network = StackedMlp(1, (observations, *hidden, 2 * actions), self.generator, dtype)
+        self.critics = StackedMlp(2, (observations + actions, *hidden, 1), self.generator, dtype)
+        self.target_critics = StackedMlp(2, self.critics.sizes, None, dtype)
+        self.target_critics.parameters.copy_(self.critics.parameters)
+        self.log_entropy_coefficient = torch.full((1,), math.log(settings.initial_entropy_coefficient), dtype=dtype)
+        self.actor = SquashedGaussian(self.actor_network, settings)
+        self.actor_optimizer = FlatAdam(self.actor_network.parameters, settings.actor_learning_rate)
+        self.critic_optimizer = FlatAdam(self.critics.parameters, settings.critic_learning_rate)
+        self.entropy_optimizer = FlatAdam(self.log_entropy_coefficient, settings.entropy_learning_rate)
+        self.updates = 0
+        self._actions, self._dtype = actions, dtype
+        self._numbers = sac_kernel.Numbers(
+            observations, actions, settings.discount, settings.target_rate, settings.target_entropy,
+            settings.reward_scale, settings.log_std_min, settings.log_std_max,
+        )  # fmt: skip
+        self._networks = sac_kernel.Networks(
+            _layers(self.actor_network)[0], _layers(self.actor_network, gradient=True)[0], _layers(self.critics),
+            _layers(self.critics, gradient=True), _layers(self.target_critics), self.target_critics.parameters.numpy(),
+        )  # fmt: skip
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """alpha, the temperature."""
+        return float(self.log_entropy_coefficient.exp())
+
+    def actor_parameters(self) -> FloatArray:
+        """The actor's flat parameters, float64, a copy: what `Policy.load_flat` takes."""
+        return np.asarray(self.actor_network.parameters.numpy(), np.float64).copy()
+
+    def learn(self, replay: ReplayBuffer, updates: int) -> None:
+        """`updates` times: draw a batch, update. Compiled, one call for all of them (`kernel`).
+
+        Batches larger than `network_kernel.BATCH_MAX` go through `update`.
+        """
+        batch = self.settings.batch_size
+        if batch > network_kernel.BATCH_MAX:
+            for _ in range(updates):
+                self.update(replay.sample(batch, self.generator))
+            return
+        places = replay.draw(updates * batch, self.generator).view(updates, batch)
+        noise = torch.randn(updates, 2, batch, self._actions, generator=self.generator, dtype=self._dtype)
+        optimizers = (self.actor_optimizer, self.critic_optimizer, self.entropy_optimizer)
+        gradients = (self.actor_network.gradient, self.critics.gradient, torch.zeros(1, dtype=self._dtype))
+        adams = [_adam(optimizer, gradient) for optimizer, gradient in zip(optimizers, gradients, strict=True)]
+        sac_kernel.learn(self._networks, *adams, self._numbers, replay.rows, places.numpy(), noise.numpy())
+        for optimizer in optimizers:
+            optimizer.steps += updates
+        self.updates += updates
+
+    @torch.no_grad()
+    def update(self, batch: Batch) -> None:
+        """One gradient step of critics, actor and temperature, then the targets follow: what `learn` compiles."""
+        alpha = self.entropy_coefficient
+        self._update_critics(batch, alpha)
+        log_probability = self._update_actor(batch.observation, alpha)
+        # temperature: descend -log(alpha) (log pi + target entropy)
+        self.entropy_optimizer.step(-(log_probability.mean() + self.settings.target_entropy).view(1))
+        self.target_critics.parameters.lerp_(self.critics.parameters, self.settings.target_rate)
+        self.updates += 1
+
+    def target_value(self, batch: Batch, alpha: float) -> Tensor:
+        """y = r + gamma (1 - terminated) (min_i Q_target,i(o', a') - alpha log pi(a'|o')), a' ~ pi(o'); [batch]."""
+        following = self.actor.sample(batch.next_observation, self._noise(len(batch.reward)))
+        value = self._values(self.target_critics, batch.next_observation, following.action).amin(0)
+        value.sub_(following.log_probability, alpha=alpha).mul_(self.settings.discount).mul_(1.0 - batch.terminated)
+        return value.add_(batch.reward, alpha=self.settings.reward_scale)
+
+    def _update_critics(self, batch: Batch, alpha: float) -> None:
+        """Descend 1/2 sum_i mean (Q_i(o, a) - y)^2."""
+        target = self.target_value(batch, alpha)
+        error = self._values(self.critics, batch.observation, batch.action).sub_(target)
+        self.critics.backward(error.div_(len(target)).unsqueeze(2))
+        self.critic_optimizer.step(self.critics.gradient)
+
+    def _update_actor(self, observation: Tensor, alpha: float) -> Tensor:
+        """Descend mean(alpha log pi(a|o) - min_i Q_i(o, a)); returns log pi(a|o), [batch]."""
+        drawn = self.actor.sample(observation, self._noise(len(observation)))
+        values = self._values(self.critics, observation, drawn.action)
+        first = (values[0] <= values[1]).to(self._dtype)  # only the smaller critic passes its gradient on
+        selected = torch.stack((first, 1.0 - first)).unsqueeze(2)
+        gradient = self.critics.input_gradient(selected).sum(0)[:, -self._actions :]
+        self.actor.backward(drawn, gradient, alpha)
+        self.actor_optimizer.step(self.actor_network.gradient)
+        return drawn.log_probability
+
+    def _values(self, critics: StackedMlp, observation: Tensor, action: Tensor) -> Tensor:
+        """Q_i(o, a) of both critics, [2, batch]."""
+        inputs = torch.cat((observation, action), dim=1)
+        return critics.forward(inputs.expand(2, -1, -1)).squeeze(2)
+
+    def _noise(self, rows: int) -> Tensor:
+        return torch.randn(rows, self._actions, generator=self.generator, dtype=self._dtype)
+
+
+def _layers(network: StackedMlp, gradient: bool = False) -> tuple[Layers, ...]:
+    """Each member's weights, or their gradients, as views for compiled code."""
+    weights, biases = network.gradients if gradient else (network.weights, network.biases)
+    arrays = [t.numpy() for pair in zip(weights, biases, strict=True) for t in pair]
+    return tuple(
+        Layers(*(array[m] if k % 2 == 0 else array[m, 0] for k, array in enumerate(arrays)))
+        for m in range(network.members)
+    )
+
+
+def _adam(optimizer: FlatAdam, gradient: Tensor) -> network_kernel.Adam:
+    moments = optimizer.first_moment.numpy(), optimizer.second_moment.numpy()
+    vectors = optimizer.parameters.numpy(), gradient.numpy(), *moments
+    return network_kernel.Adam(*vectors, optimizer.learning_rate, optimizer.steps)

@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The policy as it acts: the actor's perceptron in numpy (some ten microseconds a call, no torch), and its file.
+
+policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro"
+JSON with architecture, observation names, centers and scales, and the range of the gains: all that is needed to act;
+and what it was made for (`hydro_sim.files.pairing`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save
+
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.tensors import check_numbers, check_shapes
+from hydro_bridge.settings import check
+from hydro_bridge.signals import FloatArray
+from hydro_policy.task.mdp import (
+    ACTIONS,
+    OBSERVATION_CENTER,
+    OBSERVATION_NAMES,
+    OBSERVATION_SCALE,
+    OBSERVATIONS,
+    GainRange,
+)
+from hydro_sim.files.pairing import ENTRY, MadeFor
+
+FORMAT = 1
+_WIDEST = 1024  # units, as in `SacSettings`
+
+
+class Policy:
+    """A squashed Gaussian policy for acting.
+
+    Parameters
+    ----------
+    hidden_size
+        Units in each of the two hidden layers.
+    log_std_bounds
+        Bounds of log sigma, as in `SacSettings`.
+    """
+
+    def __init__(self, hidden_size: int, log_std_bounds: tuple[float, float] = (-5.0, 2.0)) -> None:
+        self.sizes = (OBSERVATIONS, hidden_size, hidden_size, 2 * ACTIONS)
+        self.log_std_bounds = log_std_bounds
+        self.weights = [np.zeros((i, o)) for i, o in zip(self.sizes, self.sizes[1:], strict=False)]
+        self.biases = [np.zeros(o) for o in self.sizes[1:]]
+
+    def load_flat(self, parameters: FloatArray) -> None:
+        """Take over the actor's flat parameters (order of `mlp.StackedMlp`), any float type."""
+        offset = 0
+        for weight, bias in zip(self.weights, self.biases, strict=True):
+            for array in (weight, bias):
+                array.flat[:] = parameters[offset : offset + array.size]
+                offset += array.size
+        if offset != len(parameters):
+            raise ValueError(f"{len(parameters)} parameters for a policy of {offset}")
+
+    def distribution(self, observation: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(mu, log sigma) before squashing, [..., 2] each, of observations [..., 13]."""
+        hidden = observation
+        for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
+            hidden = np.maximum(hidden @ weight + bias, 0.0)
+        output = hidden @ self.weights[-1] + self.biases[-1]
+        low, high = self.log_std_bounds
+        return output[..., :ACTIONS], np.minimum(np.maximum(output[..., ACTIONS:], low), high)
+
+    def act(self, observation: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
+        """Actions [..., 2] in [-1, 1] for observations [..., 13]: drawn with `rng`, or the mean's without."""
+        mean, log_std = self.distribution(observation)
+        if rng is not None:
+            mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape)
+        return np.tanh(mean)
+
+    def save(
+        self, path: Path, gains: GainRange, notes: dict[str, object] | None = None, made: MadeFor | None = None
+    ) -> None:
+        """Write policy.safetensors; `notes` (run, episodes, updates) and what it was made for go into the header."""
+        header = {
+            "format": FORMAT,
+            "architecture": {"sizes": self.sizes, "activation": "relu", "output": "tanh(mu), log sigma"},
+            "log_std_bounds": self.log_std_bounds,
+            "observation": {
+                "names": OBSERVATION_NAMES,
+                "center": OBSERVATION_CENTER.tolist(),
+                "scale": OBSERVATION_SCALE.tolist(),
+                "units": "SI before normalization",
+            },
+            "gains": asdict(gains),
+            "notes": notes or {},
+        }
+        if made is not None:
+            header[ENTRY] = made.to_header()
+        tensors: dict[str, NDArray[np.float32]] = {
+            f"weight_{k}": w.astype(np.float32) for k, w in enumerate(self.weights)
+        }
+        tensors |= {f"bias_{k}": b.astype(np.float32) for k, b in enumerate(self.biases)}
+        write_whole(path, save(tensors, {"hydro": json.dumps(header)}))
+
+
+def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
+    """Read policy.safetensors -> the policy, the range of its gains, its notes.
+
+    Raises
+    ------
+    ValueError
+        The file is not a policy, or one for another observation, or holds something that is no usable number.
+    """
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = json.loads((file.metadata() or {}).get("hydro", "{}"))
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+    except (SafetensorError, OSError, json.JSONDecodeError) as error:
+        raise ValueError(f"{path} is not a policy: {error}") from error
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ValueError(f"{path} is not a policy of format {FORMAT}")
+    try:
+        return _checked(header, tensors)
+    except (KeyError, IndexError, TypeError, AttributeError) as error:
+        raise ValueError(f"{path} is damaged: its header lacks {error}") from error
+    except ValueError as error:
+        raise ValueError(f"{path} cannot be used: {error}") from error
+
+
+def _checked(header: dict[str, Any], tensors: dict[str, Any]) -> tuple[Policy, GainRange, dict[str, object]]:
+    """The policy of a file's header and tensors; raises ValueError, KeyError or TypeError where it is none."""
+    seen = header["observation"]
+    if (
+        tuple(seen["names"]) != OBSERVATION_NAMES
+        or seen["center"] != OBSERVATION_CENTER.tolist()
+        or seen["scale"] != OBSERVATION_SCALE.tolist()
+    ):
+        raise ValueError(f"it was trained on another observation: {', '.join(seen['names'])}")
+    hidden, (low, high), gains = int(header["architecture"]["sizes"][1]), header["log_std_bounds"], header["gains"]
+    if not (1 <= hidden <= _WIDEST and math.isfinite(low) and math.isfinite(high) and low <= high):
+        raise ValueError(f"{hidden} units with log sigma in [{low}, {high}] are no policy of ours")
+    policy, reach = Policy(hidden, (low, high)), GainRange(**gains)
+    check(reach)
+    check_shapes(tensors, {f"weight_{k}": weight.shape for k, weight in enumerate(policy.weights)})
+    check_shapes(tensors, {f"bias_{k}": bias.shape for k, bias in enumerate(policy.biases)})
+    check_numbers(tensors)
+    for k, (weight, bias) in enumerate(zip(policy.weights, policy.biases, strict=True)):
+        weight[:], bias[:] = tensors[f"weight_{k}"], tensors[f"bias_{k}"]
+    return policy, reach, header["notes"]

@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an episode and a run add up to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from hydro_policy.task.mdp import REFERENCE_RATE
+from hydro_policy.task.step_aggregator import Step
+
+SETTLING_STEPS = 50
+"""Steps at an episode's start that its RMSE leaves out: the references' cross-fade takes 0.3 s."""
+
+
+class Phase(IntEnum):
+    """`TrainingStatus.phase`."""
+
+    WAITING = 0
+    TRAINING = 1
+    EVALUATING = 2
+    PAUSED = 3
+    FINISHED = 4
+
+
+@dataclass(kw_only=True)
+class EpisodeRecord:
+    """Sums over one episode."""
+
+    episode: int
+    amplitude: float = 0.0
+    frequency: float = 0.0
+    steps: int = 0
+    episode_return: float = 0.0
+    whole_steps: int = 0
+    square_error: float = 0.0
+    square_rate: float = 0.0
+    samples: int = 0
+    overridden_steps: int = 0
+
+    def add(self, step: Step, reward: float) -> None:
+        """Count one step in."""
+        self.steps += 1
+        self.whole_steps += step.whole
+        self.episode_return += reward
+        if self.steps > SETTLING_STEPS:
+            self.square_error += float(np.dot(step.error, step.error))
+            self.square_rate += float(step.sample[REFERENCE_RATE]) ** 2 * len(step.error)
+            self.samples += len(step.error)
+
+    @property
+    def force_rmse(self) -> float:
+        """N, after the settling; NaN before."""
+        return math.sqrt(self.square_error / self.samples) if self.samples else math.nan
+
+    @property
+    def lag(self) -> float:
+        """RMSE over the RMS of f_r', in s: comparable between references, since the error is mostly a lag."""
+        return math.sqrt(self.square_error / self.square_rate) if self.square_rate else math.inf
+
+    def summary(self) -> dict[str, float]:
+        """What is kept of it."""
+        return {
+            "episode": self.episode,
+            "amplitude": self.amplitude,
+            "frequency": self.frequency,
+            "return": self.episode_return,
+            "force_rmse": self.force_rmse,
+            "lag": self.lag,
+            "whole_steps": self.whole_steps,
+            "overridden_steps": self.overridden_steps,
+        }
+
+
+@dataclass
+class Progress:
+    """What a run has done; part of the checkpoint."""
+
+    episode: int = 0
+    """Episodes finished."""
+    total_steps: int = 0
+    interruptions: int = 0
+    last_return: float = math.nan
+    last_rmse: float = math.nan
+    best_lag: float = math.inf
+    rollbacks: int = 0
+    examined: int = -1
+    """Episodes finished at the last examination; -1: none yet."""
+    reference_rmse: list[float] = field(default_factory=list)
+    """N, of the fixed gains that scores are relative to, one for each sine; empty until they are examined."""
+    best_score: float = math.inf
+    """Of the best policy so far: mean over the sines of its RMSE over the reference's."""
+    passed_at: int = -1
+    """Episodes finished when a policy first beat the reference at every sine; -1: not yet."""
+    exams: list[dict[str, Any]] = field(default_factory=list)
+    history: list[dict[str, float]] = field(default_factory=list)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Acting while learning: observe, act, and remember what came of it, a hundred times a second."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from hydro_bridge.process.latency import Latency
+from hydro_bridge.signals import FloatArray
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.task.mdp import ACTIONS, observe
+from hydro_policy.task.step_aggregator import Step
+
+
+class Explorer:
+    """Draws actions from the policy, publishes gains, and appends transitions to the replay buffer.
+
+    Parameters
+    ----------
+    settings
+        Of the run.
+    replay
+        Where transitions go.
+    outputs
+        The graph.
+    """
+
+    def __init__(self, settings: TrainingSettings, replay: ReplayBuffer, outputs: Outputs) -> None:
+        self.task = settings.task
+        self.policy = Policy(settings.sac.hidden_size, (settings.sac.log_std_min, settings.sac.log_std_max))
+        self.rng = np.random.default_rng(settings.seed)
+        self.inference = Latency()  # observe, act, map to gains
+        self.published = 0
+        """Gains sent so far, by whomever: the message's step."""
+        self._replay, self._outputs = replay, outputs
+        self._observation: FloatArray | None = None
+        self._action: FloatArray = np.zeros(ACTIONS)
+
+    def step(self, step: Step) -> float | None:
+        """Act, then remember: gains leave as soon as they are known. Gives the last action's reward."""
+        before, taken, observation = self._observation, self._action, self._act(step)
+        if before is None or observation is None:
+            return None
+        reward = self.task.reward(step.error, step.error_rate)
+        if step.whole:
+            self._remember(before, taken, reward, observation, terminated=False)
+        return reward
+
+    def hold(self, gains: tuple[float, float], step: Step | None = None) -> float | None:
+        """Publish these gain changes instead of the policy's; what follows is nobody's lesson.
+
+        The step that they end is still the policy's doing, and is remembered: give it. Its reward comes back.
+        """
+        before, taken = self._observation, self._action
+        reward = None
+        if before is not None and step is not None:
+            reward = self.task.reward(step.error, step.error_rate)
+            after = observe(step.sample, taken)
+            if step.whole and np.isfinite(after).all():
+                self._remember(before, taken, reward, after, terminated=False)
+        self._publish(gains)
+        self._observation = None
+        self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # what the policy finds as previous action
+        return reward
+
+    def terminate(self, sample: FloatArray) -> None:
+        """What the last action led to had to be stopped: the policy shall learn it, with the penalty."""
+        if self._observation is not None:
+            after = observe(sample, self._action)
+            after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
+            self._remember(self._observation, self._action, -self.task.trip_penalty, after, terminated=True)
+        self.forget()
+
+    def forget(self) -> None:
+        """What comes next does not follow from the last action."""
+        self._observation = None
+
+    def _act(self, step: Step) -> FloatArray | None:
+        """Publish the policy's gains; the observation that it acted on, None if that is not finite."""
+        begin = time.perf_counter()
+        observation = observe(step.sample, self._action)
+        if not np.isfinite(observation).all():
+            self._observation = None  # the box trips on this; its flags come next
+            return None
+        self._action = self.policy.act(observation, self.rng)
+        gains = self.task.gains.gains(self._action)
+        self.inference.add(time.perf_counter() - begin)
+        self._publish(gains)
+        self._observation = observation
+        return observation
+
+    def _publish(self, gains: tuple[float, float]) -> None:
+        self._outputs.gains(*gains, self.published)
+        self.published += 1
+
+    def _remember(
+        self, before: FloatArray, action: FloatArray, reward: float, after: FloatArray, terminated: bool
+    ) -> None:
+        row = np.concatenate((before, after, action, (reward, float(terminated)))).astype(np.float32)
+        self._replay.extend(row[np.newaxis])

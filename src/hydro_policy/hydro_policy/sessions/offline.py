@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A session on a plant without a graph or a clock: box, guard and plant in a loop, learning in the same process.
+
+As fast as it goes, and the same bit for bit for the same seeds, which no real-time run can be. For tests, and to try
+settings before bench time is spent on them.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.safety.guard import CommandGuard, GuardSettings
+from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal
+from hydro_filter.controller.filter import Result
+from hydro_filter.model.sample import Sample
+from hydro_filter.validation.trial import Corrector
+from hydro_policy.learner_process.learner import CHUNK, Learner, LearnerMemory, SaveRequest
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac.snapshot import dump
+from hydro_policy.sessions.session import Session
+from hydro_policy.supervision.outputs import Outputs
+from hydro_sim.box.box import Box, BoxConfig
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
+
+SAMPLE = 1e-3  # s
+
+PASSED = Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
+"""What a filter says that has nothing to correct."""
+
+
+class InlineLearner:
+    """The face of `LearnerSupervisor` over a learner in this process; `work` does what is owed.
+
+    Have `torch.set_num_threads(1)`: at these sizes more threads only wait for each other.
+    """
+
+    def __init__(self, settings: TrainingSettings, run: RunDirectory | None = None, start: bytes | None = None) -> None:
+        self._memory = _PrivateMemory(settings)
+        if start is not None:
+            self._memory.snapshot().publish(start)
+        self._learner = Learner(self._memory, settings)
+        self._run, self._weights = run, self._memory.weights()
+        self.replay = self._learner.replay
+        self.ready = self.alive = True
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+        return self._learner.sac.updates
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """alpha."""
+        return self._learner.sac.entropy_coefficient
+
+    def new_weights(self) -> FloatArray | None:
+        """See `LearnerSupervisor.new_weights`."""
+        blob = self._weights.read()
+        return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
+
+    def work(self) -> None:
+        """All updates owed, then publish."""
+        if self._learner.owed >= CHUNK:
+            while self._learner.work():
+                pass
+            self._learner.publish(time.monotonic())
+
+    def revive(self) -> None:
+        """Nothing to revive."""
+
+    def snapshot(self) -> bytes:
+        """See `LearnerSupervisor.snapshot`; of this moment."""
+        return dump(self._learner.sac)
+
+    def keep(self, good: bytes) -> None:
+        """See `LearnerSupervisor.keep`."""
+        self._memory.good().publish(good)
+
+    def roll_back(self) -> None:
+        """See `LearnerSupervisor.roll_back`; done at once."""
+        self._learner.roll_back()
+
+    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
+        """Write a checkpoint if there is a run directory."""
+        if self._run is not None:
+            self._learner.save(SaveRequest(self._run.path, trainer, best))
+        return True
+
+
+class OfflineGraph(Outputs):
+    """Box, guard and plant; gives a session its samples and takes its outputs at once.
+
+    Parameters
+    ----------
+    plant, bench
+        The plant that moves, and the bench that the box believes in.
+    guard
+        Limits of what may be commanded.
+    seed
+        Of the plant's noise.
+    corrector
+        The filter; absent: every sample passes. What it says of a sample acts with the next one.
+    """
+
+    def __init__(
+        self,
+        plant: Plant,
+        bench: Bench,
+        *,
+        config: BoxConfig | None = None,
+        guard: GuardSettings | None = None,
+        seed: int = 0,
+        corrector: Corrector | None = None,
+    ) -> None:
+        self.corrector, self.answer = corrector, PASSED
+        self.box, self.plant, self.time = Box(bench, config), plant, 0.0
+        self.guard = CommandGuard(settings=guard or GuardSettings())
+        self.sentences: list[str] = []
+        self.gains_published: list[tuple[float, float, int]] = []
+        self.references: list[ReferenceSignal] = []
+        self._measurement = plant.reset(seed)
+
+    def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
+        """See `Outputs`."""
+        self.gains_published.append((delta_kp, delta_ki, step))
+        self.guard.set_gains(delta_kp, delta_ki, self.time)
+
+    def reference(self, signal: ReferenceSignal) -> None:
+        """See `Outputs`."""
+        self.references.append(signal)
+        self.guard.set_reference(signal)
+
+    def arm(self, arm: bool) -> None:
+        """See `Outputs`."""
+        self.guard.set_arm(arm)
+
+    def say(self, sentence: str, warning: bool = False) -> None:
+        """See `Outputs`."""
+        self.sentences.append(sentence)
+
+    def sample(self) -> np.void:
+        """One millisecond: command down, sample up, plant on; returns the sample (`STATE_DTYPE`)."""
+        sequence = int(self.box.state["sequence"][0])
+        self.guard.set_correction(self.answer.delta_u, self.answer.status, sequence, self.time)
+        self.box.receive(self.guard.command(self.time), self.time)
+        output = self.box.tick(self._measurement, self.time)
+        if self.corrector is not None:
+            self.answer = self.corrector.correct(Sample.of(output))
+        self._measurement = self.plant.step(float(output["valve_current"]))
+        self.time += SAMPLE
+        return output
+
+    def run(self, session: Session, seconds: float, learner: InlineLearner | None = None) -> None:
+        """Drive `session` until it is finished or `seconds` of bench time are over."""
+        end = self.time + seconds - 0.5 * SAMPLE
+        tick = 0
+        while self.time < end and not session.finished:
+            record = self.sample()
+            values = np.array([record[name] for name in STATE_FIELDS])
+            session.on_correction(self.answer.after, self.answer.status)
+            if (
+                session.on_sample(int(record["sequence"]), values, int(record["flags"]), self.time)
+                and learner is not None
+            ):
+                learner.work()
+            if tick % 50 == 0:
+                session.on_tick(self.time)
+            tick += 1
+
+
+class _PrivateMemory(LearnerMemory):
+    """The same memory layout, of this process alone."""
+
+    def _block(self, size: int) -> Any:
+        return bytearray(size)

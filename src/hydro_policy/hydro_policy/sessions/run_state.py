@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training has come to: its progress, its record on disk, and which policy is good, episode by episode."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hydro_policy.evaluation import policy_examination as exam
+from hydro_policy.runs.record import RunRecord
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sessions.episode import EpisodeRecord, Progress
+from hydro_policy.supervision.learner_requests import ActingLearner
+from hydro_policy.supervision.rollback import PolicyKeeper
+from hydro_policy.task.scoring import Score
+
+
+class Ledger:
+    """Enters episodes, examinations and stops, and says what they mean for the run.
+
+    Parameters
+    ----------
+    settings
+        Of the run.
+    learner
+        Running learner; what comes through is kept with it.
+    progress
+        Of the run so far; it is what a checkpoint holds.
+    best
+        The best agent of the run that is continued, or None.
+    record
+        Takes down what happens.
+    """
+
+    def __init__(
+        self,
+        settings: TrainingSettings,
+        learner: ActingLearner,
+        progress: Progress,
+        best: bytes | None,
+        record: RunRecord,
+    ) -> None:
+        self.progress, self.record = progress, record
+        self.keeper = PolicyKeeper(learner, settings.monitor.rollbacks_max, best)
+        self.gave_up = ""
+        """Why the run ended before its last episode; empty if it did not."""
+        self.last_stop = ""
+        """Why a policy was last stopped; empty if none was."""
+        self._settings, self._learner = settings, learner
+
+    @property
+    def trained(self) -> bool:
+        """Whether all episodes are done."""
+        return self.progress.episode >= self._settings.episodes
+
+    @property
+    def exam_due(self) -> bool:
+        """Before the first episode, after every few, and after the last; once each."""
+        done, every = self.progress.episode, self._settings.exam.every
+        return bool(every) and self.progress.examined < done and (self.trained or done % every == 0)
+
+    def add_episode(self, done: EpisodeRecord) -> bool:
+        """Enter an episode that came to its end; True if its policy is the best so far."""
+        progress = self.progress
+        progress.episode += 1
+        progress.last_return, progress.last_rmse = done.episode_return, done.force_rmse
+        learnt = {"entropy_coefficient": self._learner.entropy_coefficient, "updates": self._learner.updates}
+        progress.history.append({**done.summary(), **learnt})
+        self.record.add("episode", "", **progress.history[-1])
+        best = False
+        if not self._settings.exam.every:  # nothing better is known of it than that it came through
+            best = done.lag < progress.best_lag
+            self.keeper.propose()
+            self.keeper.accept(best)
+        progress.best_lag = min(done.lag, progress.best_lag)
+        return best
+
+    def add_exam(self, scores: Sequence[Score]) -> bool:
+        """Enter an examination that the policy came through; True if it is the best so far."""
+        progress, settings = self.progress, self._settings.exam
+        progress.reference_rmse = progress.reference_rmse or exam.reference_rmse(settings, scores)
+        verdict = exam.verdict(scores, progress.reference_rmse)
+        best = verdict.score < progress.best_score
+        self.keeper.accept(best)
+        progress.examined, progress.best_score = progress.episode, min(verdict.score, progress.best_score)
+        if progress.passed_at < 0 and verdict.beaten == len(verdict.rmse):
+            progress.passed_at = progress.episode
+        result = {"episode": progress.episode, "rmse": verdict.rmse, "score": verdict.score, "best": best}
+        progress.exams.append({**result, "rmse": list(verdict.rmse), "beaten": verdict.beaten})
+        self.record.add("exam", **progress.exams[-1], reference_rmse=progress.reference_rmse)
+        return best
+
+    def add_stop(self, reason: str, where: str) -> str:
+        """Enter that the policy was stopped and rolled back; the sentence for the user. Too many: `gave_up`."""
+        self.progress.rollbacks += 1
+        self.last_stop = reason
+        sentence = f"policy stopped in {where}: {reason}; rolled back to the last good one"
+        if self.keeper.exhausted:
+            self.gave_up = f"{self.keeper.in_a_row} rollbacks in a row, the last: {reason}"
+            sentence += f"; that was once too often ({self._settings.monitor.rollbacks_max} in a row): the run ends"
+        self.record.add("stop", sentence, reason=reason, rollbacks=self.progress.rollbacks)
+        return sentence

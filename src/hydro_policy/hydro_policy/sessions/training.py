@@ -1,0 +1,249 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A training session: episodes, examinations, stops and pauses, driven by samples and ticks; knows no ROS.
+
+    WAITING ────ready, then armed───> EVALUATING ──good──> TRAINING ──────episodes─────> EVALUATING ──last──> FINISHED
+                                                              │  ^
+             plant lost, disarmed, tripped; stopped by the    v  │  armed again, calm again: what was interrupted
+             monitor: back to the last good policy          PAUSED  begins anew
+
+An episode's end is a truncation: the value of what follows is bootstrapped. Only a trip by the box or a stop by the
+monitor is a termination.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+from hydro_bridge.safety.readiness import Requirement
+from hydro_bridge.signals import Flag, FloatArray
+from hydro_policy.evaluation import policy_examination as exam
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.runs.record import RunRecord
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.policy import Policy
+from hydro_policy.sessions.episode import EpisodeRecord, Phase, Progress
+from hydro_policy.sessions.run_state import Ledger
+from hydro_policy.sessions.training_episode import EpisodePlayer
+from hydro_policy.supervision.learner_requests import ActingLearner
+from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.supervision.override import GainOverride
+from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantWatch
+from hydro_policy.supervision.requirements import learner as learner_ready
+from hydro_policy.task.step_aggregator import Step, StepClock
+
+FAULTS = Flag.FORCE_LIMIT | Flag.SENSOR_FAULT
+UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
+
+
+class TrainingSession:
+    """Decides what is played next, an episode or an examination, and what a stop or a pause does to it.
+
+    Parameters
+    ----------
+    settings
+        Of the run.
+    learner
+        Running learner.
+    outputs
+        The graph.
+    rearm
+        See `PlantWatch`.
+    state, best
+        `state()` and best agent of the session to continue, or None.
+    override
+        Gains that a person holds.
+    record
+        Takes down what happens.
+    requirements
+        What must be there before the plant is armed, besides plant, filter and learner.
+    """
+
+    def __init__(
+        self,
+        settings: TrainingSettings,
+        learner: ActingLearner,
+        outputs: Outputs,
+        *,
+        rearm: bool = True,
+        state: dict[str, Any] | None = None,
+        best: bytes | None = None,
+        override: GainOverride | None = None,
+        record: RunRecord | None = None,
+        requirements: Sequence[Requirement] = (),
+    ) -> None:
+        self.settings, self.learner = settings, learner
+        self.override, self.record = override or GainOverride(), record or RunRecord()
+        self.watch = PlantWatch(outputs, rearm, (learner_ready(learner), *requirements), self.override)
+        self.clock = StepClock()
+        self.progress = Progress() if state is None else Progress(**state["progress"])
+        self.ledger = Ledger(settings, learner, self.progress, best, self.record)
+        self.keeper = self.ledger.keeper
+        self.player = EpisodePlayer(settings, learner, outputs, self.progress)
+        self.explorer, self.monitor = self.player.explorer, self.player.monitor
+        if state is not None:
+            self.explorer.rng.bit_generator.state = state["random_state"]
+        self.phase = Phase.WAITING
+        self.exam: EvaluationSession | None = None
+        self._around = exam.Surroundings(outputs, self.watch, self.override, self.monitor)
+        self._outputs = outputs
+
+    @property
+    def policy(self) -> Policy:
+        """As it acts."""
+        return self.explorer.policy
+
+    @property
+    def current(self) -> EpisodeRecord:
+        """The episode under way, or the last one."""
+        return self.player.current
+
+    @property
+    def finished(self) -> bool:
+        """Whether all episodes are done, or the run was given up."""
+        return self.phase is Phase.FINISHED
+
+    @property
+    def gave_up(self) -> str:
+        """Why the run ended before its last episode; empty if it did not."""
+        return self.ledger.gave_up
+
+    def state(self) -> dict[str, Any]:
+        """For a checkpoint, as JSON types."""
+        progress = self.progress
+        summary = {"episode": progress.episode, "total_steps": progress.total_steps, "last_rmse": progress.last_rmse}
+        return {**summary, "progress": asdict(progress), "random_state": self.explorer.rng.bit_generator.state}
+
+    def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        """Take a sample [14]; True if gains went out."""
+        self.watch.on_sample(flags, now)
+        step = self.clock.add(sequence, sample, flags)
+        if self.finished:
+            return False
+        if not flags & Flag.ARMED:
+            if self.phase in UNDER_WAY:
+                self._interrupt(sample, flags)
+            return False
+        if self.exam is not None:
+            return self._examine(self.exam, sequence, sample, flags, now)
+        return step is not None and self._act(step, now)
+
+    def on_correction(self, after: float, status: int) -> None:
+        """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
+        self.monitor.on_correction(after, status)
+        self.watch.on_correction(status)
+
+    def on_tick(self, now: float) -> None:
+        """Some twenty times a second: arming, loss of the plant, death of the learner."""
+        self.watch.on_tick(now)
+        if self.watch.lost and self.phase in UNDER_WAY:
+            self._pause("no samples", self._where)
+        message = self.learner.revive()
+        if message is not None:
+            self._outputs.say(message, warning=True)
+
+    def _act(self, step: Step, now: float) -> bool:
+        """One policy step of an armed plant outside of examinations; True if gains went out."""
+        held = self.override.gains(now)
+        if held is not None:
+            self.player.hold(held, step, episode=self.phase is Phase.TRAINING)
+            return True
+        if self.watch.calming:
+            self.explorer.hold((0.0, 0.0))
+            return True
+        if self.watch.mismatched and not self.watch.unfit(now):
+            self.watch.acted(now)
+            self.player.hold(FALLBACK, step, episode=self.phase is Phase.TRAINING)
+            return True
+        if self.phase is not Phase.TRAINING:
+            if not self.watch.may_begin(now):
+                return False
+            self._begin()
+        elif self.watch.unfit(now):  # a person has held the gains: the watch disarms, and the episode begins anew
+            return False
+        self.watch.acted(now)
+        if self.phase is Phase.TRAINING:
+            self._step(step)
+        return True
+
+    def _begin(self) -> None:
+        """Whatever is due: an examination, an episode, or the end."""
+        self.keeper.start()
+        if self.ledger.exam_due:
+            self._begin_exam()
+        elif self.ledger.trained:
+            self.phase = Phase.FINISHED
+        else:
+            self.player.begin()
+            self.phase = Phase.TRAINING
+
+    def _step(self, step: Step) -> None:
+        reason = self.player.step(step)
+        if reason is not None:
+            self._stop(reason, step.sample)
+        elif self.player.complete:
+            self._go_on(best=self.ledger.add_episode(self.current))
+
+    def _begin_exam(self) -> None:
+        """Examine the learner's present state; learning goes on meanwhile, acting does not change."""
+        parameters = self.keeper.propose()
+        if parameters is not None:
+            self.policy.load_flat(parameters)
+        reference_too = not self.progress.reference_rmse
+        gains = self.settings.task.gains
+        self.exam = exam.examination(self.settings.exam, self.policy, gains, reference_too, self._around)
+        self.explorer.forget()
+        self.phase = Phase.EVALUATING
+
+    def _examine(self, running: EvaluationSession, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
+        acted = running.on_sample(sequence, sample, flags, now)
+        reason = exam.failure(running.scores)
+        if reason:
+            self._stop(reason, sample)
+        elif running.finished:
+            self.exam = None
+            self._go_on(best=self.ledger.add_exam(running.scores))
+        return acted
+
+    def _go_on(self, *, best: bool) -> None:
+        """An episode or an examination came to its end: a checkpoint, and what comes next."""
+        self.learner.save(self.state(), best)
+        self._begin()
+
+    def _interrupt(self, sample: FloatArray, flags: int) -> None:
+        """The box disarmed under us. If it was the policy's doing, the policy goes, and shall learn it."""
+        where = self._where
+        if flags & FAULTS and self.override.active:
+            self.watch.calm()
+        elif flags & FAULTS:
+            self._stop(f"the box {self.watch.condition}", sample)
+        if not self.finished:
+            self._pause(self.watch.condition, where)
+
+    def _stop(self, reason: str, sample: FloatArray) -> None:
+        """What the policy does is not bearable: base gains, calm, the last good policy; after too many, the end."""
+        where = self._where
+        if self.exam is None:
+            self.explorer.terminate(sample)
+        else:
+            self.progress.examined, self.exam = self.progress.episode, None
+        self.explorer.hold((0.0, 0.0))
+        self.watch.calm()
+        good = self.keeper.roll_back()
+        if good is not None:
+            self.policy.load_flat(good)
+        sentence = self.ledger.add_stop(reason, where)
+        self.phase = Phase.FINISHED if self.ledger.gave_up else Phase.PAUSED
+        self._outputs.say(sentence, warning=True)
+
+    def _pause(self, reason: str, where: str) -> None:
+        sentence = f"paused in {where} at step {self.current.steps}: {reason}"
+        self.phase, self.exam = Phase.PAUSED, None
+        self.progress.interruptions += 1
+        self.explorer.forget()
+        self._outputs.say(sentence, warning=True)
+
+    @property
+    def _where(self) -> str:
+        return "the examination" if self.exam is not None else f"episode {self.current.episode}"

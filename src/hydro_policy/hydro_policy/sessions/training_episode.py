@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Training episodes: the reference goes out, the explorer acts under the monitor's eye, steps and rewards add up."""
+
+from __future__ import annotations
+
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sessions.episode import EpisodeRecord, Progress
+from hydro_policy.sessions.exploration import Explorer
+from hydro_policy.supervision.learner_requests import ActingLearner
+from hydro_policy.supervision.monitor import SafetyMonitor
+from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.task.step_aggregator import Step
+
+
+class EpisodePlayer:
+    """Plays one episode after another; which, when and whether at all is the session's business.
+
+    Parameters
+    ----------
+    settings
+        Of the run.
+    learner
+        Running learner; its weights are taken over before each step.
+    outputs
+        The graph.
+    progress
+        Of the run; steps are counted into it.
+    """
+
+    def __init__(
+        self, settings: TrainingSettings, learner: ActingLearner, outputs: Outputs, progress: Progress
+    ) -> None:
+        self.explorer = Explorer(settings, learner.replay, outputs)
+        self.explorer.published = progress.total_steps
+        self.monitor = SafetyMonitor(settings.monitor)
+        self.current = EpisodeRecord(episode=0)
+        self._settings, self._learner, self._outputs, self._progress = settings, learner, outputs, progress
+
+    @property
+    def complete(self) -> bool:
+        """Whether the present episode has all its steps."""
+        return self.current.steps >= self._settings.task.steps_per_episode
+
+    def begin(self) -> None:
+        """Begin the episode after those that are finished, or that one anew."""
+        done = self._progress.episode
+        signal = self._settings.task.reference(done, self._settings.seed)
+        self._outputs.reference(signal)
+        self.current = EpisodeRecord(episode=done + 1, amplitude=signal.amplitude, frequency=signal.frequency)
+        self.monitor.reset()
+
+    def step(self, step: Step) -> str | None:
+        """One step under the newest policy; if the monitor wants a stop, why, and no step."""
+        reason = self.monitor.add(step)
+        if reason is None:
+            self.refresh_policy()
+            self._count(step, self.explorer.step(step))
+        return reason
+
+    def hold(self, gains: tuple[float, float], step: Step, *, episode: bool) -> None:
+        """One step under a person's gain changes; `episode`: an episode is under way, and it counts."""
+        reward = self.explorer.hold(gains, step)
+        if episode:
+            self._count(step, reward)
+            self.current.overridden_steps += 1
+        self.monitor.reset()  # it judges policies
+
+    def refresh_policy(self) -> None:
+        """Take over the learner's weights if there are newer ones."""
+        parameters = self._learner.new_weights()
+        if parameters is not None:
+            self.explorer.policy.load_flat(parameters)
+
+    def _count(self, step: Step, reward: float | None) -> None:
+        if reward is not None:
+            self.current.add(step, reward)
+            self._progress.total_steps += 1

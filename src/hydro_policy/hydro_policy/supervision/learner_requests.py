@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a session may ask of learning: the seam between acting and the learner's process. Nothing waits."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from hydro_bridge.signals import FloatArray
+from hydro_policy.sac.replay import ReplayBuffer
+
+
+class RollingLearner(Protocol):
+    """What rolling back needs of learning."""
+
+    def snapshot(self) -> bytes | None:
+        """The learner's whole state, half a second old at most."""
+
+    def keep(self, good: bytes) -> None:
+        """Take this state for the last good one."""
+
+    def roll_back(self) -> None:
+        """Let the learner go back to the last good state."""
+
+
+class ActingLearner(RollingLearner, Protocol):
+    """What acting needs of learning: `LearnerSupervisor`, or `InlineLearner` in simulation."""
+
+    replay: ReplayBuffer
+
+    @property
+    def ready(self) -> bool:
+        """Whether weights have been published."""
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates so far."""
+
+    @property
+    def entropy_coefficient(self) -> float:
+        """alpha."""
+
+    def new_weights(self) -> FloatArray | None:
+        """The actor's flat parameters if there are newer ones."""
+
+    def revive(self) -> str | None:
+        """Restart it if it died; returns what to tell the user."""
+
+    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
+        """Ask for a checkpoint."""

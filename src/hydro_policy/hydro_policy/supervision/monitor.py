@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The safety monitor: watches what a policy does to the bench, and asks for a stop before the box has to trip.
+
+peak error    |e|, averaged over a policy step: one sick sample is none
+chatter       RMS of u' over a window: what wears valve and hoses, and the first sign of a loop that cycles
+violations    share of a window's samples whose certificate fails although the filter has corrected what it can
+NaN           a sample, or what the policy makes of it, is not finite
+
+It judges a policy, not a person: overridden steps do not reach it, and steps for which the box held other gains than
+the policy's (`Step.held`: late commands, no fresh correction, MISMATCH) count for nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_bridge.signals import SAMPLE_PERIOD, CorrectionStatus
+from hydro_policy.task.mdp import SAMPLES_PER_STEP
+from hydro_policy.task.step_aggregator import Step
+
+_EVALUATED = frozenset(
+    set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH}
+)
+_TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.trial.gammas`
+_STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
+
+
+@dataclass(frozen=True, kw_only=True)
+class MonitorSettings:
+    """Limits; docs/training.md gives the measurements on good and bad runs that the defaults stand between."""
+
+    peak_error: float = 300.0
+    """N, |e| in the mean over a policy step. [1, 1e5]."""
+    chatter: float = 0.7
+    """A/s, RMS of u' over the window. [1e-3, 1e3]."""
+    chatter_window: float = 0.1
+    """s that chatter is taken over. [0.02, 10]."""
+    violations: float = 0.5
+    """Share of the window's samples with M_c > 0 although the filter corrected; 1 never stops. [0, 1]."""
+    violations_window: float = 0.5
+    """s that violations are taken over. [0.02, 10]."""
+    rollbacks_max: int = 3
+    """Rollbacks without a newly accepted policy in between before the run ends. [0, 1000]."""
+
+
+class SafetyMonitor:
+    """Sums over a sliding window, fed by policy steps and by the filter's corrections."""
+
+    def __init__(self, settings: MonitorSettings | None = None) -> None:
+        self.settings = settings or MonitorSettings()
+        lengths = (self.settings.chatter_window, self.settings.violations_window)
+        squares, violated = (max(round(length / _STEP), 1) for length in lengths)
+        self._squares: deque[tuple[float, int]] = deque(maxlen=squares)  # of u' [A/s], and of how many, per step
+        self._violated: deque[tuple[int, int]] = deque(maxlen=violated)
+        self._failed = self._answered = 0
+        self.peak = 0.0
+        """N, largest |e| of a step since the reset."""
+
+    def reset(self) -> None:
+        """Begin anew: another policy acts, or another reference runs."""
+        self._squares.clear()
+        self._violated.clear()
+        self._failed = self._answered = 0
+        self.peak = 0.0
+
+    @property
+    def chatter(self) -> float:
+        """A/s, RMS of u' over the window so far; 0 at its beginning."""
+        count = sum(n for _, n in self._squares)
+        return math.sqrt(sum(s for s, _ in self._squares) / count) if count else 0.0
+
+    @property
+    def violations(self) -> float:
+        """Share of the window's corrections whose certificate failed; 0 where none came."""
+        count = sum(n for _, n in self._violated)
+        return sum(v for v, _ in self._violated) / count if count else 0.0
+
+    def on_correction(self, after: float, status: int) -> None:
+        """Take a correction: M_c [1/s] under it, and its status."""
+        if status in _EVALUATED:
+            self._answered += 1
+            self._failed += after > _TOLERANCE
+
+    def add(self, step: Step) -> str | None:
+        """Take a policy step; returns why the policy must be stopped, or None."""
+        if not np.isfinite(step.sample).all():
+            return "a measurement is not finite"
+        if step.held:
+            self.reset()
+            return None
+        slope = np.diff(step.current) / SAMPLE_PERIOD
+        self._squares.append((float(slope @ slope), len(slope)))
+        self._violated.append((self._failed, self._answered))
+        self._failed = self._answered = 0
+        error = abs(float(step.error.mean()))
+        self.peak = max(self.peak, error)
+        return self._verdict(error)
+
+    def _verdict(self, error: float) -> str | None:
+        limits = self.settings
+        if not error <= limits.peak_error:
+            return f"error of {error:.0f} N, limit {limits.peak_error:g} N"
+        if len(self._squares) == self._squares.maxlen and not self.chatter <= limits.chatter:
+            return f"chattering, RMS of u' {self.chatter:.2f} A/s, limit {limits.chatter:g} A/s"
+        if len(self._violated) == self._violated.maxlen and not self.violations <= limits.violations:
+            share = f"{self.violations:.0%} of {limits.violations_window:g} s"
+            return f"the certificate fails in {share}, limit {limits.violations:.0%}"
+        return None

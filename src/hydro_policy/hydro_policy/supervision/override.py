@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A person takes the gains away from whatever chooses them, for as long as asked, and gives them back.
+
+It is in force from the next policy step on, whether a policy learns, is examined, waits or pauses. It lives in the node
+alone: no checkpoint holds it, no run begins with it. What the bench does under it is neither learnt from nor scored.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from hydro_policy.task.mdp import BASE, GainRange
+
+
+@dataclass(frozen=True)
+class _Held:
+    delta_kp: float
+    delta_ki: float
+    until: float
+
+
+class GainOverride:
+    """The gains that a person holds, if any.
+
+    Parameters
+    ----------
+    reach
+        Gain changes that may be asked for: what the plant's guard lets through.
+    say
+        Takes a sentence for each change.
+    base
+        K_p [1/s], K_i [1/s^2] of the box, to which it adds changes (default: the paper's).
+    """
+
+    def __init__(
+        self,
+        reach: GainRange | None = None,
+        say: Callable[[str], None] = lambda _: None,
+        base: tuple[float, float] = BASE,
+    ) -> None:
+        self.reach, self.base = reach or GainRange(), base
+        self.say = say
+        self._held: _Held | None = None
+
+    def hold(self, proportional: float, integral: float, seconds: float, now: float) -> str:
+        """Hold K_p [1/s] and K_i [1/s^2], base gains included, for `seconds` (0: until told otherwise); what was done.
+
+        Raises
+        ------
+        ValueError
+            Not finite or out of reach; nothing has changed.
+        """
+        base, reach = self.base, self.reach
+        change = (proportional - base[0], integral - base[1])
+        if not (math.isfinite(seconds) and seconds >= 0.0):
+            raise ValueError(f"an override lasts 0 (until told otherwise) or more seconds, not {seconds:g}")
+        inside = reach.delta_kp_min <= change[0] <= reach.delta_kp_max
+        if not (inside and reach.delta_ki_min <= change[1] <= reach.delta_ki_max):  # NaN is outside
+            allowed = (
+                f"K_p within [{base[0] + reach.delta_kp_min:g}, {base[0] + reach.delta_kp_max:g}], "
+                f"K_i within [{base[1] + reach.delta_ki_min:g}, {base[1] + reach.delta_ki_max:g}]"
+            )
+            raise ValueError(f"({proportional:g}, {integral:g}) cannot be held here: {allowed}")
+        self._held = _Held(*change, now + seconds if seconds else math.inf)
+        how_long = f"for {seconds:g} s" if seconds else "until told otherwise"
+        return self._tell(f"gains overridden by hand: ({proportional:g}, {integral:g}) {how_long}")
+
+    def release(self) -> str:
+        """Give the gains back; what was done."""
+        if self._held is None:
+            return "nothing was overridden"
+        self._held = None
+        return self._tell("override ended: the gains are the policy's again")
+
+    def gains(self, now: float) -> tuple[float, float] | None:
+        """(delta_kp, delta_ki) to publish instead of anybody else's at time `now` [s], or None."""
+        if self._held is not None and now >= self._held.until:
+            self._held = None
+            self._tell("override is over: the gains are the policy's again")
+        return None if self._held is None else (self._held.delta_kp, self._held.delta_ki)
+
+    @property
+    def active(self) -> bool:
+        """Whether somebody holds the gains."""
+        return self._held is not None
+
+    @property
+    def description(self) -> str:
+        """For /diagnostics: the gains held, or no."""
+        held, base = self._held, self.base
+        return "no" if held is None else f"K_p {base[0] + held.delta_kp:g}, K_i {base[1] + held.delta_ki:g}"
+
+    def _tell(self, sentence: str) -> str:
+        self.say(sentence)
+        return sentence

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the plant is there, armed, and fit to begin on; shared by training and evaluation.
+
+no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
+something is missing     nothing is armed (`hydro_bridge.safety.readiness`); found armed, or armed too early: disarmed
+disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else a person is asked to
+armed and idle           no controller has acted for `IDLE`: disarmed, and armed anew as above. Base gains wind up the
+                         law's integral against dry friction, which is a jump of the current with the next gains
+MISMATCH                 the filter's model is not this bench's: nothing is armed or begun until the filter decides
+                         again, and what has begun goes on under `FALLBACK`
+stopped                  a second of calm, armed, base gains, no reference, before anything begins: the force is still
+                         where what was stopped has left it, and would be held against whatever comes next. Where no
+                         person is needed for it the plant is then armed anew, too
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from hydro_bridge.safety.limits import NARROW
+from hydro_bridge.safety.readiness import Readiness, Requirement
+from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
+from hydro_policy.supervision import requirements as needs
+from hydro_policy.supervision.arming import Arming
+from hydro_policy.supervision.outputs import Outputs
+from hydro_policy.supervision.override import GainOverride
+
+FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)
+"""Changes of K_p, K_i that are held while the filter says MISMATCH: the upper end of what the guard then lets pass, the
+paper's fixed (90, 15). A policy clamped to that range asks for less and tracks worse."""
+
+CALM = 1.0
+"""s, armed, between a stop and what follows it."""
+
+IDLE = 2.0
+"""s armed without a controller after which none may begin (decision 0056 has the measurements)."""
+
+LOST_AFTER = 0.1  # s without a sample
+
+TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
+UNSEEN = "no samples came while it was armed: it is disarmed, so that the force law begins anew"
+MISMATCH = (
+    "the filter says that its model is not this bench's (its log names what does not fit): fixed gains of the narrow "
+    "range, nothing is learned or begun; start it with model and metric of this bench, or with --metric constant"
+)
+FITS = "the filter's model fits again: going on"
+CALM_AGAIN = "calm again: disarmed and armed anew, so that the force law begins anew"
+
+
+class PlantWatch:
+    """Follows the box's flags and asks for arming.
+
+    Parameters
+    ----------
+    outputs
+        Where to ask.
+    rearm
+        Whether a disarmed or tripped box may be armed without the user (simulation: yes; bench: on purpose only).
+    requirements
+        What must be there before the plant is armed, besides plant and filter.
+    override
+        Gains that a person holds: under them a plant is not idle.
+    """
+
+    def __init__(
+        self,
+        outputs: Outputs,
+        rearm: bool,
+        requirements: Sequence[Requirement] = (),
+        override: GainOverride | None = None,
+    ) -> None:
+        self._outputs, self._override = outputs, override or GainOverride()
+        self._arming = Arming(outputs, rearm)
+        samples = needs.plant(lambda: not self.lost)
+        answers = needs.corrections(lambda: self.mismatched or not self._flags & Flag.FILTER_STALE)
+        fitting = needs.fitting_filter(lambda: not self.mismatched)
+        needed = (samples, *requirements, answers, fitting)  # the filter's answers after what takes longer
+        self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
+        self._seen = -math.inf
+        self._acted = -math.inf  # when a controller acted last, or the plant was armed
+        self._spoilt = TOO_EARLY  # why nothing may act on it as it is armed: nobody knows for how long it has been
+        self._flags = int(Flag.FILTER_STALE)
+        self._told: str | None = None
+        self._calm_until: float | None = None  # math.inf: asked for, but not armed yet
+        self.mismatched = False
+        """Whether the filter's last word was that its model is not this bench's."""
+
+    @property
+    def lost(self) -> bool:
+        """Whether no samples come."""
+        return self._seen == -math.inf
+
+    @property
+    def armed(self) -> bool:
+        """Whether samples come and the last one was armed."""
+        return not self.lost and bool(self._flags & Flag.ARMED)
+
+    @property
+    def condition(self) -> str:
+        """For people."""
+        if self.lost:
+            return "no plant"
+        if self._flags & Flag.ARMED:
+            return "armed"
+        faults = [flag.name or "" for flag in (Flag.FORCE_LIMIT, Flag.SENSOR_FAULT) if self._flags & flag]
+        return ("tripped" if self._flags & Flag.TRIPPED else "disarmed") + (
+            f" ({', '.join(faults).lower()})" if faults else ""
+        )
+
+    @property
+    def standing(self) -> str:
+        """For people: the condition, and what is waited for."""
+        return self.condition + ("" if self.readiness.complete else f", waiting for {self.readiness.awaited}")
+
+    def on_sample(self, flags: int, now: float) -> None:
+        """Take a sample's flags."""
+        if flags & Flag.ARMED and not (self.armed or self.lost):
+            wanted = self.readiness.complete or self._arming.under_way(now)
+            self._acted, self._spoilt = now, "" if wanted else TOO_EARLY
+        self._seen, self._flags = now, flags
+        if self._calm_until is not None:
+            self._calm_until = min(self._calm_until, now + CALM) if flags & Flag.ARMED else math.inf
+            if now >= self._calm_until:
+                self._calm_until = None
+                self._spoilt = CALM_AGAIN if self._arming.alone else self._spoilt
+
+    def on_correction(self, status: int) -> None:
+        """Take the status of a correction."""
+        if (status == CorrectionStatus.MISMATCH) != self.mismatched:
+            self.mismatched = not self.mismatched
+            self._outputs.say(MISMATCH if self.mismatched else FITS, warning=self.mismatched)
+
+    def may_begin(self, now: float) -> bool:
+        """Whether an episode or a run may begin: armed, calm and fit for it, with all there that must be."""
+        return self.armed and self.readiness.complete and not self.calming and not self.unfit(now)
+
+    def acted(self, now: float) -> None:
+        """A controller has chosen gains."""
+        self._acted = now
+
+    def unfit(self, now: float) -> str:
+        """Why no controller may act on the plant as it is armed; empty if one may."""
+        if not self._spoilt and now - self._acted > IDLE:
+            waited = f"armed for {now - self._acted:.1f} s while no controller acted"
+            return f"{waited}: it is disarmed, so that the force law begins anew"
+        return self._spoilt
+
+    @property
+    def calming(self) -> bool:
+        """Whether something was stopped and its force is still being brought back: base gains, please."""
+        return self._calm_until is not None
+
+    def calm(self) -> None:
+        """Something was stopped: `CALM` seconds, armed, before anything begins. No reference from now on."""
+        self._calm_until = math.inf
+        self._outputs.reference(ReferenceSignal())
+
+    def take_over(self, before: PlantWatch) -> None:
+        """Go on where another session's watch ends: what that has left armed is no find, its calm is waited for."""
+        self._acted, self._spoilt = before._acted, before._spoilt
+        if before.calming:
+            self.calm()
+
+    def on_tick(self, now: float) -> None:
+        """Call some twenty times a second: notices a loss, asks for arming.
+
+        Raises
+        ------
+        NotReadyError
+            Something without which nothing may be armed has not come within its time.
+        """
+        if not self.lost and now - self._seen > LOST_AFTER:
+            self._seen, self._spoilt = -math.inf, UNSEEN
+            self._flags = int(Flag.FILTER_STALE)
+            self._outputs.arm(False)
+        self.readiness.look(now)
+        if self.armed:
+            self._arming.rest()
+            why = self.unfit(now)
+            if why and not (self.calming or self._override.active):
+                self._arming.lower(now, why)
+        elif not self.lost:
+            self._arming.seek(self.readiness.complete, now)
+        self._tell(now)
+
+    def arm_now(self, now: float) -> None:
+        """A person wants it armed: done where all is ready, answered where it is not."""
+        if self.armed:
+            self._outputs.say("the plant is armed already", warning=True)
+        elif self.readiness.complete:
+            self._arming.arm(now)
+        else:
+            self._arming.prompt_anew()
+            sentence = f"not armed, still waiting for {self.readiness.awaited}: you are asked once all is ready"
+            self._outputs.say(sentence, warning=True)
+
+    def _tell(self, now: float) -> None:
+        condition, ready = self.condition, self.readiness.complete
+        hint = "" if self.armed or self.lost else self._arming.prompt(condition, ready, now)
+        if hint or self._told not in (None, condition):
+            self._outputs.say(f"plant: {condition}" + (f": {hint}" if hint else ""), warning=not self.armed)
+        self._told = condition

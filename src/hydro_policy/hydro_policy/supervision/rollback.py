@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which policy is good: the last that came through an examination. What fails goes back to it.
+
+learner's state ──propose──> candidate ──accept──> last good ──(best score)──> best, on disk
+                                 └────── stopped: roll_back to the last good one; after too many in a row: the end
+"""
+
+from __future__ import annotations
+
+from hydro_bridge.signals import FloatArray
+from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.supervision.learner_requests import RollingLearner
+
+
+class PolicyKeeper:
+    """Holds the last good state of the learner and counts how often it was needed.
+
+    Parameters
+    ----------
+    learner
+        Running.
+    rollbacks_max
+        Rollbacks in a row that are bearable.
+    best
+        The best state of the run that is continued, or None.
+    """
+
+    def __init__(self, learner: RollingLearner, rollbacks_max: int, best: bytes | None = None) -> None:
+        self._learner, self._max = learner, rollbacks_max
+        self._good, self._best = best, best
+        self._candidate: bytes | None = None
+        if best is not None:
+            learner.keep(best)
+        self.in_a_row = 0
+        """Rollbacks since a policy was last accepted."""
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether there were too many."""
+        return self.in_a_row > self._max
+
+    def start(self) -> None:
+        """What the run starts from is good until something better is known; call it when the learner is ready."""
+        if self._good is None:
+            self.propose()
+            self.accept()
+
+    def propose(self) -> FloatArray | None:
+        """Take the learner's present state as candidate; its actor's parameters, None if there is no state yet."""
+        self._candidate = self._learner.snapshot()
+        return None if self._candidate is None else actor_parameters(self._candidate)
+
+    def accept(self, best: bool = False) -> None:
+        """The candidate has come through, `best`: better than any before."""
+        if self._candidate is not None:
+            self._good = self._candidate
+            self._best = self._good if best else self._best
+            self._learner.keep(self._good)
+            self.in_a_row = 0
+
+    @property
+    def good(self) -> FloatArray | None:
+        """Parameters of the last good actor; None before there is one."""
+        return None if self._good is None else actor_parameters(self._good)
+
+    @property
+    def best(self) -> FloatArray | None:
+        """Parameters of the best actor so far; before any was said to be, of the last good one."""
+        return self.good if self._best is None else actor_parameters(self._best)
+
+    def roll_back(self) -> FloatArray | None:
+        """Go back; parameters of the actor that acts from now on, None if there never was a state."""
+        self.in_a_row += 1
+        if self._good is not None:
+            self._learner.roll_back()
+        return self.good

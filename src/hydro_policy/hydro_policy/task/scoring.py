@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What one run of an evaluation amounts to."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_bridge.signals import SAMPLE_PERIOD, StateArray
+from hydro_policy.task.step_aggregator import HELD
+
+
+@dataclass(frozen=True, kw_only=True)
+class Score:
+    """One run."""
+
+    controller: str
+    case: str
+    """Name of the reference."""
+    frequency: float
+    """Hz, of the reference (of a multisine: its slowest sine)."""
+    repeat: int
+    rmse: float = math.nan
+    """N; NaN if it was stopped."""
+    peak: float = math.nan
+    """N, largest |e|."""
+    chatter: float = math.nan
+    """A/s, RMS of u'."""
+    proportional_gain: float = math.nan
+    """1/s, mean that the box applied."""
+    integral_gain: float = math.nan
+    """1/s^2, mean that the box applied."""
+    lost: int = 0
+    """Samples that never arrived."""
+    held: int = 0
+    """Samples for which the box held base gains (stale correction or command)."""
+    stopped: str = ""
+    """Why the run came to no end: the box tripped, or the monitor stopped it; empty if it did not."""
+
+    @property
+    def tripped(self) -> bool:
+        """Whether it was stopped."""
+        return bool(self.stopped)
+
+
+@dataclass
+class Trace:
+    """The measured part of one run; time from 0."""
+
+    controller: str
+    case: str
+    frequency: float
+    states: StateArray  # shape (n,)
+
+
+def score(trace: Trace, repeat: int) -> Score:
+    """The figures of a run that came to its end."""
+    states = trace.states
+    error = states["reference_force"] - states["load_force"]
+    steps = np.diff(states["sequence"].astype(np.int64))
+    current_rate = np.diff(states["valve_current"]) / (steps * SAMPLE_PERIOD)
+    return Score(
+        controller=trace.controller,
+        case=trace.case,
+        frequency=trace.frequency,
+        repeat=repeat,
+        rmse=float(np.sqrt(np.mean(error**2))),
+        peak=float(np.abs(error).max()),
+        chatter=float(np.sqrt(np.mean(current_rate**2))),
+        proportional_gain=float(states["proportional_gain"].mean()),
+        integral_gain=float(states["integral_gain"].mean()),
+        lost=int((steps - 1).sum()),
+        held=int(np.count_nonzero(states["flags"] & HELD)),
+    )

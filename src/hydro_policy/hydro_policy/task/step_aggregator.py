@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From samples at 1 kHz to policy steps at 100 Hz, by sequence number: the policy runs on the plant's clock.
+
+sequence   ... 19 | 20 21 22 23 24 25 26 27 28 29 | 30 ...
+                    ^ step: observe, act            ^ step: reward of that action = mean over samples 21 to 30
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray
+from hydro_policy.task.mdp import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE, SAMPLES_PER_STEP
+
+HELD = int(Flag.WATCHDOG | Flag.FILTER_STALE)
+"""With one of these the box held base gains: what followed was not the action's doing."""
+
+VALVE_CURRENT = STATE_FIELDS.index("valve_current")
+
+
+@dataclass(frozen=True)
+class Step:
+    """A policy step: the sample to act upon and what came of the action before it."""
+
+    sample: FloatArray  # the step's own sample, order of STATE_FIELDS, shape (14,)
+    error: FloatArray  # e [N] of the samples since the last step, this one included, shape (n,)
+    error_rate: FloatArray  # e' [N/s], shape (n,)
+    current: FloatArray  # u [A] that the valve got, in a row: where samples are missing, only those after the gap
+    whole: bool  # every sample arrived, armed, and the box applied the gains it was given
+    held: int  # bits of HELD seen since the last step
+
+
+class StepClock:
+    """Collects samples; every tenth sequence number completes a step.
+
+    If exactly that sample is lost, the next one that arrives is the step: acting goes on, but the step is not `whole`.
+    """
+
+    def __init__(self) -> None:
+        self._errors: list[float] = []
+        self._rates: list[float] = []
+        self._currents: list[float] = []
+        self._last = -1
+        self._flags = 0
+        self._common = ~0
+        self._gap = True
+        self.lost = 0
+        """Sequence numbers that never arrived."""
+
+    def add(self, sequence: int, sample: FloatArray, flags: int) -> Step | None:
+        """Take a sample; returns the step that it completes, if any. One seen before is ignored."""
+        if sequence == self._last:
+            return None
+        if sequence != self._last + 1:
+            self._gap = True
+            self._currents.clear()  # across a gap their difference is no rate
+            self.lost += max(sequence - self._last - 1, 0) if self._last >= 0 else 0
+        block_changed = sequence // SAMPLES_PER_STEP != self._last // SAMPLES_PER_STEP
+        self._last = sequence
+        self._errors.append(float(sample[REFERENCE] - sample[LOAD_FORCE]))
+        self._rates.append(float(sample[REFERENCE_RATE] - sample[LOAD_FORCE_RATE]))
+        self._currents.append(float(sample[VALVE_CURRENT]))
+        self._flags |= flags
+        self._common &= flags
+        return self._complete(sample) if block_changed else None
+
+    def _complete(self, sample: FloatArray) -> Step:
+        held = self._flags & HELD
+        whole = not self._gap and len(self._errors) == SAMPLES_PER_STEP and not held and bool(self._common & Flag.ARMED)
+        error, rate, current = (np.array(values) for values in (self._errors, self._rates, self._currents))
+        step = Step(sample, error, rate, current, whole, held)
+        for values in (self._errors, self._rates, self._currents):
+            values.clear()
+        self._flags, self._common, self._gap = 0, ~0, False
+        return step

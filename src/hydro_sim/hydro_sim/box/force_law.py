@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The feedback-linearising force law (paper eq. q24, with the policy's gains eq. fl_rl).
+
+    u_nom = ( f_r' + K_p e + I  -  h(x_p, x_p') ) / g(x_p, p_a, p_b, sign u)
+
+    bumpless    I = int K_i e dt       the integrator carries a force rate: a new K_i changes its slope, not its value
+    paper       I = K_i int e dt       the integrator carries int e dt: a new K_i is a step of u_nom
+
+Both are the same for a constant K_i (docs/decisions/0031-bumpless-integral.md). On the nominal bench with perfect
+sensors e' = -K_p e - I (eq. q25). g is positive, so u has the sign of the numerator and the branch of g needs no
+iteration.
+"""
+
+from __future__ import annotations
+
+from numba import njit
+
+from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_sim.model import hydraulics
+
+BUMPLESS = INTEGRAL_FORMS.index("bumpless")
+"""Number of the form; any other is the paper's."""
+
+
+@njit(cache=True)
+def nominal_current(bench, measurement, error, integral_action, reference_rate, proportional_gain, gain_floor):
+    """u_nom [A] before correction and saturation.
+
+    Parameters
+    ----------
+    bench
+        Record of `BENCH_DTYPE`: what the box believes.
+    measurement
+        x, shape (8,), finite.
+    error
+        e = f_r - feedback [N].
+    integral_action
+        I [N/s] of `integral_action`.
+    reference_rate
+        f_r' [N/s].
+    proportional_gain
+        K_p + delta K_p [1/s].
+    gain_floor
+        Smallest g that is believed [N/s/A], above zero: near a chamber's limits g vanishes and the law would call for
+        any current.
+    """
+    position = min(max(measurement[6], 0.0), bench.stroke)
+    wanted_rate = reference_rate + proportional_gain * error + integral_action
+    driven_rate = wanted_rate - hydraulics.velocity_term(bench, position, measurement[7])
+    gain = hydraulics.input_gain(bench, position, measurement[4], measurement[5], driven_rate)
+    return driven_rate / max(gain, gain_floor)
+
+
+@njit(cache=True)
+def integral_action(form, integral, integral_gain):
+    """I [N/s] of what the integrator carries: itself, or in the paper's form K_i [1/s^2] times it [N s]."""
+    return integral if form == BUMPLESS else integral_gain * integral
+
+
+@njit(cache=True)
+def integrate(form, integral, error, integral_gain, unlimited_current, current, period):
+    """What the integrator carries after one period [s]: N/s, in the paper's form N s.
+
+    It stands still while K_i e would push a saturated current further out; with a negative K_i that is an error of the
+    other sign.
+    """
+    slope = integral_gain * error
+    if (unlimited_current - current) * slope > 0.0:
+        return integral
+    return integral + (slope if form == BUMPLESS else error) * period

@@ -1,0 +1,232 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled inside of `box.box`: one record each for settings, command and state, and what happens to them.
+
+The same compiled functions serve one call per millisecond and the offline loop: both give the same numbers to the bit.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from hydro_bridge.signals import Flag, Waveform
+from hydro_sim.box import force_law, reference
+from hydro_sim.timing import SAMPLE
+
+ARMED, SATURATED, WATCHDOG = int(Flag.ARMED), int(Flag.SATURATED), int(Flag.WATCHDOG)
+TRIPPED, SENSOR_FAULT = int(Flag.TRIPPED), int(Flag.SENSOR_FAULT)
+FORCE_LIMIT, FILTER_STALE = int(Flag.FORCE_LIMIT), int(Flag.FILTER_STALE)
+LAST_WAVEFORM = int(max(Waveform))
+
+_LIMITS = ("base_kp", "base_ki", "delta_kp_min", "delta_kp_max", "delta_ki_min", "delta_ki_max", "delta_u_max")
+_TIMES = ("load_force_limit", "hold_timeout", "trip_timeout", "gain_floor")
+SETTINGS_DTYPE = np.dtype(
+    [(name, np.float64) for name in _LIMITS + _TIMES]
+    + [("feedback_channel", np.int64), ("integral_form", np.int64)]
+    + [("low", np.float64, (8,)), ("high", np.float64, (8,))]
+)
+"""`BoxConfig` for compiled code; `integral_form` is its number in `serial.frames.INTEGRAL_FORMS`, `low` and
+`high` bound each entry of the measurement."""
+
+_COMMANDED = [("delta_kp", np.float64), ("delta_ki", np.float64), ("delta_u", np.float64)]
+COMMAND_DTYPE = np.dtype(
+    [("arm", np.bool_), ("filter_fresh", np.bool_), *_COMMANDED, ("reference", reference.SIGNAL_DTYPE)], align=True
+)
+STATE_DTYPE = np.dtype(
+    [("sequence", np.uint32), ("faults", np.uint32), ("refused", np.int64)]
+    + [(name, np.bool_) for name in ("arm_wanted", "disarm_seen", "armed", "tripped", "filter_fresh")]
+    + [*_COMMANDED, ("received_at", np.float64), ("integral", np.float64), ("reference", reference.REFERENCE_DTYPE)]
+    + [("armed_at", np.float64), ("excess", np.float64)],
+    align=True,
+)
+"""All that the box remembers; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
+faults that tripped it, `excess` [N] is by how much the load force stood beyond its limit when the box was armed."""
+
+RECOVERY = 1.0
+"""s after arming within which a load force that began beyond its limit must come back."""
+RECOVERY_MARGIN = 20.0
+"""N that such a force may rise at first: the load cell's noise and the oil's last swing."""
+
+
+@njit(cache=True)
+def reset(states):
+    """As after power-up; `states` of shape (1,)."""
+    state = states[0]
+    state.sequence, state.faults, state.refused = np.uint32(0), np.uint32(0), 0
+    state.arm_wanted = state.disarm_seen = state.armed = state.tripped = state.filter_fresh = False
+    state.delta_kp = state.delta_ki = state.delta_u = state.integral = 0.0
+    state.received_at = state.armed_at = -math.inf
+    state.excess = 0.0
+    state.reference.wanted.waveform, state.reference.wanted.amplitude, state.reference.wanted.offset = 0, 0.0, 0.0
+    state.reference.wanted.frequency, state.reference.wanted.phase = 1.0, 0.0
+    reference.begin(state.reference, 0.0, 0.0)
+
+
+@njit(cache=True)
+def receive(settings, states, commands, time):
+    """Take in a command at box time [s]; all arrays of shape (1,)."""
+    state, limits, command = states[0], settings[0], commands[0]
+    state.received_at = time
+    state.arm_wanted = command.arm
+    if not command.arm:
+        state.disarm_seen = True
+    state.filter_fresh = command.filter_fresh
+    state.delta_kp = _admitted(state, command.delta_kp, limits.delta_kp_min, limits.delta_kp_max)
+    state.delta_ki = _admitted(state, command.delta_ki, limits.delta_ki_min, limits.delta_ki_max)
+    state.delta_u = _admitted(state, command.delta_u, -limits.delta_u_max, limits.delta_u_max)
+    if _playable(command.reference, limits.high[limits.feedback_channel]):
+        reference.copy_signal(command.reference, state.reference.wanted)
+        if command.reference.waveform == reference.HOLD:
+            state.reference.wanted.frequency = 1.0  # it has none, whatever was sent: none reaches the derivative
+    else:
+        state.refused += 1
+
+
+@njit(cache=True)
+def _admitted(state, value, low, high):
+    """The value clamped, or zero if it is not finite; either is counted."""
+    if low <= value <= high:
+        return value
+    state.refused += 1
+    return min(max(value, low), high) if math.isfinite(value) else 0.0
+
+
+@njit(cache=True)
+def _playable(signal, force_range):
+    """Whether the reference stays within what the load cell can show [N]; false of anything that is not finite.
+
+    A HOLD has no frequency: its own may be any finite number.
+    """
+    levels = signal.amplitude >= 0.0 and signal.amplitude + abs(signal.offset) <= force_range
+    shape = 0 <= signal.waveform <= LAST_WAVEFORM and math.isfinite(signal.phase)
+    if signal.waveform == reference.HOLD:
+        return levels and shape and math.isfinite(signal.frequency)
+    return levels and shape and 0.0 < signal.frequency < 1.0 / SAMPLE
+
+
+@njit(cache=True)
+def tick(bench, settings, states, measurement, time, outputs):
+    """One sample: `measurement` x, shape (8,), at box time [s]; fills `outputs`, shape (1,), of BenchState."""
+    state, limits, output = states[0], settings[0], outputs[0]
+    late = _watch(state, limits, time)
+    _follow_disarm(state)
+    _check(state, limits, measurement, time)
+    _follow_arm(state, limits, measurement, time)
+    output.time, output.sequence = time, state.sequence
+    _show_measurement(measurement, output)
+    _show_gains(state, limits, late, output)
+    saturated = _control(bench[0], limits, state, measurement, late, time, output)
+    output.flags = _flags(state, late, saturated)
+    state.sequence = np.uint32(state.sequence + 1)
+
+
+@njit(cache=True)
+def _watch(state, limits, time):
+    """Whether commands are late; if they are gone for good, the box trips and wants to see a disarm."""
+    age = time - state.received_at
+    if age > limits.trip_timeout:
+        state.tripped = state.tripped or state.armed
+        state.arm_wanted = state.disarm_seen = False
+    return age > limits.hold_timeout
+
+
+@njit(cache=True)
+def _follow_disarm(state):
+    """A disarm that was seen ends a trip and forgets its causes; if one is still there, `_check` finds it again."""
+    if not state.arm_wanted:
+        state.armed = False
+        if state.disarm_seen:
+            state.tripped = False
+            state.faults = np.uint32(0)
+
+
+@njit(cache=True)
+def _check(state, limits, measurement, time):
+    """Trip on what cannot be or must not be; the causes stay until the disarm."""
+    for i in range(8):
+        if not limits.low[i] <= measurement[i] <= limits.high[i]:  # also true of NaN
+            state.faults |= np.uint32(SENSOR_FAULT)
+    if state.armed and abs(measurement[2]) > limits.load_force_limit + _allowance(state, time):
+        state.faults |= np.uint32(FORCE_LIMIT)
+    if state.faults != 0:
+        state.tripped = True
+
+
+@njit(cache=True)
+def _allowance(state, time):
+    """How far [N] the force may stand beyond its limit: as far as it did at arming, falling to zero within `RECOVERY`.
+
+    A closed valve holds the force that tripped the box, and only the armed loop can take it back.
+    """
+    return state.excess * max(0.0, 1.0 - (time - state.armed_at) / RECOVERY)
+
+
+@njit(cache=True)
+def _follow_arm(state, limits, measurement, time):
+    """Arm if the diagram in `hydro_sim.box.box` allows it: the reference then fades in from the measured force."""
+    if state.tripped:
+        state.armed = False
+    elif state.arm_wanted and not state.armed:
+        state.armed, state.tripped = state.disarm_seen, not state.disarm_seen
+        state.disarm_seen = False
+        state.integral = 0.0
+        beyond = abs(measurement[2]) - limits.load_force_limit
+        state.armed_at, state.excess = time, beyond + RECOVERY_MARGIN if beyond > 0.0 else 0.0
+        reference.begin(state.reference, measurement[limits.feedback_channel], time)
+
+
+@njit(cache=True)
+def _control(bench, limits, state, measurement, late, time, output):
+    """Reference, force law and saturation into `output`; whether the current stands at its limit."""
+    force = measurement[limits.feedback_channel]
+    output.valve_current = output.nominal_valve_current = 0.0
+    output.reference_force, output.reference_force_rate = force, 0.0
+    if not state.armed:
+        return False
+    wanted, wanted_rate = reference.advance(state.reference, time)
+    error = wanted - force
+    k_p, k_i = output.proportional_gain, output.integral_gain
+    action = force_law.integral_action(limits.integral_form, state.integral, k_i)
+    nominal = force_law.nominal_current(bench, measurement, error, action, wanted_rate, k_p, limits.gain_floor)
+    if not math.isfinite(nominal):  # nothing that was admitted leads here; the valve must not depend on that
+        state.armed, state.tripped = False, True
+        return False
+    unlimited = nominal if late else nominal + state.delta_u
+    current = min(max(unlimited, -bench.valve_current_max), bench.valve_current_max)
+    state.integral = force_law.integrate(limits.integral_form, state.integral, error, k_i, unlimited, current, SAMPLE)
+    output.valve_current, output.nominal_valve_current = current, nominal
+    output.reference_force, output.reference_force_rate = wanted, wanted_rate
+    return current != unlimited
+
+
+@njit(cache=True)
+def _show_measurement(measurement, output):
+    output.hydraulic_force, output.hydraulic_force_rate = measurement[0], measurement[1]
+    output.load_force, output.load_force_rate = measurement[2], measurement[3]
+    output.pressure_a, output.pressure_b = measurement[4], measurement[5]
+    output.piston_position, output.piston_velocity = measurement[6], measurement[7]
+
+
+@njit(cache=True)
+def _show_gains(state, limits, late, output):
+    """The gains in force: late commands leave the base gains."""
+    output.proportional_gain = limits.base_kp if late else limits.base_kp + state.delta_kp
+    output.integral_gain = limits.base_ki if late else limits.base_ki + state.delta_ki
+
+
+@njit(cache=True)
+def _flags(state, late, saturated):
+    flags = state.faults
+    if state.armed:
+        flags |= np.uint32(ARMED)
+    if saturated:
+        flags |= np.uint32(SATURATED)
+    if late:
+        flags |= np.uint32(WATCHDOG)
+    if state.tripped:
+        flags |= np.uint32(TRIPPED)
+    if late or not state.filter_fresh:
+        flags |= np.uint32(FILTER_STALE)
+    return flags

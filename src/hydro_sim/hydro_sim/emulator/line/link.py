@@ -1,0 +1,166 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The box's end of the serial line: states up, commands down, through a line that may be faulty. docs/protocol.md."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_bridge.serial.protocol import BoxInfo, CommandFrame, Frame, Hello, encode_hello, encode_state
+from hydro_bridge.serial.stream import Decoder
+from hydro_bridge.signals import Command
+from hydro_sim.emulator.line.faults import CHANCES, FaultyLine, LinkFaults
+from hydro_sim.emulator.line.terminal import Terminal
+
+_CIRCLE = 1 << 32  # sequence numbers
+
+
+@dataclass
+class LinkReport:
+    """What the box did on its line."""
+
+    sent: int = 0  # frames that went out whole
+    unheard: int = 0  # frames made while nobody had the port open
+    blocked: int = 0  # frames dropped because the reader was too slow
+    commands: int = 0  # commands taken
+    refused: int = 0  # commands whose sequence number is old or was there already
+    hellos: int = 0  # connections opened by a host
+
+
+class CommandOrder:
+    """Takes the commands of one conversation each once and in order; docs/protocol.md, Order of commands."""
+
+    def __init__(self) -> None:
+        self._newest: int | None = None
+
+    def accept(self, sequence: int) -> bool:
+        """Whether this sequence number is newer than all before, by half of the circle of 2^32 (RFC 1982)."""
+        if self._newest is not None and not 0 < (sequence - self._newest) % _CIRCLE < _CIRCLE // 2:
+            return False
+        self._newest = sequence
+        return True
+
+    def reset(self) -> None:
+        """A new conversation: its first command may have any number."""
+        self._newest = None
+
+
+class BoxLink:
+    """Serial line of the emulated box.
+
+    Parameters
+    ----------
+    terminal
+        The port.
+    info
+        What the box says about itself.
+    faults, seed
+        What goes wrong, and its chances' seed.
+    """
+
+    def __init__(self, terminal: Terminal, info: BoxInfo, faults: LinkFaults, seed: int = 0) -> None:
+        self.terminal = terminal
+        self.info = info
+        self.report = LinkReport()
+        self.decoder = Decoder()
+        up, down = np.random.default_rng(seed).spawn(2)
+        self.up, self.down = FaultyLine(faults, up), FaultyLine(faults, down)
+        self.last_command = 0
+        self._order = CommandOrder()
+        self._waiting: list[Frame] = []
+        self._hellos = 0
+        self._unwritten = b""
+        self._replug_at = 0.0
+        self._greeting = True
+
+    def set_faults(self, faults: LinkFaults) -> None:
+        """Change what goes wrong from now on."""
+        self.up.faults = self.down.faults = faults
+
+    def stall(self, seconds: float, now: float) -> None:
+        """Let nothing pass for `seconds` from `now` [s]."""
+        self.up.stall(now + seconds)
+        self.down.stall(now + seconds)
+
+    def unplug(self, seconds: float, now: float) -> None:
+        """Take the port away for `seconds` from `now` [s]."""
+        self.terminal.unplug()
+        self.up.clear()
+        self.down.clear()
+        self.decoder.reset()
+        self._waiting.clear()
+        self._unwritten = b""
+        self._replug_at = now + seconds
+
+    def reboot(self) -> None:
+        """The box was power-cycled: it greets anew and knows no command."""
+        self.last_command = 0
+        self._order.reset()
+        self._greeting = True
+
+    def poll(self, now: float) -> Command | None:
+        """Newest command that has arrived by `now` [s], if any; answers greetings, which disarm.
+
+        What comes behind a greeting in the same millisecond waits for the next: the disarm is not to be overtaken. A
+        greeting behind it makes it void: nothing piles up, however many come.
+        """
+        if not self.terminal.plugged:
+            if now < self._replug_at:
+                return None
+            self.terminal.plug()
+        data = self.down.carry(self.terminal.read(), now)
+        frames, self._waiting = [*self._waiting, *(self.decoder.feed(data) if data else ())], []
+        newest, greeted = None, False
+        for frame in frames:
+            if isinstance(frame, Hello) and frame.info is None:
+                self._order.reset()
+                self._greeting = greeted = True
+                self._waiting.clear()
+                self.report.hellos += 1
+            elif isinstance(frame, CommandFrame) and greeted:
+                self._waiting.append(frame)
+            elif isinstance(frame, CommandFrame) and self._order.accept(frame.sequence):
+                newest, self.last_command = frame.command, frame.sequence
+                self.report.commands += 1
+            elif isinstance(frame, CommandFrame):
+                self.report.refused += 1
+        return Command() if greeted else newest
+
+    def send(self, sample: np.void, now: float) -> None:
+        """Send one sample, a record of `STATE_DTYPE`, without ever waiting."""
+        if not self.terminal.opened:
+            self.report.unheard += 1
+            self._unwritten = b""
+            return
+        box_time, sequence, *values, flags = sample.item()
+        time_us = round(box_time * 1e6)
+        frame = encode_state(sequence, time_us, values, flags, self.last_command)
+        if self._greeting:
+            self._hellos += 1
+            self._greeting = False
+            frame = encode_hello(self._hellos, time_us, self.info) + frame
+        self._write(self.up.carry(frame, now))
+
+    def _write(self, data: bytes) -> None:
+        """A frame begun is finished before the next; a frame that finds the line full is dropped whole."""
+        if self._unwritten:
+            self._unwritten = self._unwritten[self.terminal.write(self._unwritten) :]
+        if not data:
+            return
+        if self._unwritten:
+            self.report.blocked += 1
+            return
+        self._unwritten = data[self.terminal.write(data) :]
+        self.report.sent += 1
+
+    def summary(self) -> str:
+        """One line on what passed and what went wrong on purpose."""
+        made = {name: self.up.counts[name] + self.down.counts[name] for name in CHANCES}
+        text = (
+            f"{self.report.sent} frames sent, {self.report.unheard} unheard, {self.report.blocked} blocked, "
+            f"{self.report.commands} commands taken, {self.report.refused} refused as old or repeated, "
+            f"{self.report.hellos} connections"
+        )
+        faults = ", ".join(f"{name} {count}" for name, count in made.items() if count)
+        return text + (f"; faults made: {faults}" if faults else "")

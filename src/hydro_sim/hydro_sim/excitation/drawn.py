@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random references and gains that visit the working range, drawn from a seed: what a training recording is made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log, pi
+
+import numpy as np
+
+from hydro_bridge.signals import Waveform
+from hydro_sim.excitation.schedules import Segment
+
+
+@dataclass(frozen=True, kw_only=True)
+class Range:
+    """What is drawn from. The defaults keep the nominal bench and the emulator's default truth from tripping."""
+
+    seconds: tuple[float, float] = (2.0, 6.0)
+    """s, of one segment."""
+    force_max: float = 440.0
+    """N, |offset| + amplitude, [1, 600]."""
+    offset_max: float = 220.0
+    """N, |offset|."""
+    force_rate_max: float = 4000.0
+    """N/s, peak of the reference's rate, [1, 2e4]."""
+    frequency: tuple[float, float] = (0.15, 4.0)
+    """Hz, drawn evenly on a logarithmic scale."""
+    kp: tuple[float, float] = (15.0, 75.0)
+    """1/s, what the guard lets through; the emulated bench is stable to about 120 in small motions, less in large
+    ones.
+    """
+    ki: tuple[float, float] = (5.0, 15.0)
+    """1/s^2, what the guard lets through."""
+
+
+SHARES = {Waveform.HOLD: 0.1, Waveform.SINE: 0.35, Waveform.MULTISINE: 0.4, Waveform.SMOOTH_STEP: 0.15}
+"""How often each waveform is drawn."""
+
+STEEPNESS = {Waveform.HOLD: 0.0, Waveform.SINE: 1.0, Waveform.MULTISINE: 1.8, Waveform.SMOOTH_STEP: 4.0}
+"""Peak rate of each waveform over amplitude times 2 pi frequency (hydro_sim.box.reference)."""
+
+
+def draw(seconds: float, seed: int, limits: Range | None = None) -> list[Segment]:
+    """A schedule of that length [s]; the same seed gives the same one."""
+    limits, generator = limits or Range(), np.random.default_rng(seed)
+    segments: list[Segment] = []
+    left = round(seconds, 3)
+    while left > 0.0:
+        length = round(float(generator.uniform(*limits.seconds)), 3)
+        segments.append(_segment(min(length, left), limits, generator))
+        left = round(left - segments[-1].seconds, 3)
+    return segments
+
+
+def _segment(seconds: float, limits: Range, generator: np.random.Generator) -> Segment:
+    waveform = list(SHARES)[int(generator.choice(len(SHARES), p=list(SHARES.values())))]
+    offset = generator.uniform(-limits.offset_max, limits.offset_max)
+    frequency = np.exp(generator.uniform(log(limits.frequency[0]), log(limits.frequency[1])))
+    steep = STEEPNESS[waveform] * 2.0 * pi * frequency
+    largest = min(limits.force_max - abs(offset), limits.force_rate_max / max(steep, 1e-9))
+    amplitude = generator.uniform(0.05, 1.0) * largest if waveform != Waveform.HOLD else 0.0
+    phase, kp, ki = generator.uniform(0.0, 2.0 * pi), generator.uniform(*limits.kp), generator.uniform(*limits.ki)
+    numbers = (round(float(number), 4) for number in (amplitude, offset, frequency, phase, kp, ki))
+    amplitude, offset, frequency, phase, kp, ki = numbers
+    return Segment(
+        seconds=seconds, waveform=waveform.name.lower(), amplitude=amplitude, offset=offset, frequency=frequency,
+        phase=phase, kp=kp, ki=ki,
+    )  # fmt: skip

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a learned file was made for, and in one sentence why it does not belong to a box that believes something else.
+
+Model, metric, policy and agent carry a `MadeFor` in their header, entry `made_for` of the JSON `hydro`::
+
+    box        digest of the bench.yaml that the box believed: what the force law takes for true, not what was simulated
+    model      digest of the learned bench's tensors, of a metric or of a policy trained on it; empty: none was used
+    base gains of the box, of policies and agents: their actions are changes to these
+    integral   form of the law's integral, where it is known
+
+A file without one fits nothing: nobody knows what for it was made. `ros2 run hydro_sim stamp` writes one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from math import isclose
+from pathlib import Path
+from typing import Any
+
+from hydro_bridge.errors import UserError
+from hydro_bridge.safety.box_info import KnownBox
+from hydro_sim.model.bench import Bench
+
+ENTRY = "made_for"
+"""Of a file's header."""
+
+
+class PairingError(UserError):
+    """Things that do not belong together; the message is one sentence that says which file or command would fit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MadeFor:
+    """What a file was made for."""
+
+    box: str
+    """`Bench.digest` of what the box believed."""
+    model: str = ""
+    """`weights.digest` of the learned bench that was used."""
+    base_kp: float | None = None
+    """1/s, of the box; None: it does not matter."""
+    base_ki: float | None = None
+    """1/s^2."""
+    integral: str = ""
+    """`bumpless` or `paper`; empty: not known, or it does not matter."""
+    any_bench: bool = False
+    """Trained on many drawn benches: for any of them whose box has these base gains."""
+
+    def to_header(self) -> dict[str, Any]:
+        """As JSON types."""
+        return asdict(self)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Believed:
+    """What a box believes, as far as it is known where something is to be paired with it."""
+
+    digest: str
+    """Empty: not known."""
+    source: str
+    """Where that stands, for people."""
+    base_gains: tuple[float, float] | None = None
+    """K_p [1/s], K_i [1/s^2]; None: not known."""
+    integral: str = ""
+
+    @classmethod
+    def of_file(cls, path: str | Path | None, base_gains: tuple[float, float] | None = None) -> Believed:
+        """Of a box that believes this bench.yaml; None: the nominal one."""
+        bench = Bench.load(path) if path else Bench.nominal()
+        return cls(digest=bench.digest, source=str(path or "bench.yaml of hydro_sim"), base_gains=base_gains)
+
+    @classmethod
+    def of_box(cls, box: KnownBox) -> Believed:
+        """Of a box that runs."""
+        source = f"/hydro/box of {box.plant or 'the plant'}"
+        return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=box.integral)
+
+    @property
+    def told(self) -> str:
+        """For sentences."""
+        return f"{self.digest} ({self.source})"
+
+
+def made_for(header: Mapping[str, Any]) -> MadeFor | None:
+    """What a file's header says; None where it says nothing that is understood."""
+    try:
+        return MadeFor(**header[ENTRY])
+    except (KeyError, TypeError):
+        return None
+
+
+def unfit(thing: str, made: MadeFor | None, box: Believed, remedy: str, *, model: str | None = None) -> str:
+    """Why `thing` does not belong to this box, in one sentence that ends with the remedy; empty where it does.
+
+    Parameters
+    ----------
+    thing
+        What is to be paired, by kind and file: "the metric own.safetensors".
+    made
+        What it was made for.
+    box
+        What the box believes. What is not known of it is not compared.
+    remedy
+        What to do instead.
+    model
+        Digest of the learned bench that is used with it; None: it is used with none.
+    """
+    if made is None:
+        stamp = "or write it into the file with `ros2 run hydro_sim stamp` if you know it"
+        return f"{thing} does not say which bench it was made for: {remedy}, {stamp}"
+    if box.digest and made.box != box.digest and not made.any_bench:
+        return f"{thing} was made for bench {made.box}, the box believes {box.told}: {remedy}"
+    if model is not None and made.model != model:
+        return f"{thing} was made for model {made.model or 'none'}, it is to be used with model {model}: {remedy}"
+    for name, mine, theirs in zip(("K_p", "K_i"), (made.base_kp, made.base_ki), box.base_gains or (), strict=False):
+        if mine is not None and not isclose(mine, theirs, rel_tol=1e-6, abs_tol=1e-9):
+            return f"{thing} was made for a box with base {name} {mine:g}, this one has {theirs:g}: {remedy}"
+    if box.integral and made.integral and box.integral != made.integral:
+        return f"{thing} was made for the {made.integral} integral, the box runs the {box.integral} one: {remedy}"
+    return ""
+
+
+def refuse(trouble: str) -> None:
+    """Raise PairingError if there is any."""
+    if trouble:
+        raise PairingError(trouble)

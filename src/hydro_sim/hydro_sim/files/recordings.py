@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Recordings as training sees them: unbroken runs of x and u, split by recording and by time, never by sample."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from hydro_bridge.bags.recording import objects, read_bag
+from hydro_bridge.files import bench_file
+from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
+
+BOX_TOPIC, BENCH_FILE = "/hydro/box", "bench.yaml"
+"""Where a recording says what its box believed: the topic, and before there was one, the attachment."""
+
+SHORTEST = 2000
+"""Samples; a shorter run is left out."""
+
+READING_COLUMNS = (0, 2, 4, 5, 6)
+"""Columns of x that sensors give; the others the box makes of them."""
+
+
+class DataError(ValueError):
+    """Recordings cannot be trained on; the message is one sentence."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Run:
+    """Successive samples without a gap: u[k] is held from x[k] to x[k + 1]."""
+
+    name: str
+    """Of the recording."""
+    x: FloatArray
+    """Shape (n, 8), measured, SI units."""
+    u: FloatArray
+    """Shape (n,), A."""
+    first: int = 0
+    """Index of x[0] in the recording."""
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    @property
+    def readings(self) -> FloatArray:
+        """The five readings, shape (n, 5)."""
+        return np.ascontiguousarray(self.x[:, READING_COLUMNS])
+
+    def part(self, begin: int, end: int) -> Run:
+        """Samples begin:end."""
+        return Run(name=self.name, x=self.x[begin:end], u=self.u[begin:end], first=self.first + begin)
+
+
+def digest(states: StateArray) -> str:
+    """SHA-256 of a recording's samples: sequence, x and u."""
+    sha = hashlib.sha256(np.ascontiguousarray(states["sequence"]).tobytes())
+    sha.update(matrix(states, (*PLANT_FIELDS, "valve_current")).tobytes())
+    return sha.hexdigest()
+
+
+def runs(name: str, states: StateArray) -> list[Run]:
+    """The unbroken runs of a recording, long enough to use, sensors whole."""
+    x, u = matrix(states), np.ascontiguousarray(states["valve_current"])
+    good = np.isfinite(x).all(axis=1) & np.isfinite(u) & ((states["flags"] & Flag.SENSOR_FAULT) == 0)
+    joined = good[1:] & good[:-1] & (np.diff(states["sequence"]).view(np.int32) == 1)
+    edges = np.flatnonzero(~np.concatenate(([False], joined, [False])))
+    found = [Run(name=name, x=x[a:b], u=u[a:b], first=int(a)) for a, b in pairwise(edges)]
+    return [run for run in found if len(run) >= SHORTEST and good[run.first]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Data:
+    """What a model is trained on and stopped by."""
+
+    training: list[Run]
+    validation: list[Run]
+    digests: dict[str, str]
+    """SHA-256 of each recording's samples, by name."""
+
+
+def load(paths: Sequence[str | Path]) -> dict[str, StateArray]:
+    """States of recordings by name; raises hydro_bridge.bags.recording.RecordingError."""
+    return {Path(path).name: read_bag(path).state for path in paths}
+
+
+def believed(paths: Sequence[str | Path]) -> str:
+    """Digest of the bench.yaml that the box believed in these recordings; empty where none says.
+
+    Raises
+    ------
+    DataError
+        They are of boxes that believed different benches: one model cannot be for both.
+    """
+    said = {str(path): _believed(path) for path in paths}
+    found = {name: digest for name, digest in said.items() if digest}
+    if len(set(found.values())) > 1:
+        told = ", ".join(f"{digest} in {name}" for name, digest in found.items())
+        raise DataError(f"the recordings are of boxes that believed different benches ({told}): learn from one bench's")
+    return next(iter(found.values()), "")
+
+
+def _believed(path: str | Path) -> str:
+    recording = read_bag(path, topics=())
+    if BOX_TOPIC in recording.topics:
+        return str([message for _, message in objects(path, BOX_TOPIC)][-1].bench_digest)
+    try:
+        return bench_file.digest(yaml.safe_load(recording.attachments[BENCH_FILE]))
+    except (KeyError, AttributeError, TypeError, ValueError, yaml.YAMLError):
+        return ""
+
+
+def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:
+    """Training and validation runs.
+
+    With three recordings or more the last one validates. With fewer, the last `share` of each run's time does, `gap`
+    samples
+    after where training ends. What a model is judged by in the end is another recording: `validate`.
+
+    Raises
+    ------
+    DataError
+        If no run is long enough.
+    """
+    digests = {name: digest(states) for name, states in recordings.items()}
+    found = {name: runs(name, states) for name, states in recordings.items()}
+    names = [name for name in found if found[name]]
+    if not names:
+        raise DataError(f"no recording has {SHORTEST} samples in a row: check them with the bridge's own tools")
+    if len(names) >= 3:
+        training = [run for name in names[:-1] for run in found[name]]
+        return Data(training=training, validation=found[names[-1]], digests=digests)
+    training, validation = [], []
+    for run in (run for name in names for run in found[name]):
+        end = round((1.0 - share) * len(run))
+        training.append(run.part(0, end))
+        validation.append(run.part(min(end + gap, len(run) - SHORTEST // 2), len(run)))
+    return Data(training=training, validation=validation, digests=digests)

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Say what a model, metric, policy or agent was made for, in files of before there were stamps.
+
+ros2 run hydro_sim stamp FILE...                                       what they say
+ros2 run hydro_sim stamp FILE... --bench own.yaml [--model WEIGHTS]    write what they were made with
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
+from hydro_bridge.files.atomic import write_whole
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import MadeFor, made_for
+from hydro_sim.files.stamping import header_of, stamped
+from hydro_sim.model.bench import Bench
+
+COLUMNS = {
+    "file": "",
+    "box": "digest of the bench.yaml that the box believed; empty: the file does not say",
+    "model": "digest of the learned bench that was used",
+    "base_kp": "1/s, of the box",
+    "base_ki": "1/s^2, of the box",
+    "integral": "",
+    "any_bench": "whether it is for any bench",
+}
+
+
+@command(ValueError)
+def main() -> None:
+    """Entry point."""
+    options = parser().parse_args(sys.argv[1:])
+    made, table = _asked(options), Table(COLUMNS)
+    for path in options.files:
+        blob = path.read_bytes()
+        try:
+            header = header_of(blob)
+            if made is not None:
+                write_whole(path, stamped(blob, made))
+        except ValueError as error:
+            raise UserError(f"{path} is no model, metric, policy or agent: {error}") from error
+        said = made or made_for(header)
+        table.add(file=str(path), **(MadeFor(box="") if said is None else said).to_header())
+    table.show(options.json)
+
+
+def parser() -> argparse.ArgumentParser:
+    """The command line."""
+    result = argparse.ArgumentParser(
+        prog="stamp", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    result.add_argument("files", nargs="+", type=Path, metavar="FILE", help="safetensors files of ours")
+    result.add_argument("--bench", metavar="FILE|nominal", help="bench.yaml that the box believed: write it into them")
+    result.add_argument("--model", metavar="FILE|shipped", help="weights of the learned bench that was used")
+    result.add_argument(
+        "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box; policies and agents have them"
+    )
+    result.add_argument("--integral", choices=("bumpless", "paper"), default="", help="form of the law's integral")
+    result.add_argument("--any-bench", action="store_true", help="trained with --randomise")
+    add_json_argument(result)
+    return result
+
+
+def _asked(options: argparse.Namespace) -> MadeFor | None:
+    """The stamp to write; None: only show."""
+    if not options.bench:
+        if options.model or options.base_gains or options.integral or options.any_bench:
+            raise UserError("a stamp needs --bench: what the box believed")
+        return None
+    bench = Bench.nominal() if options.bench == "nominal" else Bench.load(options.bench)
+    model = weights.shipped() if options.model == "shipped" else options.model
+    kp, ki = options.base_gains or (None, None)
+    return MadeFor(
+        box=bench.digest, model=weights.digest(model) if model else "", base_kp=kp, base_ki=ki,
+        integral=options.integral, any_bench=options.any_bench,
+    )  # fmt: skip

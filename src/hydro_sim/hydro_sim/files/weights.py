@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Weights on disk: a safetensors file of a few kB whose header says in JSON what they are. Never pickle.
+
+The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state,
+normalization,
+region of training, `made_for` (`files.pairing`), and `training`: recordings with digests, command, seed, settings,
+code version, errors reached.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save as serialize
+
+from hydro_bridge.files import bench_file
+from hydro_bridge.files.tensors import UnsoundError, check_numbers
+from hydro_bridge.signals import FloatArray
+from hydro_sim.files.pairing import ENTRY, MadeFor
+
+FORMAT = 1
+Tensors = dict[str, FloatArray]
+
+
+class WeightsError(ValueError):
+    """A file holds no weights of a learned bench; the message is one sentence."""
+
+
+def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
+    """Write tensors, header and what they were made for; missing folders are made."""
+    if made is not None:
+        header = {**header, ENTRY: made.to_header()}
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
+    content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})
+    Path(path).write_bytes(content)
+
+
+def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
+    """Tensors and header of a weights file.
+
+    Raises
+    ------
+    WeightsError
+        If the file is missing, is no safetensors file, is not of this format, or holds numbers that are none.
+    """
+    try:
+        with safe_open(str(path), framework="numpy") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
+    except (OSError, SafetensorError) as error:
+        reason = "there is no such file" if not Path(path).exists() else " ".join(str(error).split())
+        raise WeightsError(f"{path} cannot be read as weights: {reason}") from error
+    try:
+        header = json.loads(metadata["hydro"])
+        kind = (header["format"], header["structure"])
+    except (KeyError, TypeError, ValueError) as error:
+        raise WeightsError(
+            f"{path} holds no weights of a learned bench: its header has no readable entry 'hydro'"
+        ) from error
+    if kind[0] != FORMAT:
+        raise WeightsError(f"{path} is of format {kind[0]}, this version reads format {FORMAT}: train the model anew")
+    try:
+        check_numbers(tensors)
+    except UnsoundError as error:
+        raise WeightsError(f"{path} is damaged: {error}") from None
+    return tensors, header
+
+
+def shipped() -> Path:
+    """The weights that come with this package."""
+    return Path(str(resources.files("hydro_sim") / "data" / "default_weights.safetensors"))
+
+
+def digest(path: str | Path) -> str:
+    """SHA-256 of a file's tensors, its first digits: a stamp or a note in the header makes no other model of it.
+
+    Raises
+    ------
+    WeightsError
+        See `load`.
+    """
+    tensors, _ = load(path)
+    sha = hashlib.sha256()
+    for name in sorted(tensors):
+        sha.update(f"{name} {tensors[name].dtype} {tensors[name].shape}".encode())
+        sha.update(np.ascontiguousarray(tensors[name]).tobytes())
+    return sha.hexdigest()[: bench_file.DIGITS]

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The analytic plant of `hydro_sim.model.hydraulics` rolled out in batches: what a learned model is compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.files.recordings import Run
+from hydro_sim.model import hydraulics
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects.catalogue import label
+from hydro_sim.model.sensors import Sensors
+from hydro_sim.structured.integration import STATES
+from hydro_sim.structured.model import first_guess
+from hydro_sim.structured.rollout import differentiate, show
+
+
+def left_out(bench: Bench) -> str:
+    """A sentence that names the bench file's effects, which predictions from the middle of a run leave out.
+
+    What has a past (spool, bristles, a dead time) cannot start there from a measurement. Closed-loop simulations start
+    at rest and leave nothing out: `hydro_sim.model.plant.AnalyticPlant`.
+    """
+    names = ", ".join(map(label, bench.effects))
+    return f"of the bench file's effects the analytic model's predictions leave out {names}" if names else ""
+
+
+class AnalyticModel:
+    """The equations with the bench file's values.
+
+    States are the structured model's, shape (n, 12), as far as they exist.
+    """
+
+    def __init__(self, bench: Bench) -> None:
+        self.constants = bench.constants()
+        record = Sensors().constants()[0]
+        self.memories = np.array([record["force_memory"], record["velocity_memory"]])
+
+    def estimate(self, run: Run) -> FloatArray:
+        """The measurements themselves."""
+        return first_guess(run, np.arange(len(run)))
+
+    def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
+        """x, shape (n, H, 8), under currents [A], shape (n, H)."""
+        return np.asarray(_rollout(self.constants, self.memories, starts, np.ascontiguousarray(currents)))
+
+
+@njit(cache=True)
+def _read(bench, y, reading):
+    reading[0] = hydraulics.hydraulic_force(bench, y[0], y[1])
+    reading[1], reading[2], reading[3], reading[4] = y[4], y[0], y[1], y[2]
+
+
+@njit(cache=True, parallel=True)
+def _rollout(constants, memories, starts, currents):
+    n, horizon = currents.shape
+    measured = np.empty((n, horizon, 8))
+    for k in prange(n):
+        y, before, after = np.empty(hydraulics.STATES), np.empty(5), np.empty(5)
+        y[:4], y[4:6] = starts[k, :4], starts[k, 6:8]
+        rates = starts[k, STATES:].copy()
+        _read(constants[0], y, before)
+        for h in range(horizon):
+            hydraulics.advance(constants[0], y, currents[k, h], hydraulics.SAMPLE, hydraulics.SUBSTEPS)
+            _read(constants[0], y, after)
+            differentiate(memories, before, after, rates)
+            show(after, rates, measured[k, h])
+            before[:] = after
+    return measured

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ros2 run hydro_sim validate BAG...: the paper's Table rmse_model for a learned bench, beside the analytic one."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.cli.console import Table as ConsoleTable
+from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
+from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray, matrix
+from hydro_sim.files import recordings
+from hydro_sim.files.pairing import Believed, refuse, unfit
+from hydro_sim.files.weights import WeightsError, shipped
+from hydro_sim.identification import curves, evaluation
+from hydro_sim.identification.analytic import AnalyticModel, left_out
+from hydro_sim.identification.evaluation import Errors, Scales, Scored
+from hydro_sim.identification.objectives import SETTLED
+from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.hydraulics import SAMPLE
+from hydro_sim.structured.model import StructuredModel
+
+COLUMNS = {
+    "state": "entry of x (eq. state_def)",
+    "unit": "of rmse and noise",
+    "learned": "normalized RMSE of the predictions, over the standard deviation of the state",
+    "analytic": "the same of the analytic model, from the same start states",
+    "learned_range": "over the range (largest minus smallest) instead",
+    "analytic_range": "the same of the analytic model",
+    "rmse": "RMSE of the learned model",
+    "recorded": "RMSE against the recording, noise included",
+    "noise": "RMS of the recording's noise: what a perfect model would leave; nan without a noise-free log",
+    "ratio": "recorded / noise",
+}
+LONGEST = 5000  # samples of the longest horizon
+BINS = 8
+
+
+@command(WeightsError, ValueError)
+def main() -> None:
+    """Entry point."""
+    options = _arguments()
+    learned = Learned.load(options.model)
+    path = Path(options.model or shipped())
+    remedy = "name the bench.yaml of its box by --bench"
+    refuse(unfit(f"the model {path.name}", learned.made, Believed.of_file(options.bench), remedy))
+    scored = _scored(options.bags, options.noise_free)
+    if options.horizon > (room := _longest(scored)):
+        raise UserError(f"--horizon {options.horizon}: the shortest stretch without a gap has room for {room} samples")
+    bench = Bench.load(options.bench) if options.bench else Bench.nominal()
+    if left_out(bench):
+        print(left_out(bench), file=sys.stderr)
+    states = [learned.model.estimate(item.run) for item in scored]
+    analytic = AnalyticModel(bench)
+    same = isinstance(learned.model, StructuredModel)
+    analytic_states = states if same else [analytic.estimate(item.run) for item in scored]
+    table = table_of(learned, states, analytic, analytic_states, scored, options.horizon, options.stride)
+    table.show(options.json)
+    _long(learned, states, analytic, analytic_states, scored, Path(options.plots) if options.plots else None)
+
+
+def table_of(
+    learned: Learned, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
+    scored: list[Scored], horizon: int, stride: int,
+) -> ConsoleTable:  # fmt: skip
+    """Table rmse_model, a row per state."""
+    how: dict[str, Any] = {"horizon": horizon, "stride": stride}
+    clean = evaluation.judge(learned.model, states, scored, recorded=False, **how)
+    noisy = evaluation.judge(learned.model, states, scored, recorded=True, **how)
+    other = evaluation.judge(analytic, analytic_states, scored, recorded=False, **how)
+    scales = Scales.of(np.concatenate([item.reference for item in scored]))
+    floor = evaluation.noise_floor(scored)
+    noise = np.full(8, np.nan) if floor is None else floor
+    judged = "recordings" if floor is None else "noise-free log"
+    table = ConsoleTable(
+        COLUMNS, title=f"{horizon}-sample predictions, {len(clean.by_window)} windows, against the {judged}"
+    )
+    for i, name in enumerate(PLANT_FIELDS):
+        table.add(
+            state=name, unit=curves.SI_UNITS[i], learned=float(clean.rmse[i] / scales.std[i]),
+            analytic=float(other.rmse[i] / scales.std[i]), learned_range=float(clean.rmse[i] / scales.span[i]),
+            analytic_range=float(other.rmse[i] / scales.span[i]), rmse=float(clean.rmse[i]),
+            recorded=float(noisy.rmse[i]), noise=float(noise[i]), ratio=float(noisy.rmse[i] / noise[i]),
+        )  # fmt: skip
+    return table
+
+
+def _long(
+    learned: Learned, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
+    scored: list[Scored], plots: Path | None,
+) -> None:  # fmt: skip
+    """Horizon curves, errors by region, and a free run: said, and drawn into the folder if there is one."""
+    longest = min(LONGEST, _longest(scored))
+    how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
+    mine = evaluation.judge(learned.model, states, scored, **how)
+    theirs = evaluation.judge(analytic, analytic_states, scored, **how)
+    for horizon in (1, 10, 70, 200, 1000, longest):
+        print(f"after {horizon / 1e3:g} s: f_l off by {mine.by_time[horizon - 1, 2]:.3g} N "
+              f"(analytic {theirs.by_time[horizon - 1, 2]:.3g} N)")  # fmt: skip
+    item, start = scored[0], states[0]
+    begin = SETTLED
+    free = learned.model.predict(start[begin : begin + 1], item.run.u[None, begin:-1])[0]
+    other = analytic.predict(analytic_states[0][begin : begin + 1], item.run.u[None, begin:-1])[0]
+    reference = item.reference[begin + 1 :]
+    deviation = free[:, 2] - reference[:, 2]
+    print(f"free run of {len(free) / 1e3:g} s: f_l off by {np.sqrt(np.mean(deviation**2)):.3g} N RMS, "
+          f"{np.abs(deviation).max():.3g} N at most; "
+          f"{'finite throughout' if np.isfinite(free).all() else 'NOT finite'}")  # fmt: skip
+    if plots is None:
+        return
+    horizons = np.unique(np.geomspace(1, longest, 60).astype(int))
+    rows = horizons - 1
+    noise = evaluation.noise_floor(scored)
+    curves.draw_horizons(horizons, mine.by_time[rows], theirs.by_time[rows], noise, plots / "horizons.png")
+    curves.draw_free_run(SAMPLE * np.arange(len(free)), reference, free, other, plots / "free_run.png")
+    short = evaluation.judge(learned.model, states, scored, recorded=False, horizon=70, stride=37)
+    _regions(short, scored, plots / "regions.png")
+
+
+def _longest(scored: list[Scored]) -> int:
+    """Samples of the longest prediction that fits into every run."""
+    return min(len(item.run) for item in scored) - SETTLED - 2
+
+
+def _regions(short: Errors, scored: list[Scored], path: Path) -> None:
+    starts = [item.run.x[evaluation.window_starts(item.run, 70, 37)] for item in scored]
+    x, error = np.concatenate(starts), short.by_window[:, 2]
+    coordinates = {"load force [N]": x[:, 2], "piston velocity [m/s]": x[:, 7], "pressure A [MPa]": 1e-6 * x[:, 4]}
+    edges, values = [], []
+    for values_of in coordinates.values():
+        edge = np.linspace(values_of.min(), values_of.max(), BINS + 1)
+        bins = np.clip(np.digitize(values_of, edge) - 1, 0, BINS - 1)
+        squares = [error[bins == k] ** 2 for k in range(BINS)]
+        values.append(np.array([np.sqrt(square.mean()) if len(square) else 0.0 for square in squares]))
+        edges.append(edge)
+    curves.draw_regions(np.array(edges), np.array(values), list(coordinates), path)
+
+
+def _scored(bags: list[str], logs: list[str] | None) -> list[Scored]:
+    if logs and len(logs) != len(bags):
+        raise UserError(f"{len(logs)} noise-free logs for {len(bags)} recordings: give one for each, in their order")
+    scored = []
+    for index, (name, states) in enumerate(recordings.load(bags).items()):
+        truth = _aligned(logs[index], states) if logs else None
+        for run in recordings.runs(name, states):
+            part = None if truth is None else truth[run.first : run.first + len(run)]
+            if len(run) > SETTLED + 2 * recordings.SHORTEST:
+                scored.append(Scored(run=run, truth=part))
+    if not scored:
+        raise UserError("no recording has five seconds without a gap to predict")
+    return scored
+
+
+def _aligned(path: str, states: StateArray) -> FloatArray:
+    """The noise-free log's x at the recording's sequence numbers, shape (n, 8)."""
+    try:
+        log = np.load(path)["noise_free"]
+        order = {int(sequence): index for index, sequence in enumerate(log["sequence"])}
+        return matrix(log[[order[int(sequence)] for sequence in states["sequence"]]])
+    except (OSError, KeyError, ValueError) as error:
+        raise UserError(f"{path} is no noise-free log of this recording: {error}") from error
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="validate", description="Judge a learned bench on held-out recordings.")
+    parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings that it was not trained on")
+    parser.add_argument("--model", metavar="WEIGHTS", help="the shipped ones by default")
+    parser.add_argument(
+        "--noise-free", nargs="+", metavar="NPZ", help="the emulator's noise-free logs, for scoring only"
+    )
+    parser.add_argument("--bench", metavar="FILE", help="bench.yaml of the analytic model; the shipped one by default")
+    parser.add_argument("--horizon", type=int, default=70, help="samples predicted")
+    parser.add_argument("--stride", type=int, default=37, help="samples between the starts of predictions")
+    parser.add_argument(
+        "--plots", type=writable_folder, metavar="DIR", help="draw horizon curves, errors by region and a free run"
+    )
+    add_json_argument(parser)
+    options = parser.parse_args()
+    if not 1 <= options.horizon <= LONGEST:
+        parser.error(f"--horizon {options.horizon}: 1 to {LONGEST} samples are meant")
+    if options.stride < 1:
+        parser.error(f"--stride {options.stride}: 1 sample or more is meant")
+    return options

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A box and a plant put together without a graph, as fast as they go, with the nodes' numbers to the bit.
+
+::
+
+    k:   receive(command_k)   tick(x_k) -> u_k, BenchState_k   plant holds u_k -> x_{k+1}
+
+The analytic plant runs in one compiled loop; any other `Plant` runs the same compiled box sample by sample.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from hydro_bridge.signals import STATE_DTYPE, Command, Flag, FloatArray, ReferenceSignal, StateArray
+from hydro_sim.box import kernel as box_kernel
+from hydro_sim.box.box import Box, BoxConfig, fill_command
+from hydro_sim.model import plant as plants
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedule:
+    """What is commanded over a run."""
+
+    reference: ReferenceSignal
+    gains: FloatArray | tuple[float, float]
+    """K_p [1/s] and K_i [1/s^2] in force: one pair, or shape (policy steps, 2) at 100 Hz, the last pair held on."""
+    seconds: float
+    """s, length of the run."""
+    correction: FloatArray | None = None
+    """delta_u [A] per sample, shape (samples,); None: none, and flagged FILTER_STALE as on the bench."""
+
+    @property
+    def samples(self) -> int:
+        """Box samples of the run."""
+        return round(self.seconds / SAMPLE)
+
+
+def simulate(
+    plant: Plant, bench: Bench, schedule: Schedule, *, config: BoxConfig | None = None, seed: int = 0
+) -> StateArray:
+    """One armed run from rest.
+
+    Parameters
+    ----------
+    plant
+        Reset with `seed`, then stepped.
+    bench
+        What the box believes; the plant may be another.
+    schedule
+        Reference, gains and correction.
+    config
+        Settings of the box.
+    seed
+        Of the plant's noise.
+
+    Returns
+    -------
+    Records of `STATE_DTYPE`, shape (schedule.samples,), time from 0.
+
+    Raises
+    ------
+    ValueError
+        If the schedule's shapes are wrong.
+    """
+    box = Box(bench, config)
+    gains, correction = _changes(schedule, box.config)
+    box.receive(Command(), 0.0)
+    measurement = plant.reset(seed)
+    if isinstance(plant, AnalyticPlant):
+        return _compiled(plant, box, schedule, gains, correction)
+    output = np.zeros(schedule.samples, STATE_DTYPE)
+    for k in range(schedule.samples):
+        delta_kp, delta_ki = gains[min(k // POLICY_SAMPLES, len(gains) - 1)]
+        command = Command(
+            arm=True,
+            delta_kp=float(delta_kp),
+            delta_ki=float(delta_ki),
+            delta_u=float(correction[k]) if len(correction) else 0.0,
+            reference=schedule.reference,
+            filter_fresh=len(correction) > 0,
+        )
+        box.receive(command, k * SAMPLE)
+        output[k] = box.tick(measurement, k * SAMPLE)
+        if getattr(plant, "extrapolating", False):  # a learned plant outside of what it was trained on
+            output["flags"][k] |= Flag.EXTRAPOLATING
+        measurement = plant.step(float(output["valve_current"][k]))
+    return output
+
+
+def _compiled(
+    plant: AnalyticPlant, box: Box, schedule: Schedule, gains: FloatArray, correction: FloatArray
+) -> StateArray:
+    command = np.zeros(1, box_kernel.COMMAND_DTYPE)
+    fill_command(command, Command(arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0))
+    output = np.zeros(schedule.samples, STATE_DTYPE)
+    noise = plant.noise.rows(schedule.samples)
+    records = (plant.constants, plant.sensors, plant.state, box.bench, box.settings, box.state, command)
+    _loop(*records, gains, correction, noise, output)
+    return output
+
+
+@njit(cache=True)
+def _loop(constants, sensors, plant_state, bench, settings, box_state, command, gains, correction, noise, output):
+    for k in range(len(output)):
+        row = min(k // POLICY_SAMPLES, len(gains) - 1)
+        command[0].delta_kp, command[0].delta_ki = gains[row, 0], gains[row, 1]
+        if len(correction) > 0:
+            command[0].delta_u = correction[k]
+        box_kernel.receive(settings, box_state, command, k * SAMPLE)
+        box_kernel.tick(bench, settings, box_state, plant_state[0].x, k * SAMPLE, output[k : k + 1])
+        plants.advance(constants, sensors, plant_state, noise[k], output[k].valve_current)
+
+
+def _changes(schedule: Schedule, config: BoxConfig) -> tuple[FloatArray, FloatArray]:
+    """Gain changes against the box's base gains, shape (rows, 2), and the correction, shape (samples,) or (0,)."""
+    gains = np.atleast_2d(np.asarray(schedule.gains, np.float64))
+    if gains.ndim != 2 or gains.shape[1] != 2 or len(gains) == 0:
+        raise ValueError(f"gains of shape {gains.shape} are neither a pair nor (policy steps, 2)")
+    correction: npt.NDArray[np.float64] = np.empty(0)
+    if schedule.correction is not None:
+        correction = np.ascontiguousarray(schedule.correction, np.float64)
+        if correction.shape != (schedule.samples,):
+            raise ValueError(f"correction of shape {correction.shape} for {schedule.samples} samples")
+    return np.ascontiguousarray(gains - (config.base_kp, config.base_ki)), correction

@@ -1,0 +1,202 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A box and a plant that run by themselves: what the sim node is behind its topics, without ROS.
+
+One thread runs `run`, a sample at a time: ask the guard, tick the box, hand the sample on, step the plant. Other
+threads tell the guard what is wanted (under `lock`), `arm`, and report corrections and gains. The bridge's `Link` is
+its counterpart.
+
+======== ==========================================================================================================
+speed    pace, and the clock on which commands age
+======== ==========================================================================================================
+1        one sample per millisecond; the host's
+other    that many simulated seconds per second; the simulation's
+0        lock-step with filter and trainer (`simulation.lockstep`), real time until one is there; the simulation's
+======== ==========================================================================================================
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+from hydro_bridge.link.clock import set_by
+from hydro_bridge.safety.guard import CommandGuard
+from hydro_bridge.settings import check
+from hydro_bridge.signals import Command, Flag, FloatArray
+from hydro_sim.box.box import Box
+from hydro_sim.model.plant import Plant
+from hydro_sim.simulation.lockstep import LockStep
+from hydro_sim.simulation.pacing import Pacer, exact_timers
+from hydro_sim.timing import SAMPLE
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimSettings:
+    """Settings of the sim node."""
+
+    model: str = ""
+    """Weights of a learned bench, `shipped` or `analytic`; empty: `analytic` if `bench` is given, `shipped` if not."""
+    bench: str = ""
+    """Path of a bench.yaml or a diagnosis' corrected.yaml; empty: the one that comes with hydro_sim."""
+    box_bench: str = ""
+    """Path of the bench.yaml that the box's force law believes; empty: the same as `bench`."""
+    speed: float = 1.0
+    """Simulated seconds per second, [0, 100]; 0: in lock-step with filter and trainer, as fast as they answer."""
+    noise: float = 1.0
+    """Scale of the sensors' noise and quantisation, [0, 100]."""
+    seed: int = 0
+    """Of the noise, [0, 4294967295]."""
+    silence_max: float = 5.0
+    """s that lock-step waits for a peer, [0.1, 600]."""
+    correction_every: int = 1
+    """Samples per correction in lock-step, [1, 100], as the filter is set."""
+
+    def __post_init__(self) -> None:
+        check(self)
+
+
+class Simulation:
+    """A running bench.
+
+    Parameters
+    ----------
+    box, plant, guard
+        The parts; `run` alone touches box and plant.
+    settings
+        Pace and seed.
+    on_state
+        Called in the thread of `run` with each sample's stamp [ns], ROS time at speed 1, else the simulation's own, and
+        with its record as a tuple in the order of STATE_DTYPE.
+    log
+        Called with a sentence when something changes.
+    """
+
+    def __init__(
+        self,
+        box: Box,
+        plant: Plant,
+        guard: CommandGuard,
+        settings: SimSettings,
+        on_state: Callable[[int, tuple[Any, ...]], None],
+        log: Callable[[str], None],
+    ) -> None:
+        self.guard, self.settings = guard, settings
+        self.lock = threading.Lock()
+        self.steps = LockStep(log, silence_max=settings.silence_max, correction_every=settings.correction_every)
+        self.pacer = Pacer(SAMPLE / settings.speed if settings.speed > 0.0 else SAMPLE)
+        self.samples = 0
+        self.flags = Flag(0)
+        self._box, self._plant = box, plant
+        self._on_state, self._log = on_state, log
+        self._stopping = threading.Event()
+        self._confirmed = threading.Condition()
+        self._began = time.monotonic()
+
+    @property
+    def real_time(self) -> bool:
+        """Whether stamps are ROS time and commands age by the host's clock."""
+        return self.settings.speed == 1.0
+
+    @property
+    def refused(self) -> int:
+        """Values in commands that the box did not take as they were."""
+        return self._box.refused
+
+    def clock(self) -> float:
+        """The guard's clock [s]."""
+        return time.monotonic() if self.real_time else self.samples * SAMPLE
+
+    def speed_reached(self) -> float:
+        """Simulated seconds per second since the start."""
+        return self.samples * SAMPLE / max(time.monotonic() - self._began, SAMPLE)
+
+    def run(self) -> None:
+        """Simulate until `stop`; the body of the plant's thread."""
+        exact_timers()
+        measurement = self.warm_up()
+        self._began = time.monotonic()
+        self.pacer.restart()
+        while not self._stopping.is_set():
+            now = self.samples * SAMPLE
+            with self.lock:
+                command = self.guard.command(self.clock())
+            self._box.receive(command, now)
+            sample = self._box.tick(measurement, now)
+            if getattr(self._plant, "extrapolating", False):  # a learned plant outside of what it was trained on
+                sample["flags"] |= Flag.EXTRAPOLATING
+            stamp = self._stamp()
+            fields: tuple[Any, ...] = sample.item()  # type: ignore[assignment]
+            self._on_state(stamp, fields)
+            measurement = self._plant.step(fields[10])
+            self._note_flags(Flag(fields[-1]))
+            self._wait(fields[1], partial(self._on_state, stamp, fields))
+            self.samples += 1
+
+    def stop(self) -> None:
+        """End `run`."""
+        self._stopping.set()
+        self.steps.release()
+
+    def send(self, corrects: int | None = None) -> None:
+        """A correction for sample `corrects` has come; it goes down with the next sample."""
+        if corrects is not None and self.settings.speed == 0.0:
+            self.steps.corrected(corrects)
+
+    def gained(self) -> None:
+        """Gains have come."""
+        if self.settings.speed == 0.0:
+            self.steps.gained()
+
+    def arm(self, arm: bool, timeout: float = 0.5) -> str:
+        """Arm or disarm, and wait for the box to confirm; why it did not, or nothing. Not for the thread of `run`."""
+        with self.lock:
+            if arm and self.flags & Flag.TRIPPED:
+                return f"the box has tripped ({self.flags.name}): disarm it, then arm it"
+            self.guard.set_arm(arm)
+        self.steps.release()
+        with self._confirmed:
+            if self._confirmed.wait_for(lambda: bool(self.flags & Flag.ARMED) == arm, timeout):
+                return ""
+        with self.lock:
+            self.guard.set_arm(False)
+        return f"the box did not confirm within {timeout:g} s ({self.flags.name})"
+
+    def warm_up(self) -> FloatArray:
+        """Let everything compile before there are deadlines; returns the first measurement. Again, it costs nothing."""
+        begin = time.monotonic()
+        self._box.receive(Command(), 0.0)
+        self._box.tick(self._plant.reset(self.settings.seed), 0.0)
+        self._plant.step(0.0)
+        self._box.reset()
+        taken = time.monotonic() - begin
+        if taken > 1.0:
+            self._log(f"compiled in {taken:.1f} s; the next start takes it from numba's cache")
+        return self._plant.reset(self.settings.seed)
+
+    def _stamp(self) -> int:
+        """Of the present sample, ns: ROS time at speed 1, else the simulation's own."""
+        if not self.real_time:
+            return self.samples * round(1e9 * SAMPLE)
+        step = self.pacer.host_clock.look()
+        if step:
+            self._log(set_by(step))
+        return self.pacer.scheduled_ns
+
+    def _wait(self, sequence: int, resend: Callable[[], None]) -> None:
+        if self.settings.speed > 0.0 or not self.steps.engaged:
+            self.pacer.wait()
+        else:
+            self.steps.wait(sequence, bool(self.flags & Flag.ARMED), resend)
+            self.pacer.restart()
+
+    def _note_flags(self, flags: Flag) -> None:
+        changed, self.flags = flags ^ self.flags, flags
+        if changed & Flag.TRIPPED and flags & Flag.TRIPPED:
+            self._log(f"tripped: {flags.name}")
+        if changed:
+            with self._confirmed:
+                self._confirmed.notify_all()

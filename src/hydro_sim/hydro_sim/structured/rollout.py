@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The structured model: the physics of `physics` with learned constants, and a network for what they leave out.
+
+::
+
+    state s (9) --+--> (s[:5] - center) / scale --> network 5 -> h1 -> h2 -> 3 --> r      once per sample
+                  +--> integration.advance(s, u, r) --> next s --> readings f_h f_l p_a p_b x_p (5) --> x (8)
+
+The last arrow is the box's own differentiation. What is simulated is therefore s and three rates, `FULL` = 12 numbers::
+
+    [ p_a  p_b  x_p  x_p'  spool  spool'  F  F'  z | f_h'  f_l'  x_p' as the box has them ]
+
+Everything is float64: pressures of 1e7 Pa and spool travels of 1e-6 A meet here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit, prange
+
+from hydro_sim.model.hydraulics import SAMPLE
+from hydro_sim.neural import mlp
+from hydro_sim.structured import integration
+from hydro_sim.structured.integration import STATES
+from hydro_sim.structured.physics import AREA, BIAS_H, BIAS_L, CONSTANTS, GAIN_H, GAIN_L, RATIO, STROKE, SUPPLY
+
+INPUTS, OUTPUTS, READINGS, FULL = 5, 3, 5, 12
+OUTPUT_SCALES = (0.02, 0.02, 5.0)
+"""What one unit of the network means: relative flow into A, out of B, force [N]."""
+
+
+@njit(cache=True)
+def read(c, s, reading):
+    """The five readings of a state."""
+    reading[0] = c[GAIN_H] * c[AREA] * (s[0] - c[RATIO] * s[1]) + c[BIAS_H]
+    reading[1] = c[GAIN_L] * s[6] + c[BIAS_L]
+    reading[2], reading[3], reading[4] = s[0], s[1], s[2]
+
+
+@njit(cache=True)
+def _read_back(c, s, g, gs, gc):
+    """Add to gs, gc the gradients of g . reading."""
+    difference = s[0] - c[RATIO] * s[1]
+    gc[GAIN_H] += c[AREA] * difference * g[0]
+    gc[AREA] += c[GAIN_H] * difference * g[0]
+    gc[RATIO] -= c[GAIN_H] * c[AREA] * s[1] * g[0]
+    gc[BIAS_H] += g[0]
+    gs[0] += c[GAIN_H] * c[AREA] * g[0] + g[2]
+    gs[1] += g[3] - c[GAIN_H] * c[AREA] * c[RATIO] * g[0]
+    gc[GAIN_L] += s[6] * g[1]
+    gc[BIAS_L] += g[1]
+    gs[6] += c[GAIN_L] * g[1]
+    gs[2] += g[4]
+
+
+@njit(cache=True)
+def residual(layers, center, scale, s, x, a1, a2, r):
+    """What the network adds at state s: r, shape (3,)."""
+    for i in range(INPUTS):
+        x[i] = (s[i] - center[i]) / scale[i]
+    mlp.forward(layers, x, a1, a2, r)
+    for i in range(OUTPUTS):
+        r[i] *= OUTPUT_SCALES[i]
+
+
+@njit(cache=True)
+def advance(c, layers, center, scale, s, current, work, x, a1, a2, r):
+    """One sample of 1 ms of s, shape (9,), in place."""
+    residual(layers, center, scale, s, x, a1, a2, r)
+    integration.advance(c, s, current, r, work)
+
+
+@njit(cache=True)
+def bound(c, s):
+    """Keep s where a bench can be, whatever was commanded: what is simulated stays finite."""
+    s[0] = min(max(s[0], 0.0), 2.0 * c[SUPPLY])
+    s[1] = min(max(s[1], 0.0), 2.0 * c[SUPPLY])
+    s[2] = min(max(s[2], -2e-3), c[STROKE] + 2e-3)
+    s[3] = min(max(s[3], -5.0), 5.0)
+
+
+@njit(cache=True)
+def advance_full(c, layers, center, scale, memories, full, current, work, x, a1, a2, r, measured):
+    """One sample of 1 ms of the full state, shape (12,), in place, and the x, shape (8,), that the box makes of it.
+
+    `memories`: the box's coefficients for force rates and for the velocity (hydro_sim.model.sensors).
+    """
+    s = full[:STATES]
+    before, after = np.empty(READINGS), np.empty(READINGS)
+    read(c, s, before)
+    advance(c, layers, center, scale, s, current, work, x, a1, a2, r)
+    bound(c, s)
+    read(c, s, after)
+    differentiate(memories, before, after, full[STATES:])
+    show(after, full[STATES:], measured)
+
+
+@njit(cache=True)
+def differentiate(memories, before, after, rates):
+    """The box's three rates a sample later (hydro_sim.model.sensors.condition, without noise)."""
+    force, velocity = memories[0], memories[1]
+    rates[0] = force * rates[0] + (1.0 - force) * (after[0] - before[0]) / SAMPLE
+    rates[1] = force * rates[1] + (1.0 - force) * (after[1] - before[1]) / SAMPLE
+    rates[2] = velocity * rates[2] + (1.0 - velocity) * (after[4] - before[4]) / SAMPLE
+
+
+@njit(cache=True)
+def show(reading, rates, measured):
+    """Five readings and three rates in the order of x, shape (8,)."""
+    measured[0], measured[2], measured[4], measured[5], measured[6] = reading
+    measured[1], measured[3], measured[7] = rates
+
+
+@njit(cache=True, parallel=True)
+def rollout(c, layers, center, scale, memories, starts, currents):
+    """x after each sample, shape (n, H, 8), from full states, shape (n, 12), under currents [A], shape (n, H)."""
+    n, horizon = currents.shape
+    measured = np.empty((n, horizon, 8))
+    for k in prange(n):
+        work, full = integration.scratch(), starts[k].copy()
+        x, r = np.empty(INPUTS), np.empty(OUTPUTS)
+        a1, a2 = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
+        for h in range(horizon):
+            advance_full(c, layers, center, scale, memories, full, currents[k, h], work, x, a1, a2, r, measured[k, h])
+    return measured
+
+
+@njit(cache=True)
+def window(c, layers, center, scale, start, currents, targets, weights, gc, glayers):
+    """Loss of one window and its gradients, added to gc and glayers.
+
+    The loss is the sum over samples and readings of (weight (reading - target))^2; `targets` has shape (H, 5).
+    """
+    horizon = len(currents)
+    states = np.empty((horizon + 1, STATES))
+    states[0] = start
+    work = integration.scratch()
+    x, r, gr, gx = np.empty(INPUTS), np.empty(OUTPUTS), np.empty(OUTPUTS), np.empty(INPUTS)
+    a1, a2 = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
+    g1, g2 = np.empty_like(a1), np.empty_like(a2)
+    errors = np.empty((horizon, READINGS))
+    loss = 0.0
+    for h in range(horizon):
+        states[h + 1] = states[h]
+        advance(c, layers, center, scale, states[h + 1], currents[h], work, x, a1, a2, r)
+        read(c, states[h + 1], errors[h])
+        for i in range(READINGS):
+            error = weights[i] * (errors[h, i] - targets[h, i])
+            loss += error * error
+            errors[h, i] = 2.0 * weights[i] * error
+    gs, s = np.zeros(STATES), np.empty(STATES)
+    for h in range(horizon - 1, -1, -1):
+        _read_back(c, states[h + 1], errors[h], gs, gc)
+        s[:] = states[h]
+        advance(c, layers, center, scale, s, currents[h], work, x, a1, a2, r)
+        gr[:] = 0.0
+        integration.advance_back(c, currents[h], r, gs, gr, gc, work)
+        for i in range(OUTPUTS):
+            gr[i] *= OUTPUT_SCALES[i]
+        mlp.backward(layers, x, a1, a2, gr, glayers, g1, g2, gx)
+        for i in range(INPUTS):
+            gs[i] += gx[i] / scale[i]
+    return loss
+
+
+@njit(cache=True, parallel=True)
+def loss_and_gradients(c, layers, center, scale, starts, currents, targets, weights, threads):
+    """Mean loss per sample of many windows, and its gradients by c, shape (CONSTANTS,), and by the flat network.
+
+    Shapes: starts (n, 9), currents (n, H), targets (n, H, 5), weights (5,).
+    """
+    n, horizon = currents.shape
+    h1, h2 = layers.b1.shape[0], layers.b2.shape[0]
+    losses, gcs = np.zeros(threads), np.zeros((threads, CONSTANTS))
+    w1, b1 = np.zeros((threads, INPUTS, h1)), np.zeros((threads, h1))
+    w2, b2 = np.zeros((threads, h1, h2)), np.zeros((threads, h2))
+    w3, b3 = np.zeros((threads, h2, OUTPUTS)), np.zeros((threads, OUTPUTS))
+    for t in prange(threads):
+        glayers = mlp.Layers(w1[t], b1[t], w2[t], b2[t], w3[t], b3[t])
+        for k in range(t * n // threads, (t + 1) * n // threads):
+            losses[t] += window(c, layers, center, scale, starts[k], currents[k], targets[k], weights, gcs[t], glayers)
+    share = 1.0 / (n * horizon)
+    parts = (w1.sum(0).ravel(), b1.sum(0), w2.sum(0).ravel(), b2.sum(0), w3.sum(0).ravel(), b3.sum(0))
+    return losses.sum() * share, gcs.sum(0) * share, np.concatenate(parts) * share
