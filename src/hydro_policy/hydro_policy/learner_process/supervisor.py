@@ -122,7 +122,7 @@ class LearnerSupervisor:
         blob = self._weights.read()
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
-    def revive(self) -> str | None:
+    def restart_if_dead(self) -> str | None:
         """If the learner died, start another from its last snapshot; what to tell the user of that.
 
         Raises
@@ -167,7 +167,7 @@ class LearnerSupervisor:
         self._ask_to_roll_back()
 
     def _ask_to_roll_back(self) -> None:
-        self._unheard = not self._ask(RollBack())  # `revive` asks again, or its successor
+        self._unheard = not self._ask(RollBack())  # `restart_if_dead` asks again, or its successor
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Ask for a checkpoint; False if the learner is not there to hear it."""

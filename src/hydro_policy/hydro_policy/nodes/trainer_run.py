@@ -96,7 +96,7 @@ def drive(
         return False, None
     bar = TrainingProgress(node, session, learner)
     try:
-        finished = session.ledger.trained or node.drive(session, bar.tick)
+        finished = session.state_of_run.trained or node.drive(session, bar.tick)
     finally:
         bar.close()
     inference = session.explorer.inference.sentence()
@@ -123,7 +123,7 @@ def wait_for(learner: LearnerSupervisor, node: GraphNode) -> None:
     """
     readiness = Readiness([requirements.learner(learner)], node.say)
     while not readiness.complete:
-        if (sentence := learner.revive()) is not None:
+        if (sentence := learner.restart_if_dead()) is not None:
             node.say(sentence, warning=True)
         readiness.look(time.monotonic())
         time.sleep(0.05)

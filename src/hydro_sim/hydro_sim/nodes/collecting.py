@@ -32,8 +32,8 @@ from hydro_bridge.ros import (
     Companion,
     RecorderWatch,
     listen_to_box,
+    publisher_conflicts,
     reference_to_message,
-    rivals,
     spin,
 )
 from hydro_bridge.safety.box_info import KnownBox, told
@@ -133,7 +133,7 @@ class CollectNode(Node):
     def _look_around(self, now: float) -> None:
         if not self._ready(now) or now - self._heard < _LOOK:
             return
-        self.ended = rivals(self, GAINS)
+        self.ended = publisher_conflicts(self, GAINS)
         if self._rearm is None:
             self._rearm = self.plant in ("sim", EMULATED_BOX)
         self._met.set_result(None)
@@ -198,7 +198,7 @@ class CollectNode(Node):
     def _follow_arming(self, now: float) -> None:
         if self._finished.done() or self.playback.flags & Flag.ARMED:
             self._arming.rest()
-        elif trouble := rivals(self, GAINS):
+        elif trouble := publisher_conflicts(self, GAINS):
             self._end(f"{trouble}; the plant is left disarmed")
         else:
             self._arming.seek(tripped=bool(self.playback.flags & Flag.TRIPPED), now=now)
