@@ -9,8 +9,13 @@ import pytest
 
 
 def pytest_configure() -> None:
-    """Take Ctrl-C as a terminal gives it: a shell's background job ignores it, and so would all that tests start."""
+    """Take Ctrl-C and hang-ups as a terminal gives them, also where they are ignored: so would all that tests start.
+
+    A shell's background job ignores the one, nohup the other; what has a handler here is by default in a new program.
+    """
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
+        signal.signal(signal.SIGHUP, lambda *_: None)
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:

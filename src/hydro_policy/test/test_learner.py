@@ -139,6 +139,30 @@ def test_a_checkpoint_that_cannot_be_written_is_told_and_the_one_before_stays(tm
     assert load_checkpoint(run.latest).trainer == {"episode": 1}
 
 
+def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is_written_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hydro_policy.learner_process.supervisor.STOP_TIMEOUT", 1.0)
+    run = RunDirectory(tmp_path / "run").create()
+    learner = LearnerSupervisor(SETTINGS, run)
+    wait(lambda: learner.ready)
+    assert learner.pid is not None
+    os.kill(learner.pid, signal.SIGSTOP)
+    history = [{"episode": k, "whole_steps": 1800, "force_rmse": 1.0 / 3.0} for k in range(160)]
+    heard = [learner.save({"episode": k, "history": history}) for k in range(200)]  # two megabytes
+    assert heard[0] and not heard[-1]
+    before = learner.checkpoints
+    learner.roll_back()
+    os.kill(learner.pid, signal.SIGCONT)
+    wait(lambda: learner.checkpoints == before + sum(heard))
+    learner.restart_if_dead()
+    wait(lambda: learner.new_weights() is not None)  # it has gone back, though it did not hear of it at first
+    os.kill(learner.pid, signal.SIGSTOP)
+    learner.stop({"episode": 200})
+    assert not learner.alive
+    assert load_checkpoint(run.latest).trainer == {"episode": 200}
+
+
 def test_what_learning_compiles_is_compiled_before_it_is_ready() -> None:
     signatures = len(kernel.learn.signatures)
     compile_updates(SETTINGS.sac)

@@ -82,9 +82,11 @@ def spin(node: Node, until: Future | None = None) -> bool:
                 # and gives Python no chance to take a signal.
                 executor.spin_until_future_complete(done, timeout_sec=_SLICE)
     finally:
-        endings.restore(before)
-        executor.remove_node(node)
-        executor.shutdown()
+        try:
+            executor.remove_node(node)
+            executor.shutdown()
+        finally:  # last: a second signal is not to leave the node with an executor that has gone
+            endings.restore(before)
     return bool(ended)
 
 

@@ -257,6 +257,9 @@ class GraphNode(Node):
         except ValueError as error:
             answer.success, answer.message = False, str(error)
             self.say(f"override refused: {error}", warning=True)
+        except OSError as error:  # the run's record cannot be written
+            answer.success, answer.message = False, str(error)
+            self._fail(error)
         return answer
 
     def _on_tick(self) -> None:

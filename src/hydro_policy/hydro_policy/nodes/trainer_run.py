@@ -17,7 +17,14 @@ from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import rearms
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.nodes.trainer_results import compared, tell_files, timing
-from hydro_policy.nodes.trainer_start import Prepared, begin_record, prepare, start_plant, taken_back
+from hydro_policy.nodes.trainer_start import (
+    Prepared,
+    begin_record,
+    prepare,
+    start_plant,
+    taken_back,
+    tell_plant_again,
+)
 from hydro_policy.runs.initial_agent import Start
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.sessions.episode import Phase
@@ -40,6 +47,7 @@ def train(options: argparse.Namespace) -> int:
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
         recording = start_plant(stack, options, prepared, node)
         session = begin_session(node, prepared, learner, record, rearm=rearms(options))
+        stack.callback(tell_plant_again, run, settings, options)
         stack.callback(lambda: learner.stop(session.state()))
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits

@@ -112,14 +112,13 @@ class CollectNode(Node):
     def leave(self) -> None:
         """Leave the plant disarmed, with a reference of 0 N for who arms it next; not one that was never driven."""
         with undisturbed():  # a second Ctrl-C waits
-            if self._bar is not None:
-                self._bar.close()
-            if not self._driving:
-                return
-            self._driving = False
-            self._reference_publisher.publish(reference_to_message(Signal()))
-            if not self._arming.disarm():
+            driven, self._driving = self._driving, False
+            if driven:
+                self._reference_publisher.publish(reference_to_message(Signal()))
+            if driven and not self._arming.disarm():
                 tell("! the plant did not confirm that it is disarmed; its own watchdog remains")
+            if self._bar is not None:  # after the plant: there may be no terminal any more
+                self._bar.close()
 
     def _on_state(self, message: BenchState) -> None:
         self._heard = min(self._heard, time.monotonic())
