@@ -46,7 +46,7 @@ class LearnedFilter(NamedTuple):
     fresh: bool
     parts: LoopParts
     memory: npt.NDArray[np.void]
-    room: Space
+    workspace: Space
 
 
 FleetFilter = NoFilter | ConstantFilter | LearnedFilter
