@@ -179,7 +179,7 @@ class VectorLoopFilter:
     def __init__(self, parts: LoopParts, count: int) -> None:
         self.parts = parts
         self.memory = np.zeros(count, MEMORY_DTYPE)
-        self._room = loop_decision.space(parts)
+        self._workspace = loop_decision.space(parts)
         self.decisions = Decisions(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, np.uint8))
 
     def forget(self, benches: npt.NDArray[np.bool_] | slice = slice(None)) -> None:
@@ -194,7 +194,7 @@ class VectorLoopFilter:
         armed = (records["flags"] & int(Flag.ARMED)) != 0
         made = self.decisions
         _decide_many(
-            self.parts, self.memory, x, signals, armed, self._room, made.delta_u, made.before, made.after, made.status
+            self.parts, self.memory, x, signals, armed, self._workspace, made.delta_u, made.before, made.after, made.status
         )
         return made
 
