@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of rights as an SROS2 policy (version 0.2.0, policy.xsd of the package sros2): an enclave per executable."""
+"""The table of rights as an SROS2 policy (version 0.2.0, policy.xsd of package sros2): an enclave per executable."""
 
 from __future__ import annotations
 
