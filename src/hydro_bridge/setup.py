@@ -28,6 +28,7 @@ setup(
             "bridge = hydro_bridge.process.start:main_of.hydro_bridge.nodes.bridge",
             "recorder = hydro_bridge.process.start:main_of.hydro_bridge.nodes.recorder",
             "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
+            "secure = hydro_bridge.process.start:main_of.hydro_bridge.nodes.secure",
         ],
     },
 )

@@ -194,7 +194,16 @@ class VectorLoopFilter:
         armed = (records["flags"] & int(Flag.ARMED)) != 0
         made = self.decisions
         _decide_many(
-            self.parts, self.memory, x, signals, armed, self._workspace, made.delta_u, made.before, made.after, made.status
+            self.parts,
+            self.memory,
+            x,
+            signals,
+            armed,
+            self._workspace,
+            made.delta_u,
+            made.before,
+            made.after,
+            made.status,
         )
         return made
 

@@ -31,6 +31,7 @@ from rclpy.parameter import Parameter
 from hydro_bridge.cli.console import command
 from hydro_bridge.process import endings
 from hydro_bridge.ros import (
+    CLOCK,
     CORRECTION,
     CORRECTION_QOS,
     STATE,
@@ -176,7 +177,7 @@ class FilterNode(Node):
 
     def _follow_the_plants_clock(self) -> None:
         """Change to /clock where somebody publishes it and the states are stamped by it; and back."""
-        name, simulated = "use_sim_time", self.count_publishers("/clock") > 0
+        name, simulated = "use_sim_time", self.count_publishers(CLOCK) > 0
         if abs(self._age) > FOREIGN and simulated != self.get_parameter(name).value:
             self.set_parameters([Parameter(name, value=simulated)])
             self.get_logger().warning("states come by " + ("/clock" if simulated else "the machine's clock") + " now")

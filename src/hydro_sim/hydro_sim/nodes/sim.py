@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.ros import Level, Status, declare_parameters, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros import CLOCK, Level, Status, declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import describe
@@ -34,7 +34,6 @@ from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.simulation.realtime import SimSettings, Simulation
 
-CLOCK = "/clock"
 SIMULATED_BOX = "hydro sim"
 """What the simulated box calls itself."""
 CLOCK_DEPTH = 10
