@@ -13,7 +13,7 @@ import pytest
 
 BEGINNING = """
 import os, signal, sys, time
-from hydro_bridge import endings
+from hydro_bridge.process import endings
 from hydro_bridge.cli.console import command
 
 def me(number):

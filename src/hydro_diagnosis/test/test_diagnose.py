@@ -158,7 +158,8 @@ def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> 
 
 INTERRUPTED_RUN = """
 import os, signal
-from hydro_diagnosis import cli, search
+from hydro_diagnosis import cli
+from hydro_diagnosis.selection import search
 swap = search.Search._swap
 def interrupted(self, outcome):
     os.kill(os.getpid(), signal.SIGINT)

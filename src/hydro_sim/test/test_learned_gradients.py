@@ -13,9 +13,9 @@ pytest.importorskip("torch")
 from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.files import recordings
-from hydro_sim.identification import torch_gradients, training
+from hydro_sim.identification import engines, torch_gradients, training
 from hydro_sim.model.bench import Bench
-from hydro_sim.neural import engine, mlp, network
+from hydro_sim.neural import mlp, network
 from hydro_sim.structured import constants, rollout
 
 
@@ -95,7 +95,7 @@ def test_both_engines_give_the_same_gradients_of_a_training():
         parameters = target.model.flat + 0.01 * np.random.default_rng(3).standard_normal(len(target.model.flat))
         target.refresh(parameters)
         results = []
-        for one in (engine.Compiled(), engine.OnTorch("cpu")):
+        for one in (engines.Compiled(), engines.OnTorch("cpu")):
             target.engine = one
             results.append(next(target.gradients(parameters, 0)))
         (loss, gradient), (other_loss, other_gradient) = results
@@ -104,17 +104,17 @@ def test_both_engines_give_the_same_gradients_of_a_training():
 
 
 def test_engines_are_those_of_the_machine(monkeypatch):
-    monkeypatch.setattr(engine, "_has_gpu", lambda: False)
-    assert [one.name for one in engine.engines("auto")] == ["cpu"]
+    monkeypatch.setattr(engines, "_has_gpu", lambda: False)
+    assert [one.name for one in engines.engines("auto")] == ["cpu"]
     with pytest.raises(ValueError, match="torch finds no GPU"):
-        engine.engines("cuda")
-    monkeypatch.setattr(engine, "_has_gpu", lambda: True)
-    assert [one.name for one in engine.engines("auto")] == ["cpu", "cuda"]
-    assert [one.name for one in engine.engines("cuda")] == ["cuda"]
+        engines.engines("cuda")
+    monkeypatch.setattr(engines, "_has_gpu", lambda: True)
+    assert [one.name for one in engines.engines("auto")] == ["cpu", "cuda"]
+    assert [one.name for one in engines.engines("cuda")] == ["cuda"]
     with pytest.raises(ValueError, match="device is 'tpu'"):
-        engine.engines("tpu")
+        engines.engines("tpu")
 
 
 def test_the_quickest_engine_is_taken():
-    slow, fast = engine.OnTorch("cpu"), engine.Compiled()
-    assert engine.quickest((slow, fast), lambda one: time.sleep(0.3 if one is slow else 0.0)) is fast
+    slow, fast = engines.OnTorch("cpu"), engines.Compiled()
+    assert engines.quickest((slow, fast), lambda one: time.sleep(0.3 if one is slow else 0.0)) is fast
