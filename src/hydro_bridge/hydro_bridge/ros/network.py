@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far nodes look for one another: on this machine only, unless the user says otherwise (docs/network.md).
+"""How far nodes look for one another: on this machine only, unless the user says otherwise (network.md).
 
 The one place for it is ROS's own variable, `RANGE`. LOCALHOST stops Fast DDS from multicasting, but not from listening
 on all addresses: `PROFILES` does.
