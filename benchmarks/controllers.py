@@ -60,7 +60,7 @@ BENCHES: Mapping[str, Mapping[str, Any]] = {
     "valve gain -25 %": {"valve_gain": {"ratio": 0.75}},
     "cell 18 Hz": {"sensor_lag": {"bandwidth": 18.0, "damping": 0.55}},
 }
-"""What is changed in the emulator's default truth; keys of emulator.md's effects."""
+"""What is changed in the emulator's default truth; keys of truth.md's effects."""
 
 Controllers = dict[str, Callable[[], Chooser]]
 
