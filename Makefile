@@ -18,7 +18,7 @@ export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test test-slow graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
 
 .PHONY: help setup environment build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
-.PHONY: bench bench-peers fuzz format clean
+.PHONY: bench bench-peers fuzz format reference docs coverage clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -76,6 +76,18 @@ bench-peers: setup  ## peers of the learner in an environment of their own (.ven
 
 fuzz: setup  ## a million hostile frames to the decoder
 	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)
+
+reference: setup  ## write the reference pages that follow from the code: commands, parameters, messages
+	@$(SOURCED) .venv/bin/python docs/generate_reference.py
+
+docs:  ## the manual as a site in site/, in an environment of its own (.venv-docs); every warning is an error
+	@[ -x .venv-docs/bin/python ] || $(PYTHON) -m venv .venv-docs
+	@.venv-docs/bin/python -m pip install -q -r requirements-docs.txt
+	@.venv-docs/bin/mkdocs build --strict --quiet && echo "site/index.html"
+
+coverage: setup  ## the fast tests with the share of lines that they reach, by package (ARGS="-k bag")
+	@$(SOURCED) .venv/bin/python -m coverage run -m pytest -m "not slow and not graph and not study" $(ARGS)
+	@.venv/bin/python -m coverage report
 
 format: environment  ## rewrite the sources in the house format
 	@.venv/bin/ruff format . && .venv/bin/ruff check --fix .

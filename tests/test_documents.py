@@ -59,8 +59,8 @@ def command_lines(path: Path) -> Iterator[str]:
     """Yield each `ros2 run` line of a page's blocks, continued lines joined, comments taken off."""
     text = path.read_text(encoding="utf-8").replace("\\\n", " ")
     for line in text.splitlines():
-        if re.match(r"\s*ros2 run ", line):
-            yield line.split("  #")[0].split(" # ")[0].strip()
+        if re.match(r"\s*ros2 run \w+ \w+(\s|$)", line):
+            yield re.split(r"\s#\s|\s{3,}", line.strip())[0]
 
 
 @lru_cache
