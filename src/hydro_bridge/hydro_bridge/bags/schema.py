@@ -78,7 +78,7 @@ def _installed(type_name: str, suffix: str) -> str:
 
 @cache
 def _packaged() -> dict[str, dict[str, str]]:
-    text = files("hydro_bridge").joinpath("schemas.json").read_text(encoding="utf-8")
+    text = files("hydro_bridge.bags").joinpath("schemas.json").read_text(encoding="utf-8")
     loaded: dict[str, dict[str, str]] = json.loads(text)
     return loaded
 
