@@ -34,7 +34,7 @@ build: setup  ## the same: rebuilds and compiles after a change of messages, exe
 train: setup  ## a short training on the emulated bench over the serial line, recorded and evaluated
 	@$(SOURCED) ros2 run hydro_policy trainer --demo $(ARGS)
 
-prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261120" repeats docs/reports/proof.md)
+prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261124" repeats docs/reports/proof.md)
 	@$(SOURCED) ros2 run hydro_diagnosis prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
 
 test: lint setup  ## all checks and all tests but the studies: those of the graph alone, the others on two cores

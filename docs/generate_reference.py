@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the reference pages that follow from the code: options of commands, ROS parameters, messages.
 
-    python docs/generate_reference.py           # writes them
-    python docs/generate_reference.py --check   # exit status 1 if a page is not what the code says
+python docs/generate_reference.py           # writes them
+python docs/generate_reference.py --check   # exit status 1 if a page is not what the code says
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ SETTINGS: dict[str, tuple[tuple[str, str], ...]] = {
 """Executables, and the settings that each of them declares as ROS parameters, with their prefixes."""
 
 
-class _ParserFound(Exception):
+class _ParserFoundError(Exception):
     """Raised in the place of parsing: carries the parser that a command has built."""
 
     def __init__(self, parser: argparse.ArgumentParser) -> None:
@@ -57,7 +57,7 @@ class _ParserFound(Exception):
 
 
 def _stop(parser: argparse.ArgumentParser, *_: object, **__: object) -> None:
-    raise _ParserFound(parser)
+    raise _ParserFoundError(parser)
 
 
 def executables(package: str) -> dict[str, str]:
@@ -72,7 +72,7 @@ def parser_of(module: str) -> argparse.ArgumentParser:
     with patch.object(argparse.ArgumentParser, "parse_known_args", _stop), patch.object(sys, "argv", [module]):
         try:
             main()
-        except _ParserFound as found:
+        except _ParserFoundError as found:
             return found.parser
     raise RuntimeError(f"{module}.main parses no command line")
 
@@ -142,7 +142,12 @@ def parameters_page() -> str:
     lines += ["Set them behind `--ros-args`, for instance `-p guard.delta_kp_max:=50.0`. A parameter that a node does"]
     lines += ["not have, or a value outside of its range, ends the command with one sentence and exit status 2.", ""]
     for command, groups in SETTINGS.items():
-        lines += [f"## {command.split(' ', 1)[1]}", "", "| parameter | default | unit, range, meaning |", "|---|---|---|"]
+        lines += [
+            f"## {command.split(' ', 1)[1]}",
+            "",
+            "| parameter | default | unit, range, meaning |",
+            "|---|---|---|",
+        ]
         for prefix, place in groups:
             module, _, name = place.rpartition(".")
             lines += parameter_rows(prefix, getattr(importlib.import_module(module), name))

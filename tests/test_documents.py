@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import argparse
+import ast
+import importlib
 import re
 import shlex
 from collections.abc import Iterator
@@ -11,6 +13,7 @@ from functools import lru_cache
 from pathlib import Path
 
 import pytest
+import yaml
 
 from docs import generate_reference
 
@@ -20,6 +23,7 @@ FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md"
 PAGES = [*FRONT, *sorted(DOCS.rglob("*.md"))]
 MANUAL = [path for path in PAGES if path in FRONT or DOCS / "manual" in path.parents]
 SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") for path in (ROOT / folder).rglob("*.py")]
+CI = ".github/workflows/ci.yml"
 TO_BE_REWRITTEN = {"safety.md", "network.md", "recordings.md"}
 """Pages of the manual that are not in its form yet."""
 
@@ -55,6 +59,12 @@ def anchors(path: Path) -> set[str]:
     return {slug(line.lstrip("#")) for line in prose(path) if re.match(r"#+ ", line)}
 
 
+@lru_cache
+def targets() -> frozenset[str]:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    return frozenset(re.findall(r"^([a-z-]+):", makefile, re.MULTILINE))
+
+
 def command_lines(path: Path) -> Iterator[str]:
     """Yield each `ros2 run` line of a page's blocks, continued lines joined, comments taken off."""
     text = path.read_text(encoding="utf-8").replace("\\\n", " ")
@@ -85,10 +95,11 @@ def test_links_lead_somewhere(path: Path) -> None:
 def test_commands_exist(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     unknown = [
-        f"{package} {name}" for package, name in RUN.findall(text) if name not in generate_reference.executables(package)
+        f"{package} {name}"
+        for package, name in RUN.findall(text)
+        if name not in generate_reference.executables(package)
     ]
-    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-    unknown += [f"make {target}" for target in MAKE.findall(text) if target not in targets]
+    unknown += [f"make {target}" for target in MAKE.findall(text) if target not in targets()]
     for module, argument in MODULE.findall(text):
         name = f"{module}.{argument}" if module == "benchmarks" and argument else module
         place = ROOT / name.replace(".", "/")
@@ -107,8 +118,41 @@ def test_options_are_known_to_their_commands(path: Path) -> None:
     assert unknown == []
 
 
+@page
+def test_python_blocks_import_what_is_there(path: Path) -> None:
+    lost = []
+    for block in re.findall(r"^```python\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+        if path.name == "architecture.md":  # signatures, no program
+            continue
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("hydro_"):
+                module = importlib.import_module(node.module)
+                lost += [f"{node.module}.{name.name}" for name in node.names if not hasattr(module, name.name)]
+    assert lost == []
+
+
+def test_yaml_blocks_can_be_read() -> None:
+    for path in PAGES:
+        for block in re.findall(r"^```yaml\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+            assert yaml.safe_load(block), path
+
+
+def test_ci_and_pre_commit_call_targets_that_exist() -> None:
+    text = "".join((ROOT / name).read_text(encoding="utf-8") for name in (".pre-commit-config.yaml", CI))
+    called = set(re.findall(r"(?:run|entry): make (?:--no-print-directory )?([a-z-]+)", text))
+    assert called >= {"lint", "test", "docs", "coverage"}
+    assert called <= targets()
+
+
+def test_ci_runs_the_pythons_that_are_claimed() -> None:
+    matrix = yaml.safe_load((ROOT / CI).read_text(encoding="utf-8"))["jobs"]["test"]["strategy"]["matrix"]["python"]
+    first, last = re.search(r"3\.(\d+) to 3\.(\d+)", (ROOT / "README.md").read_text(encoding="utf-8")).groups()
+    assert matrix == [f"3.{minor}" for minor in range(int(first), int(last) + 1)]
+
+
 def test_generated_pages_are_current() -> None:
-    stale = [str(path.relative_to(ROOT)) for path, text in generate_reference.pages().items() if path.read_text() != text]
+    pages = generate_reference.pages()
+    stale = [str(path.relative_to(ROOT)) for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
     assert stale == [], "make reference"
 
 

@@ -76,5 +76,5 @@ def test_what_only_tests_import_is_declared(folder: Path) -> None:
 
 
 def test_a_module_that_nobody_declared_is_seen(tmp_path: Path) -> None:
-    (tmp_path / "late.py").write_text("def main():\n    import torch.nn\n    from numpy import linalg\n", encoding="utf-8")
+    (tmp_path / "late.py").write_text("def main():\n    import torch.nn\n    from numpy import linalg\n")
     assert keys_of(tmp_path, [tmp_path / "late.py"]) == {"python3-torch", "python3-numpy"}
