@@ -21,6 +21,7 @@ STUDIES = frozenset(
         "diagnosis_peers",
         "foreign_truth",
         "integral_form",
+        "joining",
         "learned_structures",
         "model_mismatch",
         "pairings",

@@ -8,7 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, Flag, FloatArray, ReferenceSignal, StateArray
+from hydro_bridge.signals import (
+    SAMPLE_PERIOD,
+    SAMPLES_PER_STEP,
+    STATE_FIELDS,
+    CorrectionStatus,
+    Flag,
+    FloatArray,
+    ReferenceSignal,
+    StateArray,
+)
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.model.sample import Sample
@@ -18,7 +27,6 @@ from hydro_policy.sessions.offline import OfflineGraph
 from hydro_policy.supervision.plant_supervisor import FALLBACK
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
-from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 WIDE = GuardSettings(
     delta_kp_min=-55.0, delta_kp_max=285.0, delta_ki_min=-25.0, delta_ki_max=95.0, require_filter=False
@@ -82,13 +90,13 @@ def play(
         corrector.reset()
     graph.reference(reference)
     records, statuses = [], []
-    for k in range(round(seconds / SAMPLE)):
+    for k in range(round(seconds / SAMPLE_PERIOD)):
         graph.arm(k > 0)
         records.append(graph.sample().copy())
         statuses.append(int(graph.answer.status))
         if int(records[-1]["flags"]) & Flag.TRIPPED:
             break
-        if k % POLICY_SAMPLES == 0:
+        if k % SAMPLES_PER_STEP == 0:
             asked = controller.gains(np.array([records[-1][name] for name in STATE_FIELDS]))
             graph.gains(*(FALLBACK if statuses[-1] == CorrectionStatus.MISMATCH else asked), 0)
     return np.array(records), np.array(statuses, float)
@@ -102,7 +110,7 @@ def outcome(states: StateArray, statuses: FloatArray, change: int, begin: int = 
         error = np.array([np.nan])
     square = np.convolve(error**2, np.full(min(1000, len(error)), 1.0 / min(1000, len(error))), "valid")
     return Outcome(
-        told=float(at[0] - change) * SAMPLE if len(at) else np.nan,
+        told=float(at[0] - change) * SAMPLE_PERIOD if len(at) else np.nan,
         early=bool(len(at) and at[0] < change),
         rmse=float(np.sqrt(np.mean(error**2))),
         peak=float(np.abs(error).max()),

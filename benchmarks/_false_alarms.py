@@ -10,17 +10,25 @@ from numba import njit
 
 from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.cli.console import progress
-from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_bridge.signals import (
+    PLANT_FIELDS,
+    SAMPLE_PERIOD,
+    SAMPLES_PER_STEP,
+    Flag,
+    FloatArray,
+    ReferenceSignal,
+    StateArray,
+    Waveform,
+)
 from hydro_filter.controller import innovations
 from hydro_filter.controller.innovations import COUNT, MONITOR_DTYPE
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model import hidden_states
 from hydro_filter.validation.cases import CASES
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
-from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 GAINS = ("wide", "wide-slow", "switched-slow", "switched", "unstable-slow", "high", "stable", "base")
 """Cases of `validate`, in turn: K_p from -40 to 300."""
@@ -68,9 +76,9 @@ def _watch(model, monitors, hidden, x, currents, highest):
 def run(plant: str, minutes: float, seed: int) -> Alarms:
     """So many minutes of bench time, over `BENCHES` benches with a noise, a reference and gains of their own."""
     rng, bench = np.random.default_rng(seed), Bench.nominal()
-    fleet = truth_fleet(BENCHES) if plant == "emulator" else Fleet([bench] * BENCHES, _sims())
+    fleet = truth_fleet(BENCHES) if plant == "emulator" else VectorBench([bench] * BENCHES, _sims())
     fleet.filters = fleet_filter("learned", bench, BENCHES)
-    steps = max(round(60.0 * minutes / BENCHES / (POLICY_SAMPLES * SAMPLE)), 1)
+    steps = max(round(60.0 * minutes / BENCHES / (SAMPLES_PER_STEP * SAMPLE_PERIOD)), 1)
     gains = np.stack([CASES[GAINS[i % len(GAINS)]].draw(seed * BENCHES + i, steps / 100.0) for i in range(BENCHES)])
     changes = gains - (fleet.config.base_kp, fleet.config.base_ki)
     for i, signal in enumerate(references(rng, BENCHES)):
@@ -83,7 +91,7 @@ def run(plant: str, minutes: float, seed: int) -> Alarms:
         samples = fleet.step(changes[:, k])
         alarms += _watch(model, monitors, hidden, *_read(samples), highest)
         tripped |= (samples["flags"][:, -1] & int(Flag.TRIPPED)) != 0
-    return Alarms(steps * BENCHES * POLICY_SAMPLES * SAMPLE / 60.0, alarms, int(tripped.sum()), highest)
+    return Alarms(steps * BENCHES * SAMPLES_PER_STEP * SAMPLE_PERIOD / 60.0, alarms, int(tripped.sum()), highest)
 
 
 def _sims() -> list[LearnedPlant]:

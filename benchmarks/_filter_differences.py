@@ -10,21 +10,19 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hydro_filter.certificate import sampled as sampled_certificate
+from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_filter.certificate import sampled
 from hydro_filter.controller import loop_decision
 from hydro_filter.controller.loop_decision import Problem
 from hydro_filter.controller.loop_filter import FITS, NOT_FINITE, LoopFilter
-from hydro_filter.metric import network as metric_network
-from hydro_filter.model import displacement
-from hydro_filter.model import structured_kernels as model_kernels
+from hydro_filter.metric import network
+from hydro_filter.model import displacement, structured_kernels
 from hydro_filter.model.loop_model import LOOP, hydraulic_slopes, shares
 from hydro_filter.model.state import STATES
 from hydro_sim.box import force_law
-from hydro_sim.structured import integration
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.physics import AREA, GAIN_H, GAIN_L, OFFSET, RATIO
 from hydro_sim.structured.rollout import FULL
-from hydro_sim.timing import SAMPLE
 
 STEP = 1e-4
 """Of the differences, in units of the loop's scale."""
@@ -33,26 +31,26 @@ CURRENT_STEP = 1e-6
 
 
 @njit
-def pose(parts, memory, x, nominal, current, reference, reference_rate, gain, room):
-    """`loop_decision.pose` by differences."""
-    loop, value, step = parts.loop, room.value, room.step
+def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace):
+    """`loop_decision.build_problem` by differences."""
+    loop, value, step = parts.loop, workspace.value, workspace.step
     displacement.settle(loop, memory, x, current, reference_rate)
     linearize(loop, memory.hidden, x, nominal, current, gain, step)
-    displacement.displace(loop, memory, x, reference, reference_rate, room.v)
+    displacement.displace(loop, memory, x, reference, reference_rate, workspace.v)
     displacement.follow(loop, memory, x, current, reference_rate)
     _metric(parts.metric, x, step.state_rate, gain, value)
-    outside = metric_network.foreign(parts.metric, gain)
+    outside = network.foreign(parts.metric, gain)
     rate = parts.foreign_rate if outside else parts.rate
     term, law_gain = loop_decision.integral_term(
         loop.bench[0], loop.gain_floor, x, nominal, reference, reference_rate, gain
     )
-    asked = sampled_certificate.unasked(term, parts.integral_allowance) / law_gain
-    bent, slope, level, size = sampled_certificate.quadratic(
-        step, value, room.v, current - nominal + asked, asked, rate, room.next_v, room.after_v
+    asked = sampled.unasked(term, parts.integral_allowance) / law_gain
+    bent, slope, level, size = sampled.quadratic(
+        step, value, workspace.v, current - nominal + asked, asked, rate, workspace.next_v, workspace.after_v
     )
-    share = sampled_certificate.fade(size, parts.foreign_noise_size if outside else parts.noise_size)
+    share = sampled.fade(size, parts.foreign_noise_size if outside else parts.noise_size)
     slope, level = share * slope, share * share * level
-    a, b, best = sampled_certificate.half_line(bent, slope, level)
+    a, b, best = sampled.half_line(bent, slope, level)
     limit = loop.current_max
     applied = min(max(nominal, -limit), limit)
     return Problem(a, b, -limit - applied, limit - applied, bent, slope, level, best)
@@ -60,12 +58,12 @@ def pose(parts, memory, x, nominal, current, reference, reference_rate, gain, ro
 
 @njit
 def _metric(parts, x, state_rate, gain, value):
-    span = SAMPLE * 1e-2
-    metric_network.evaluate(parts, x - span * state_rate, state_rate, gain, value)
+    span = SAMPLE_PERIOD * 1e-2
+    network.evaluate(parts, x - span * state_rate, state_rate, gain, value)
     below = value.matrix.copy()
-    metric_network.evaluate(parts, x + span * state_rate, state_rate, gain, value)
+    network.evaluate(parts, x + span * state_rate, state_rate, gain, value)
     turn = (value.matrix - below) / (2.0 * span)
-    metric_network.evaluate(parts, x, state_rate, gain, value)
+    network.evaluate(parts, x, state_rate, gain, value)
     value.rate[:] = turn
 
 
@@ -74,7 +72,7 @@ def _advance(loop, full, current, after):
     c, layers, center, scale, memories = loop.free
     a1, a2 = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
     after[:] = full
-    structured.advance_full(
+    rollout.advance_full(
         c, layers, center, scale, memories, after, current, integration.scratch(), np.empty(5), a1, a2, np.empty(3),
         np.empty(8),
     )  # fmt: skip
@@ -111,7 +109,7 @@ def linearize(loop, hidden, x, nominal, current, proportional_gain, step):
     c = loop.model[0]
     full, after, q, p = step.full, step.after, np.empty(LOOP), np.empty(LOOP)
     probe, end = np.empty(FULL), np.empty(FULL)
-    model_kernels.lift(c, x, hidden, full)
+    structured_kernels.lift(c, x, hidden, full)
     _advance(loop, full, current, after)
     share_a, share_b = shares(c, x[6])
     gain = hydraulic_slopes(c, full[0], full[1], full[2], hidden[0])[0]
@@ -131,10 +129,10 @@ def linearize(loop, hidden, x, nominal, current, proportional_gain, step):
     step.push[:] = (q - p) / (2.0 * CURRENT_STEP)
     _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, step.feedback)
     rate = step.state_rate
-    rate[0] = c[GAIN_H] * c[AREA] * (after[0] - full[0] - c[RATIO] * (after[1] - full[1])) / SAMPLE
-    rate[2] = c[GAIN_L] * (after[6] - full[6]) / SAMPLE
-    rate[4], rate[5], rate[6] = (after[:3] - full[:3]) / SAMPLE
-    rate[1], rate[3], rate[7] = (after[9:12] - full[9:12]) / SAMPLE
+    rate[0] = c[GAIN_H] * c[AREA] * (after[0] - full[0] - c[RATIO] * (after[1] - full[1])) / SAMPLE_PERIOD
+    rate[2] = c[GAIN_L] * (after[6] - full[6]) / SAMPLE_PERIOD
+    rate[4], rate[5], rate[6] = (after[:3] - full[:3]) / SAMPLE_PERIOD
+    rate[1], rate[3], rate[7] = (after[9:12] - full[9:12]) / SAMPLE_PERIOD
 
 
 @njit
@@ -166,10 +164,10 @@ def _feedback(loop, hidden, x, nominal, proportional_gain, share_a, share_b, fee
 @njit
 def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
     """`loop_filter.propose` by differences; nothing watches the model."""
-    parts, room, _, _ = box[0]
+    parts, workspace, _, _ = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
         return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    p = pose(parts, memory[0], x, nominal, current, reference, reference_rate, gain, room)
+    p = build_problem(parts, memory[0], x, nominal, current, reference, reference_rate, gain, workspace)
     return FITS, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
 
 

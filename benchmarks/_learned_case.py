@@ -18,13 +18,12 @@ from hydro_sim.emulator.offline import Recording, record_offline
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings
 from hydro_sim.files.recordings import Data
-from hydro_sim.identification import adam, evaluation, training
-from hydro_sim.identification import stages as identification
+from hydro_sim.identification import adam, evaluation, stages, training
 from hydro_sim.identification.evaluation import Predictor, Scored
 from hydro_sim.learned.model import Learned, Model
 from hydro_sim.model.bench import Bench
 from hydro_sim.neural import mlp
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import rollout
 from hydro_sim.structured.model import StructuredModel
 
 TRAINING, VALIDATION, HELD_OUT = (11, 12), 13, 21
@@ -90,7 +89,7 @@ class Case:
             print(show, file=sys.stderr, end="\r")
             model, facts["epochs"], facts["best_epoch"] = best, last.epoch, last.best_epoch
         if isinstance(model, StructuredModel):
-            model = identification.trusted(model, data)
+            model = stages.trusted(model, data)
         facts["cpu"] = round(spent + time.process_time() - began, 1)
         training.finished(model, data, facts).save(self.model(row))
 
@@ -102,11 +101,11 @@ class Case:
             model = training.start(data, settings, Bench.nominal())
             assert isinstance(model, StructuredModel)
             say = partial(print, file=sys.stderr)
-            return identification.identified(model, data, settings.identify_windows, settings.seed, say), 0.0
+            return stages.identified(model, data, settings.identify_windows, settings.seed, say), 0.0
         found = Learned.load(self.model(ALONE))
         assert isinstance(found.model, StructuredModel)
         width = row.hidden[0], row.hidden[1]
-        flat = mlp.initial(np.random.default_rng(0), structured.INPUTS, width, structured.OUTPUTS, last=0.0)
+        flat = mlp.initial(np.random.default_rng(0), rollout.INPUTS, width, rollout.OUTPUTS, last=0.0)
         return replace(found.model, flat=flat, hidden=width), float(found.training["cpu"])
 
     def settings(self, row: Row) -> training.Settings:
@@ -126,16 +125,16 @@ class Case:
     @cache  # noqa: B019
     def observed(self) -> list[FloatArray]:
         """x by its observer at the samples of the held-out runs: a network's starts, most of the noise gone."""
-        found, c, reading = [], self.observer().compiled[0], np.empty(structured.READINGS)
+        found, c, reading = [], self.observer().compiled[0], np.empty(rollout.READINGS)
         for item in self.held_out():
             x = np.empty((len(item.run), 8))
             for k, full in enumerate(self.observer().estimate(item.run)):
-                structured.read(c, full[: structured.STATES], reading)
-                structured.show(reading, full[structured.STATES :], x[k])
+                rollout.read(c, full[: rollout.STATES], reading)
+                rollout.show(reading, full[rollout.STATES :], x[k])
             found.append(x)
         return found
 
     def errors(self, model: Predictor, states: list[FloatArray], *, recorded: bool = False) -> FloatArray:
         """RMSE of predictions from states, against the noise-free log or the recording, shape (8,), SI units."""
         how: dict[str, Any] = {"recorded": recorded, "horizon": HORIZON, "stride": STRIDE}
-        return evaluation.judge(model, states, self.held_out(), **how).rmse
+        return evaluation.prediction_errors(model, states, self.held_out(), **how).rmse

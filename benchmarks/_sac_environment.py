@@ -10,7 +10,7 @@ import numpy as np
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
 from hydro_policy.envs.environment import Environment
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, TaskSettings
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
@@ -34,7 +34,7 @@ class HydroEnv(gymnasium.Env[FloatArray, FloatArray]):
         self.task = TaskSettings(steps_per_episode=steps)
         self.observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (OBSERVATIONS,), np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (ACTIONS,), np.float32)
-        self._environment = Environment(Fleet([Bench.nominal()], [LearnedPlant()]), self.task)
+        self._environment = Environment(VectorBench([Bench.nominal()], [LearnedPlant()]), self.task)
         self._seed, self._frequency, self._episode, self._steps = seed, frequency, 0, 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 
-from hydro_policy.envs import vector_plants as fleet_plants
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs import vector_plants
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import FleetFilter
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.emulator.truth import plant as truth
@@ -34,7 +34,7 @@ class Truth(NamedTuple):
     work: npt.NDArray[np.float64]
 
 
-@overload(fleet_plants.advance)
+@overload(vector_plants.advance)
 def _advance(plants, i, noise, current):
     if getattr(plants, "instance_class", None) is not Truth:
         return None
@@ -61,12 +61,12 @@ def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:
     arrays.x[index] = plant.measurement()
 
 
-fleet_plants.KINDS[TruthPlant] = (_rows, _copy)
+vector_plants.KINDS[TruthPlant] = (_rows, _copy)
 
 
 def truth_fleet(
     count: int, config: TruthConfig | None = None, box: BoxConfig | None = None, filters: FleetFilter | None = None
-) -> Fleet:
+) -> VectorBench:
     """So many emulated benches; the boxes believe in the nominal bench."""
     truth_config = config or profile("default")
-    return Fleet([Bench.nominal()] * count, [TruthPlant(truth_config) for _ in range(count)], box, filters)
+    return VectorBench([Bench.nominal()] * count, [TruthPlant(truth_config) for _ in range(count)], box, filters)

@@ -21,9 +21,9 @@ import numpy as np
 from benchmarks._truth_fleet import TruthPlant
 from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_bridge.signals import FloatArray
-from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs import vector_runs
 from hydro_policy.envs.randomisation import Randomisation, draw
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import FILTERS, fleet_filter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser, fixed
 from hydro_policy.sac.policy import load_policy
@@ -53,11 +53,11 @@ class Place:
     spring: float = 2e4
     supply: float = 16e6
 
-    def fleet(self, count: int) -> Fleet:
+    def fleet(self, count: int) -> VectorBench:
         """So many of these benches; the boxes and the filter believe in the nominal one."""
         believed = Bench.nominal()
         plants = [self._plant() for _ in range(count)]
-        return Fleet([believed] * count, plants, filters=fleet_filter(self.filter, believed, count))
+        return VectorBench([believed] * count, plants, filters=fleet_filter(self.filter, believed, count))
 
     def _plant(self) -> Plant:
         if self.emulator:
@@ -83,14 +83,14 @@ def scheduled(samples: FloatArray) -> FloatArray:
 def rmse(place: Place, choose: Callable[[], Chooser], seeds: Sequence[int]) -> FloatArray:
     """Shape (seeds, cases)."""
     cases = SETTINGS.cases
-    return np.array([fleet_runs.rmse(place.fleet(len(cases)), cases, choose(), SETTINGS, seed) for seed in seeds])
+    return np.array([vector_runs.rmse(place.fleet(len(cases)), cases, choose(), SETTINGS, seed) for seed in seeds])
 
 
 def grid(place: Place) -> tuple[list[tuple[float, float]], FloatArray]:
     """All pairs and their RMSE, shape (pairs, cases)."""
     pairs, cases = list(itertools.product(KP, KI)), SETTINGS.cases
     gains = np.repeat(np.array(pairs), len(cases), axis=0)
-    found = fleet_runs.rmse(place.fleet(len(gains)), list(cases) * len(pairs), fixed(gains), SETTINGS)
+    found = vector_runs.rmse(place.fleet(len(gains)), list(cases) * len(pairs), fixed(gains), SETTINGS)
     return pairs, found.reshape(len(pairs), len(cases))
 
 

@@ -29,7 +29,7 @@ from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import FloatArray
-from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.evaluation.gain_search import Gains, GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import Start, load_start
@@ -110,14 +110,14 @@ def search(config: TruthConfig, settings: GridSettings, evaluation: EvaluationSe
     """The grid of `evaluate --grid`, its runs side by side."""
     found, short = GridSearch(settings), replace(evaluation, settle=1.0, measure=2.0, periods=1)
     while (pair := found.next()) is not None:
-        found.tell(pair, measured(config, short, lambda pair=pair: fleet_runs.fixed(np.array(pair)), 0))
+        found.tell(pair, measured(config, short, lambda pair=pair: vector_runs.fixed(np.array(pair)), 0))
     return found
 
 
 def measured(config: TruthConfig, evaluation: EvaluationSettings, make: Callable[[], Chooser], seed: int) -> FloatArray:
     """RMSE [N] on each case; NaN: tripped."""
     cases = evaluation.cases
-    return fleet_runs.rmse(truth_fleet(len(cases), config), cases, make(), evaluation, seed)
+    return vector_runs.rmse(truth_fleet(len(cases), config), cases, make(), evaluation, seed)
 
 
 def compare(name: str, controllers: Controllers, evaluation: EvaluationSettings, seeds: int) -> dict[str, FloatArray]:
@@ -149,7 +149,7 @@ def add_rows(table: Table, name: str, rmse: Mapping[str, FloatArray], cases: lis
 
 def fixed(pair: Gains) -> Callable[[], Chooser]:
     """Fixed gains."""
-    return lambda: fleet_runs.fixed(np.array(pair))
+    return lambda: vector_runs.fixed(np.array(pair))
 
 
 def run(asked: argparse.Namespace) -> Table:

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks._filter_differences import DifferencedLoopFilter
 from benchmarks._report import percentiles
 from hydro_bridge.cli.console import Table, add_json_argument, progress
-from hydro_bridge.ros import be_prompt
+from hydro_bridge.ros import request_realtime
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.factory import CONSTANT, LEARNED, Choice, Filter, warm_up
 from hydro_filter.controller.filter import ContractionFilter
@@ -176,7 +176,7 @@ def main(arguments: list[str] | None = None) -> int:
     for each in filters.values():
         warm_up(each, bench)
     samples = runs(bench, learned, asked.samples)
-    scheduling = be_prompt(realtime=asked.realtime)
+    scheduling = request_realtime(realtime=asked.realtime)
     durations, values = compare(filters, samples)
     shown = {name: percentiles(each) for name, each in durations.items()}
     table = Table(

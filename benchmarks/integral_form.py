@@ -24,9 +24,17 @@ import numpy as np
 
 from benchmarks._truth_fleet import truth_fleet
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
-from hydro_bridge.signals import STATE_FIELDS, Command, FloatArray, ReferenceSignal, StateArray
-from hydro_policy.envs import vector_runs as fleet_runs
-from hydro_policy.envs.vector_env import Fleet, records
+from hydro_bridge.signals import (
+    SAMPLE_PERIOD,
+    SAMPLES_PER_STEP,
+    STATE_FIELDS,
+    Command,
+    FloatArray,
+    ReferenceSignal,
+    StateArray,
+)
+from hydro_policy.envs import vector_runs
+from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.envs.vector_filter import FILTERS, fleet_filter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.sac.policy import load_policy
@@ -36,7 +44,6 @@ from hydro_policy.task.mdp import ACTIONS
 from hydro_policy.task.step_aggregator import StepClock
 from hydro_sim.box.box import BoxConfig, Integral, fill_command
 from hydro_sim.model.bench import Bench
-from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 EVALUATION = EvaluationSettings()
 PAPER_III = (90.0, 15.0)
@@ -81,7 +88,7 @@ class Place:
     filter: str
     wait: float
 
-    def fleet(self) -> Fleet:
+    def fleet(self) -> VectorBench:
         """A bench for each case."""
         count = len(EVALUATION.cases)
         filters = fleet_filter(self.filter, Bench.nominal(), count)
@@ -92,20 +99,20 @@ class Place:
         if part in ("waited", "fresh"):
             return self._first(choose, seed, self.wait if part == "waited" else 0.0)
         chooser = Interrupted(choose) if part == "interrupted" else choose
-        samples = fleet_runs.record(self.fleet(), EVALUATION.cases, chooser, EVALUATION, seed)[1]
-        return samples[:, round(EVALUATION.settle / SAMPLE) :]
+        samples = vector_runs.record(self.fleet(), EVALUATION.cases, chooser, EVALUATION, seed)[1]
+        return samples[:, round(EVALUATION.settle / SAMPLE_PERIOD) :]
 
     def _first(self, choose: Chooser, seed: int, wait: float) -> StateArray:
         fleet, cases = self.fleet(), EVALUATION.cases
         for index, case in enumerate(cases):
             fleet.begin(index, ReferenceSignal() if wait else case.signal, seed)
-        for _ in range(round(wait / SAMPLE / POLICY_SAMPLES)):
+        for _ in range(round(wait / SAMPLE_PERIOD / SAMPLES_PER_STEP)):
             fleet.step(np.zeros((len(fleet), ACTIONS)))
         for index, case in enumerate(cases):
             command_now = Command(arm=True, reference=case.signal, filter_fresh=fleet.filters.fresh)
             fill_command(fleet.commands[index : index + 1], command_now)
         kept = [fleet.samples.copy()]
-        for _ in range(round(FIRST / SAMPLE / POLICY_SAMPLES)):
+        for _ in range(round(FIRST / SAMPLE_PERIOD / SAMPLES_PER_STEP)):
             kept.append(fleet.step(choose(records(fleet.samples[:, -1], STATE_FIELDS))).copy())
         return np.concatenate(kept[1:], axis=1)
 
@@ -126,7 +133,7 @@ def verdict(samples: StateArray) -> tuple[float, str]:
 def marks(runs: list[StateArray]) -> dict[str, Any]:
     """A row's figures from the same case with several seeds, each of shape (n,)."""
     errors = [run["reference_force"] - run["load_force"] for run in runs]
-    rates = [np.diff(run["valve_current"]) / SAMPLE for run in runs]
+    rates = [np.diff(run["valve_current"]) / SAMPLE_PERIOD for run in runs]
     judged = [verdict(run) for run in runs]
     said = [sentence for _, sentence in judged if sentence]
     return {
@@ -146,7 +153,7 @@ def controllers(files: list[Path], kind: str) -> dict[str, Callable[[], Chooser]
         policy, gains, _ = load_policy(file)
         made[file.parent.name] = lambda policy=policy, gains=gains: PolicyChooser(policy, gains)  # type: ignore[misc]
     for pair in (PAPER_III, BEST_FIXED[kind]):
-        made["fixed ({:g}, {:g})".format(*pair)] = lambda pair=pair: fleet_runs.fixed(np.array(pair))  # type: ignore[misc]
+        made["fixed ({:g}, {:g})".format(*pair)] = lambda pair=pair: vector_runs.fixed(np.array(pair))  # type: ignore[misc]
     return made
 
 
@@ -159,7 +166,7 @@ def rows(asked: argparse.Namespace) -> Iterator[dict[str, Any]]:
                     place = Place(integral, kind, asked.wait)
                     runs = [place.play(part, make(), seed) for seed in range(asked.seeds)]
                     for index, case in enumerate(EVALUATION.cases):
-                        length = round((EVALUATION.length(case) - EVALUATION.settle) / SAMPLE)
+                        length = round((EVALUATION.length(case) - EVALUATION.settle) / SAMPLE_PERIOD)
                         ends = length if part in ("tracking", "interrupted") else runs[0].shape[1]
                         known = {"part": part, "integral": integral, "filter": kind, "controller": name}
                         yield {**known, "case": case.name, **marks([run[index, :ends] for run in runs])}

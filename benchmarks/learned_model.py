@@ -26,15 +26,13 @@ from hydro_sim.emulator.offline import Segment, record_offline
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings
-from hydro_sim.identification import stages as identification
-from hydro_sim.identification import torch_gradients, training
+from hydro_sim.identification import stages, torch_gradients, training
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.neural import mlp, network
 from hydro_sim.simulation.offline import Schedule, simulate
-from hydro_sim.structured import observer
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import observer, rollout
 from hydro_sim.structured.model import StructuredModel
 
 HORIZON = 70
@@ -74,7 +72,7 @@ def structured_speed(model: StructuredModel, windows: int) -> dict[str, float]:
     targets = np.zeros((windows, HORIZON, 5))
     parts = c, layers, center, scale, starts, currents, targets, 1.0 / observer.READING_NOISE
     mine, other = _duel(
-        lambda: structured.loss_and_gradients(*parts, numba.get_num_threads()),
+        lambda: rollout.loss_and_gradients(*parts, numba.get_num_threads()),
         lambda: torch_gradients.structured_loss(*parts),
         3,
     )
@@ -153,7 +151,7 @@ def default_training() -> float:
     began = time.monotonic()
     model = training.start(data, settings, Bench.nominal())
     assert isinstance(model, StructuredModel)
-    model = identification.identified(model, data, settings.identify_windows, settings.seed, lambda _: None)
+    model = stages.identified(model, data, settings.identify_windows, settings.seed, lambda _: None)
     for _ in training.steps(model, data, settings):
         pass
     return time.monotonic() - began

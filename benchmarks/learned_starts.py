@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
     def add(name: str, observer: StructuredModel, run: Run) -> None:
         nonlocal worst
         how = {"horizon": HORIZON, "stride": STRIDE}
-        found = evaluation.judge(model, [observer.estimate(run)], [item], recorded=False, **how)
+        found = evaluation.prediction_errors(model, [observer.estimate(run)], [item], recorded=False, **how)
         windows = found.by_window[:, RATE]
         worst = np.argsort(windows)[-WORST:] if worst is None else worst
         speeds = np.abs(item.run.x[evaluation.window_starts(item.run, **how)[worst], -1])

@@ -22,11 +22,11 @@ from benchmarks._report import finish, parser
 from hydro_bridge.signals import FloatArray, matrix
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import GAIN_UNIT, INPUTS
-from hydro_filter.model import structured_kernels as model_kernels
+from hydro_filter.model import structured_kernels
 from hydro_filter.model.displacement import MEMORY_DTYPE, displace, follow, settle
 from hydro_filter.model.loop_model import LOOP, LoopModel, hydraulic_slopes, linearize, loop_model, loop_step, shares
 from hydro_filter.model.state import STATES
-from hydro_filter.training import loss as metric_loss
+from hydro_filter.training import loss
 from hydro_filter.training.data import SIGNALS, DataSettings, roll_out
 from hydro_filter.training.loss import LossSettings, Samples
 from hydro_filter.training.training import network_of, table_rows
@@ -62,7 +62,7 @@ class Batch:
                 v, full = np.empty(LOOP), np.empty(12)
                 linearize(loop, memory[0]["hidden"], x[k], nominal, current, gain, step)
                 displace(loop, memory[0], x[k], reference, rate, v)
-                model_kernels.lift(loop.model[0], x[k], memory[0]["hidden"], full)
+                structured_kernels.lift(loop.model[0], x[k], memory[0]["hidden"], full)
                 made = [part.copy() for part in (step.transition, step.push, step.feedback, step.state_rate)]
                 rows.append((x[k], full, v, signals[k], *made))
             follow(loop, memory[0], x[k], current, rate)
@@ -177,8 +177,8 @@ def epoch(batch: Batch, metric: LearnedMetric, closed: FloatArray, *, difference
         h = 1e-6
         for sign in (1.0, -1.0):
             moved = replace_inputs(samples, samples.inputs + sign * h * samples.nudge)
-            metric_loss.matrices(network, moved, metric.floor)
-    value = metric_loss.loss(network, samples, metric.floor, LossSettings())
+            loss.matrices(network, moved, metric.floor)
+    value = loss.loss(network, samples, metric.floor, LossSettings())
     value.backward()  # type: ignore[no-untyped-call]
     return value.detach()
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import STATE_DTYPE, Flag, StateArray
-from hydro_policy.envs import vector_runs as fleet_runs
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs import vector_runs
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
 from hydro_policy.pretraining.configurations import WIDE
@@ -67,8 +67,8 @@ def best_fixed(simulated: Bench, believed: Bench) -> float:
     cases = list(SETTINGS.cases)
     plants: Sequence[Plant] = [AnalyticPlant(simulated) for _ in range(len(GRID) * len(cases))]
     gains = np.repeat([(kp, INTEGRAL) for kp in GRID], len(cases), axis=0)
-    fleet = Fleet([believed] * len(plants), plants)
-    rmse = fleet_runs.rmse(fleet, cases * len(GRID), fleet_runs.fixed(gains), SETTINGS)
+    fleet = VectorBench([believed] * len(plants), plants)
+    rmse = vector_runs.rmse(fleet, cases * len(GRID), vector_runs.fixed(gains), SETTINGS)
     mean = rmse.reshape(len(GRID), len(cases)).mean(axis=1)
     return GRID[int(np.nanargmin(mean))]
 

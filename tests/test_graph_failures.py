@@ -6,7 +6,6 @@ from __future__ import annotations
 import os
 import signal
 import time
-from collections.abc import Iterator
 from contextlib import AbstractContextManager
 from pathlib import Path
 
@@ -21,19 +20,11 @@ from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.run import RunDirectory
-from tests.graph_probe import Probe, Trainer, own_domain, trainer
+from tests.graph_probe import Probe, Trainer, trainer
 
 pytestmark = pytest.mark.graph
 
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
-
-
-@pytest.fixture
-def probe() -> Iterator[Probe]:
-    with own_domain():
-        watcher = Probe()
-        yield watcher
-        watcher.close()
 
 
 def phase(probe: Probe) -> int:

@@ -17,8 +17,6 @@ from hydro_bridge.ros import executable_path
 from hydro_sim.compilations import VARIABLE, read_compilations
 from tests.graph_probe import own_domain
 
-pytestmark = pytest.mark.graph
-
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=200", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 PLANTS = ("sim", "emulator")
 
@@ -47,6 +45,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "bag"
 
 
+@pytest.mark.graph
 @pytest.mark.parametrize("plant", PLANTS)
 def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> None:
     words = f"hydro_policy trainer --plant {plant} --configuration wide --episodes 1 --runs {{out}}/runs"
@@ -54,11 +53,13 @@ def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> 
     assert run(f"hydro_policy evaluate --plant {plant} --fixed 60 10 --frequencies 2 --settle 0.5", tmp_path) == set()
 
 
+@pytest.mark.graph
 def test_a_filter_with_the_constant_metric_and_an_analytic_plant_compile_nothing(tmp_path: Path) -> None:
     words = "hydro_policy evaluate --plant sim --fixed 60 10 --frequencies 2 --settle 0.5 --filter=--metric=constant"
     assert run(words, tmp_path) == set()
 
 
+@pytest.mark.slow
 def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
     """Without this the tests here could not fail."""
     code = "import hydro_sim, numba; numba.njit(lambda x: x + 1)(1)"
@@ -67,6 +68,7 @@ def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
     assert [line["function"] for line in read_compilations(tmp_path / "log")] == ["__main__.<lambda>"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "words",
     [

@@ -6,7 +6,6 @@ from __future__ import annotations
 import json
 import os
 import subprocess
-from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
 
@@ -23,7 +22,7 @@ from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.run import RunDirectory
-from tests.graph_probe import Probe, own_domain, trainer
+from tests.graph_probe import Probe, trainer
 
 pytestmark = pytest.mark.graph
 
@@ -31,13 +30,10 @@ SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:
 
 
 @pytest.fixture
-def probe() -> Iterator[Probe]:
-    with own_domain():
-        watcher = Probe()
-        watcher.told = {}
-        watcher.node.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda m: _note(watcher, m), DIAGNOSTICS_QOS)
-        yield watcher
-        watcher.close()
+def probe(probe: Probe) -> Probe:
+    probe.told = {}
+    probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, lambda m: _note(probe, m), DIAGNOSTICS_QOS)
+    return probe
 
 
 def _note(probe: Probe, array: DiagnosticArray) -> None:

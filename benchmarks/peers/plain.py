@@ -15,12 +15,13 @@ from numba import njit
 from scipy.optimize import least_squares
 
 from benchmarks.peers.run import Recordings, held_out
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.smoothing import smooth
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING, SAMPLE, advance, hydraulic_force
+from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING, advance, hydraulic_force
 
 LENGTH, WINDOWS, STEPS = 70, 24, 5
 NAMES = {
@@ -137,5 +138,5 @@ def _simulate(bench, first, current):
             shown[w, k, 0] = hydraulic_force(bench, y[0], y[1])
             shown[w, k, 1] = y[4]
             shown[w, k, 2], shown[w, k, 3], shown[w, k, 4] = y[0], y[1], y[2]
-            advance(bench, y, current[w, k], SAMPLE, STEPS)
+            advance(bench, y, current[w, k], SAMPLE_PERIOD, STEPS)
     return shown

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
-from hydro_diagnosis.dataset.loading import taken
+from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model.noise_floor import sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -38,7 +38,7 @@ class Recordings:
 def load(folder: Path) -> Recordings:
     """A case of a proof."""
     bench = Bench.nominal()
-    fitted, held, _ = taken([folder / name for name in FITTED], [folder / HELD], bench)
+    fitted, held, _ = load_dataset([folder / name for name in FITTED], [folder / HELD], bench)
     models = [SegmentModel(segment, bench) for segment in fitted]
     return Recordings(models, [SegmentModel(segment, bench) for segment in held], sensor_noise(models))
 

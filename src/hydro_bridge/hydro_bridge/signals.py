@@ -23,6 +23,9 @@ StateArray = npt.NDArray[np.void]
 SAMPLE_PERIOD = 1e-3
 """s, of the box."""
 
+SAMPLES_PER_STEP = 10
+"""Samples per policy step: gains come at 100 Hz (paper, section Real-World Training Implementation)."""
+
 STATE_FIELDS: tuple[str, ...] = (
     "hydraulic_force",  # N
     "hydraulic_force_rate",  # N/s

@@ -23,7 +23,13 @@ def me(number):
 
 def run(program: str, **more: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(  # type: ignore[call-overload, no-any-return]
-        [sys.executable, "-c", BEGINNING + program], capture_output=True, text=True, timeout=20.0, check=False, **more
+        [sys.executable, "-c", BEGINNING + program],
+        capture_output=True,
+        text=True,
+        timeout=20.0,
+        check=False,
+        start_new_session=True,  # whatever it signals is not who runs the tests
+        **more,
     )
 
 
@@ -92,9 +98,13 @@ def test_a_process_that_was_forked_off_dies_of_the_signal_as_by_default() -> Non
     ended = run("""
 @command()
 def main():
+    told, tell = os.pipe()
     child = os.fork()
     if child == 0:
+        os.write(tell, b"here")  # Python drops what comes between fork and its own beginning in the child
         time.sleep(10)
+        os._exit(1)
+    os.read(told, 4)
     os.kill(child, signal.SIGTERM)
     print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 main()

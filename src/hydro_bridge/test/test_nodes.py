@@ -353,7 +353,7 @@ def test_bridge_says_what_the_box_is_and_a_recording_of_it_says_so_again(cable, 
     assert yaml.safe_load(said.bench)["valve_current_max"] == 0.05
     recorder = start("recorder", "--out", tmp_path / "run")
     probe.wait(lambda: probe.node.count_subscribers(BOX) == 2)
-    probe.listen(4.0)
+    probe.listen(2.0)
     assert recorder.stop() == 0 and bridge.stop() == 0
     (kept,) = [message for _, message in objects(tmp_path / "run", BOX)]
     assert (kept.bench_digest, kept.base_kp) == (said.bench_digest, 30.0)
@@ -394,13 +394,11 @@ def test_recorder_keeps_every_sample_and_ends_cleanly(cable, small_box, probe, s
     attached.write_text("stroke: 0.08\n")
     recorder = start("recorder", "--out", tmp_path / "run", "--metadata", "seed=3", "--attach", attached, "--realtime")
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
-    probe.listen(6.0)  # the bridge may hear of the recorder only by its second announcement, 3 s after the first
+    probe.listen(3.0)
     assert recorder.stop() == 0
     recording = read_bag(tmp_path / "run")
     assert len(recording.state) > 1000 and recording.notes == ()
-    # While it joins the graph, 0.24 s after its first sample, one is lost in a third of the runs (4 of 12 measured).
-    assert continuity(recording.state, tolerance=0.5).lost <= 1
-    assert continuity(recording.state[500:], tolerance=0.5).lost == 0
+    assert continuity(recording.state, tolerance=0.5).lost == 0
     assert recording.metadata["hydro"]["seed"] == "3" and recording.metadata["hydro"]["code_version"]
     assert recording.attachments == {"bench.yaml": b"stroke: 0.08\n"}
     assert "/diagnostics" in recording.topics
@@ -415,14 +413,14 @@ def test_killed_recorder_loses_less_than_a_second(cable, small_box, probe, start
     probe.wait(lambda: len(probe.states) > 20)
     recorder = start("recorder", "--out", tmp_path / "run", "--realtime")
     probe.wait(lambda: probe.node.count_subscribers(STATE) == 2)
-    probe.listen(6.0)
+    probe.listen(3.0)
     os.killpg(recorder.process.pid, signal.SIGKILL)
     recorder.process.wait()
     last = probe.states[-1].sequence
     recording = read_bag(tmp_path / "run")
     states = recording.state
     assert last - int(states["sequence"][-1]) < 1000
-    assert len(states) > 1000 and continuity(states[500:], tolerance=0.5).lost == 0  # joining: see above
+    assert len(states) > 1000 and continuity(states, tolerance=0.5).lost == 0
     assert "was not finished" in recording.notes[0]
     assert start("recorder", "--repair", tmp_path / "run").process.wait(20.0) == 0
     with Reader(tmp_path / "run") as reader:

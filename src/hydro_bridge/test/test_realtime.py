@@ -19,12 +19,12 @@ NODE = """
 import time
 from rclpy.node import Node
 from hydro_bridge.cli.console import command
-from hydro_bridge.ros import be_prompt, run_node
+from hydro_bridge.ros import request_realtime, run_node
 
 class Spinning(Node):
     def __init__(self):
         super().__init__("spinning")
-        print(be_prompt(realtime=True), flush=True)
+        print(request_realtime(realtime=True), flush=True)
         self.create_timer(0.01, self.spin)
 
     def spin(self):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from hydro_diagnosis.findings import Report
 from hydro_diagnosis.io.table import InputError
-from hydro_diagnosis.pipeline import Diagnosis, diagnose
+from hydro_diagnosis.pipeline import diagnose
+from hydro_diagnosis.report.diagnosis import Diagnosis
 
 __all__ = ["Diagnosis", "InputError", "Report", "diagnose"]

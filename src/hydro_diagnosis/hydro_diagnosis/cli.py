@@ -12,8 +12,9 @@ from hydro_bridge.cli.console import command, writable_folder
 from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.formats.importers import SUFFIXES
 from hydro_diagnosis.io.table import InputError
-from hydro_diagnosis.pipeline import Diagnosis, diagnose
+from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.report.corrected_bench import write_corrected
+from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report.page import write_page
 
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)

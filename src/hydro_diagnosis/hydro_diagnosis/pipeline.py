@@ -12,7 +12,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
-from hydro_diagnosis.dataset.loading import taken
+from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.estimation.intervals import Interval, surely
@@ -86,7 +86,7 @@ def diagnose(
     believed = base.bench
     progress("reading")
     candidates = [effect.adapted(believed) for effect in _candidates(without)]
-    fitted, held, quality = taken(recordings, holdout, believed, ColumnMap.load(columns), as_wired=as_wired)
+    fitted, held, quality = load_dataset(recordings, holdout, believed, ColumnMap.load(columns), as_wired=as_wired)
     problem = Problem(fitted, believed, claims_of(believed))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
@@ -116,7 +116,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     models = [SegmentModel(segment, believed) for segment in held]
     progress("checking on held-out recordings")
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
-    unseen.set_doubt(assessment.fit.claims)
+    unseen.update_weights(assessment.fit.claims)
     effects = describe(problem, unseen, outcome, assessment, bounds)
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     notes = (late, current_is_early(problem, effects), hidden)

@@ -18,7 +18,7 @@ from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.blind_benchmark.cases import Case
 from hydro_diagnosis.blind_benchmark.magnitudes import FORMS, OUTSIDE, SINGLES, VALUES, Pick, Shape, Size
 from hydro_diagnosis.blind_benchmark.recording import run_emulator, truth_of
-from hydro_diagnosis.dataset.loading import taken
+from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.wiring.wiring import WiringError, mistakes, wiring_checked
@@ -204,8 +204,8 @@ def test_command_refuses_with_status_2_and_goes_on_as_wired(runs: list[StateArra
     assert ended.returncode == 2
     assert ended.stderr.startswith("error: run: load_force ") and 'load_force=load_force*-1"' in ended.stderr
     assert not (tmp_path / "out").exists()
-    assert len(taken([path], [], BENCH, as_wired=True)[0]) == 1
-    assert len(taken([path], [], BENCH, ColumnMap.load("load_force=load_force*-1"))[0]) == 1
+    assert len(load_dataset([path], [], BENCH, as_wired=True)[0]) == 1
+    assert len(load_dataset([path], [], BENCH, ColumnMap.load("load_force=load_force*-1"))[0]) == 1
 
 
 def test_bag_is_repaired_by_a_map_too(tmp_path: Path) -> None:
@@ -217,7 +217,8 @@ def test_bag_is_repaired_by_a_map_too(tmp_path: Path) -> None:
     np.testing.assert_array_equal(turned.columns["valve_current"], -states["valve_current"])
     assert turned.sample is not None
     with pytest.raises(WiringError, match=r"valve_current=valve_current\*-1"):
-        taken([tmp_path / "bag"], [], BENCH, ColumnMap.load("valve_current=valve_current*-1,load_force=load_force"))
+        columns = ColumnMap.load("valve_current=valve_current*-1,load_force=load_force")
+        load_dataset([tmp_path / "bag"], [], BENCH, columns)
 
 
 def extreme(entry: object, high: bool) -> object:

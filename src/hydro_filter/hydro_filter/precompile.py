@@ -11,7 +11,7 @@ from hydro_filter.controller.factory import CONSTANT, LEARNED, Choice, warm_up
 from hydro_filter.metric.design import rest_loop
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop_model import loop_model
-from hydro_filter.training import levels as metric_levels
+from hydro_filter.training import levels
 from hydro_filter.training.data import DataSettings, collect
 from hydro_filter.validation.cases import CASES
 from hydro_filter.validation.plants import PLANTS
@@ -40,8 +40,8 @@ def _metric_learning() -> None:
     rest_loop(loop, 60.0)
     metric = LearnedMetric.load(None)
     metric.matrix(plant.reset(0), float(np.inf))
-    metric_levels.displacements(loop, plant, 60.0, 0)
-    metric_levels.integral_terms(loop, rollout.states[:2])
+    levels.displacements(loop, plant, 60.0, 0)
+    levels.integral_terms(loop, rollout.states[:2])
 
 
 STEPS: dict[str, Callable[[], None]] = {

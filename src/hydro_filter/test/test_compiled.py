@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, CorrectionStatus, FloatArray, StateArray
-from hydro_filter.controller.compiled import FilterBank, filter_parts
+from hydro_filter.controller.compiled import VectorConstantFilter, filter_parts
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.model.sample import Sample
 from hydro_sim.model.bench import Bench
@@ -34,7 +34,7 @@ def records(states: FloatArray, seed: int) -> StateArray:
 @pytest.mark.parametrize("rate", [0.1, 2.0])
 def test_a_bank_decides_as_the_filter_does(bench: Bench, states: FloatArray, rate: float) -> None:
     at, single = records(states, seed=1), ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=rate))
-    decisions = FilterBank(single.certificate, len(at)).correct(at)
+    decisions = VectorConstantFilter(single.certificate, len(at)).correct(at)
     seen = set()
     for k, record in enumerate(at):
         expected = single.correct(Sample.of(record))

@@ -12,16 +12,14 @@ from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.design import MetricDesign
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import ENTRIES, GAIN_UNIT, INPUTS
-from hydro_filter.model import loop_model
-from hydro_filter.model import structured_kernels as model_kernels
+from hydro_filter.model import loop_model, structured_kernels
 from hydro_filter.model.loop_model import LOOP, LoopModel, hydraulic_slopes, shares
 from hydro_sim.box import force_law
 from hydro_sim.learned.model import Learned
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.neural import mlp
-from hydro_sim.structured import integration
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.model import StructuredModel
 from hydro_sim.structured.physics import AREA, GAIN_H, GAIN_L, OFFSET, RATIO
 from hydro_sim.structured.rollout import FULL
@@ -62,7 +60,7 @@ def advanced(model: StructuredModel, constants: FloatArray, full: FloatArray, cu
     """The plant's own step with these constants."""
     after, (_, *others) = full.copy(), model.compiled
     space = np.empty(5), np.empty(model.hidden[0]), np.empty(model.hidden[1]), np.empty(3), np.empty(8)
-    structured.advance_full(constants, *others, after, current, integration.scratch(), *space)
+    rollout.advance_full(constants, *others, after, current, integration.scratch(), *space)
     return after
 
 
@@ -108,7 +106,7 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(
     for x, hidden, current in cases:
         loop_model.linearize(loop, hidden, x, current, current, 60.0, step)
         full = np.empty(FULL)
-        model_kernels.lift(loop.model[0], x, hidden, full)
+        structured_kernels.lift(loop.model[0], x, hidden, full)
         after = advanced(model, free, full, current)
         gain = hydraulic_slopes(loop.model[0], after[0], after[1], after[2], hidden[0])[0]
 

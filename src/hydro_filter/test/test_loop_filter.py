@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_DTYPE, CorrectionStatus, ReferenceSignal, StateArray, Waveform
-from hydro_filter.controller.loop_filter import LoopBank, LoopFilter, LoopFilterSettings, default_filter
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, VectorLoopFilter, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.trial import Run, Trial, gammas, run
 from hydro_sim.learned.plant import LearnedPlant
@@ -37,7 +37,7 @@ def states(bench: Bench, plant: LearnedPlant) -> StateArray:
 
 
 def test_one_bench_and_many_decide_the_same(bench: Bench, states: StateArray) -> None:
-    one, bank = default_filter(bench), LoopBank(default_filter(bench).parts, 3)
+    one, bank = default_filter(bench), VectorLoopFilter(default_filter(bench).parts, 3)
     corrected = 0
     for record in states:
         result = one.correct(Sample.of(record))

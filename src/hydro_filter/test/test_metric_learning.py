@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.cli.console import UserError
-from hydro_bridge.signals import STATE_DTYPE, Flag, FloatArray, StateArray
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Flag, FloatArray, StateArray
 from hydro_filter.metric.design import MetricDesign, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop_model import LoopModel, loop_model
@@ -36,7 +36,6 @@ from hydro_filter.validation import validate
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
-from hydro_sim.timing import SAMPLE
 
 DATA = DataSettings(rollouts=8, windows=10)
 
@@ -46,7 +45,7 @@ def decay_rate(transition: FloatArray, weight: FloatArray) -> float:
     lower = np.linalg.cholesky(weight)
     moved = np.linalg.solve(lower, (transition.T @ weight @ transition))
     ratio = np.linalg.eigvalsh(np.linalg.solve(lower, moved.T))[-1]
-    return float(-0.5 * np.log(ratio) / SAMPLE)
+    return float(-0.5 * np.log(ratio) / SAMPLE_PERIOD)
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from hydro_bridge.signals import ReferenceSignal
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import FILTERS, fleet_filter
 from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
@@ -30,7 +30,7 @@ def _learner() -> None:
 
 def _fleet(plant: Callable[[], Plant], filter_kind: str) -> None:
     bench = Bench.nominal()
-    fleet = Fleet([bench], [plant()], filters=fleet_filter(filter_kind, bench, 1))
+    fleet = VectorBench([bench], [plant()], filters=fleet_filter(filter_kind, bench, 1))
     fleet.begin(0, ReferenceSignal(), 0)
     fleet.step(np.zeros((1, ACTIONS)))
 

@@ -17,7 +17,7 @@ from hydro_policy.learner_process.shared_memory import SharedBlob
 from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
-from hydro_policy.sac import kernel as sac_kernel
+from hydro_policy.sac import kernel
 from hydro_policy.sac.algorithm import Sac, SacSettings
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.snapshot import dump, restore
@@ -64,9 +64,9 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(tmp_path: Path) -> 
         os.kill(learner.pid, signal.SIGKILL)
         wait(lambda: not learner.alive)
         learner.replay.extend(transitions(50))  # acting goes on meanwhile
-        message = learner.revive()
+        message = learner.restart_if_dead()
         assert message is not None and "signal 9" in message and learner.restarts == 1
-        assert learner.revive() is None
+        assert learner.restart_if_dead() is None
         wait(lambda: learner.ready)
         assert learner.updates >= 500, "it starts from the last snapshot, not from nothing"
         wait(lambda: learner.updates == 600)
@@ -114,7 +114,7 @@ def test_a_learner_that_cannot_begin_says_why_at_once(tmp_path: Path) -> None:
     try:
         wait(lambda: not learner.alive)
         with pytest.raises(LearnerError, match="the learner cannot begin: not a whole agent"):
-            learner.revive()
+            learner.restart_if_dead()
     finally:
         with pytest.raises(ValueError, match="not a whole agent"):  # there is nothing to write
             learner.stop({})
@@ -131,7 +131,7 @@ def test_a_checkpoint_that_cannot_be_written_is_told_and_the_one_before_stays(tm
     end = time.monotonic() + 30.0
     with pytest.raises(LearnerError, match="no checkpoint can be written"):
         while time.monotonic() < end:
-            learner.revive()
+            learner.restart_if_dead()
             time.sleep(0.01)
     with pytest.raises(LearnerError, match=f"go on from the one before with --resume {run.path}"):
         learner.stop({"episode": 3})
@@ -139,15 +139,39 @@ def test_a_checkpoint_that_cannot_be_written_is_told_and_the_one_before_stays(tm
     assert load_checkpoint(run.latest).trainer == {"episode": 1}
 
 
+def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is_written_without_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("hydro_policy.learner_process.supervisor.STOP_TIMEOUT", 1.0)
+    run = RunDirectory(tmp_path / "run").create()
+    learner = LearnerSupervisor(SETTINGS, run)
+    wait(lambda: learner.ready)
+    assert learner.pid is not None
+    os.kill(learner.pid, signal.SIGSTOP)
+    history = [{"episode": k, "whole_steps": 1800, "force_rmse": 1.0 / 3.0} for k in range(160)]
+    heard = [learner.save({"episode": k, "history": history}) for k in range(200)]  # two megabytes
+    assert heard[0] and not heard[-1]
+    before = learner.checkpoints
+    learner.roll_back()
+    os.kill(learner.pid, signal.SIGCONT)
+    wait(lambda: learner.checkpoints == before + sum(heard))
+    learner.restart_if_dead()
+    wait(lambda: learner.new_weights() is not None)  # it has gone back, though it did not hear of it at first
+    os.kill(learner.pid, signal.SIGSTOP)
+    learner.stop({"episode": 200})
+    assert not learner.alive
+    assert load_checkpoint(run.latest).trainer == {"episode": 200}
+
+
 def test_what_learning_compiles_is_compiled_before_it_is_ready() -> None:
-    signatures = len(sac_kernel.learn.signatures)
+    signatures = len(kernel.learn.signatures)
     compile_updates(SETTINGS.sac)
-    compiled = len(sac_kernel.learn.signatures)
+    compiled = len(kernel.learn.signatures)
     learner = Learner(LearnerMemory(SETTINGS), SETTINGS)
     learner.replay.extend(transitions(200))
     learner.work()
     assert learner.sac.updates > 0
-    assert signatures <= compiled == len(sac_kernel.learn.signatures), "the first real update found it compiled"
+    assert signatures <= compiled == len(kernel.learn.signatures), "the first real update found it compiled"
 
 
 def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
@@ -158,7 +182,7 @@ def test_learner_that_keeps_dying_is_given_up(tmp_path: Path) -> None:
                 assert learner.pid is not None
                 os.kill(learner.pid, signal.SIGKILL)
                 wait(lambda: not learner.alive)
-                learner.revive()
+                learner.restart_if_dead()
     finally:
         learner.stop({})
 

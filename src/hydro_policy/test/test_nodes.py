@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import subprocess
@@ -22,11 +23,22 @@ import rclpy
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.cli.console import UserError
-from hydro_bridge.ros import BOX, BOX_QOS, GAINS, GAINS_QOS, STATE, STATE_QOS, CompanionError, executable_path
+from hydro_bridge.ros import (
+    BOX,
+    BOX_QOS,
+    GAINS,
+    GAINS_QOS,
+    OVERRIDE_SERVICE,
+    STATE,
+    STATE_QOS,
+    CompanionError,
+    executable_path,
+)
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
 from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo, Gains
+from hydro_msgs.srv import OverrideGains
 from hydro_policy.nodes.companions import PlantOptions, commands
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import uncovered
@@ -38,6 +50,7 @@ from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.initial_agent import shipped_start
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy, load_policy
+from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.pairing import Believed, MadeFor
 from hydro_sim.files.weights import shipped
@@ -165,6 +178,33 @@ class Counted:
 
     def on_tick(self, now: float) -> None:
         self.ticks += 1
+
+
+def test_an_override_that_the_full_disk_keeps_no_record_of_is_answered_and_ends_the_session_with_its_cause() -> None:
+    def refuse(_: str) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "run.json")
+
+    rclpy.init()
+    node = GraphNode("trainer", realtime=False)
+    node.override = GainOverride(say=refuse)
+    caller = rclpy.create_node("person")
+    asking = caller.create_client(OverrideGains, OVERRIDE_SERVICE)
+    answers = []
+
+    def each_tick() -> None:
+        if not answers and asking.service_is_ready():
+            request = OverrideGains.Request(active=True, proportional_gain=20.0, integral_gain=6.0)
+            answers.append(asking.call_async(request))
+
+    try:
+        with pytest.raises(OSError, match=r"No space left on device: 'run\.json'"):
+            node.drive(Counted(), each_tick)  # type: ignore[arg-type]
+        rclpy.spin_until_future_complete(caller, answers[0], timeout_sec=5.0)
+        assert not answers[0].result().success
+    finally:
+        caller.destroy_node()
+        node.destroy_node()
+        rclpy.shutdown()
 
 
 def test_a_newcomer_waits_until_nobody_else_publishes_gains() -> None:

@@ -19,7 +19,7 @@ import yaml
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_runs import fixed
 from hydro_policy.pretraining.examination import REFERENCE_GAINS, TRIPPED, Examination
 from hydro_policy.pretraining.pretrain import parser, resumed, training_settings
@@ -155,7 +155,7 @@ def test_a_policy_is_examined_on_drawn_benches_too_relative_to_fixed_gains_on_ea
 def test_drawn_benches_of_an_examination_bear_the_reference_gains_and_a_trip_counts_ten_times() -> None:
     """At twice the spread of what is drawn, some benches do not bear (90, 15)."""
     wild = Randomisation(spread=1.5, dead_time_max=8)
-    fleet = lambda n: Fleet([BENCH] * n, [AnalyticPlant(BENCH) for _ in range(n)])  # noqa: E731
+    fleet = lambda n: VectorBench([BENCH] * n, [AnalyticPlant(BENCH) for _ in range(n)])  # noqa: E731
     evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     asked: list[int] = []
 
@@ -173,7 +173,7 @@ def test_drawn_benches_of_an_examination_bear_the_reference_gains_and_a_trip_cou
 
 def test_an_examination_on_benches_that_bear_no_gains_ends_and_knows_what_no_tracking_is_worth() -> None:
     """A valve that passes half as much again as the box believes: no gain is stable."""
-    fleet = lambda n: Fleet([BENCH] * n, [AnalyticPlant(WILD) for _ in range(n)])  # noqa: E731
+    fleet = lambda n: VectorBench([BENCH] * n, [AnalyticPlant(WILD) for _ in range(n)])  # noqa: E731
     evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     alone = Examination(fleet, BENCH, evaluation)
     assert alone.reference == pytest.approx(300.0 / math.sqrt(2.0))

@@ -11,8 +11,7 @@ import numpy as np
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_sim.files import recordings
-from hydro_sim.identification import adam, evaluation, training
-from hydro_sim.identification import stages as identification
+from hydro_sim.identification import adam, evaluation, stages, training
 from hydro_sim.identification.analytic import AnalyticModel
 from hydro_sim.identification.evaluation import Scored
 from hydro_sim.learned.model import Learned
@@ -47,7 +46,7 @@ def learned(structure: str, hidden: tuple[int, ...] = (32, 32)) -> Learned:
     settings = training.Settings(structure=structure, hidden=hidden, batch=64, stride=500, adam=replace(few, epochs=1))
     model = training.start(data, settings, Bench.nominal())
     if isinstance(model, StructuredModel):
-        identification.left(model, data)
+        stages.left(model, data)
     *_, (_, trained) = training.steps(model, data, settings)
     return training.finished(trained, data, {})
 
@@ -59,7 +58,7 @@ def _learning(structure: str, hidden: tuple[int, ...] = (32, 32)) -> None:
     scored = [Scored(run=run, truth=None) for run in _data().training]
     for predictor in (made.model, AnalyticModel(Bench.nominal())):
         states = [predictor.estimate(item.run) for item in scored]
-        evaluation.judge(predictor, states, scored, recorded=True, horizon=70, stride=500)
+        evaluation.prediction_errors(predictor, states, scored, recorded=True, horizon=70, stride=500)
 
 
 @cache

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import io
 import os
+import pty
 import subprocess
 import sys
 import time
@@ -243,6 +244,23 @@ def test_a_bench_that_was_armed_before_is_disarmed_and_recorded_at_rest_before_a
     armed = (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED) != 0
     begun = np.flatnonzero(np.diff(armed.astype(int)) == 1)[-1] + 1
     assert armed[begun:].sum() > 900 and not armed[begun - 900 : begun].any()
+
+
+@pytest.mark.graph
+def test_a_terminal_that_has_gone_changes_nothing(plant: Callable[..., None], tmp_path: Path) -> None:
+    plant("-r", "__node:=bench")
+    ours, theirs = pty.openpty()
+    words = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
+    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stderr=theirs)
+    os.close(theirs)
+    os.close(ours)  # not its controlling terminal: no SIGHUP comes, and what it says is an error of the system
+    end = time.monotonic() + 60.0
+    while process.poll() is None and time.monotonic() < end:
+        subprocess.run([str(executable_path("hydro_bridge", "arm"))], timeout=30, check=False)
+    assert process.wait(10.0) == 0
+    states = read_bag(tmp_path / "bag").state
+    assert (states["flags"] & Flag.ARMED).sum() > 900
+    assert not states["flags"][-1] & Flag.ARMED
 
 
 @pytest.mark.graph

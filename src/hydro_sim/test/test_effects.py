@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
 from hydro_sim.model import hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import integration, program, record, valve
@@ -17,7 +17,6 @@ from hydro_sim.model.effects.catalogue import CATALOGUE, form_of
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 from hydro_sim.simulation.offline import Schedule, simulate
-from hydro_sim.timing import SAMPLE
 
 IDS = {
     "friction_coulomb", "friction_viscous", "friction_stribeck", "leakage_internal", "leakage_external",
@@ -49,7 +48,7 @@ def response(bench: Bench, current: FloatArray) -> tuple[FloatArray, FloatArray]
 
 
 def wave(samples: int = 600) -> FloatArray:
-    time = SAMPLE * np.arange(samples)
+    time = SAMPLE_PERIOD * np.arange(samples)
     return np.asarray(4e-4 * np.sin(2 * np.pi * 3 * time) + 2e-4 * np.sin(2 * np.pi * 17 * time))
 
 
@@ -72,7 +71,7 @@ def test_a_bench_without_effects_has_the_numbers_of_its_equations_to_the_bit(ben
     sensors.restart(last[0], read(), x)
     np.testing.assert_array_equal(first, x)
     for current in wave(200):
-        hydraulics.advance(constants[0], y, current, SAMPLE, hydraulics.SUBSTEPS)
+        hydraulics.advance(constants[0], y, current, SAMPLE_PERIOD, hydraulics.SUBSTEPS)
         sensors.condition(settings[0], last[0], read(), x)
         np.testing.assert_array_equal(plant.step(float(current)), x)
 
@@ -150,7 +149,7 @@ def test_a_dead_time_of_a_fraction_moves_the_edge_within_a_sample() -> None:
 def test_the_spool_follows_a_step_as_its_closed_form_says(name: str) -> None:
     numbers = {"bandwidth": 90.0} | ({"damping": 0.7} if "form" not in name else {})
     spool = mean_spool(np.ones(10), effect(name, **numbers))
-    omega, middle = 2.0 * np.pi * 90.0, (np.arange(200) + 0.5) * SAMPLE / 20
+    omega, middle = 2.0 * np.pi * 90.0, (np.arange(200) + 0.5) * SAMPLE_PERIOD / 20
     fast = omega * np.sqrt(1.0 - 0.49)
     second = 1.0 - np.exp(-0.7 * omega * middle) * (np.cos(fast * middle) + 0.7 * omega / fast * np.sin(fast * middle))
     expected = second if "damping" in numbers else 1.0 - np.exp(-omega * middle)
@@ -180,7 +179,7 @@ def test_a_leak_evens_the_chambers_out_exponentially(bench: Bench) -> None:
     volume_a, volume_b = hydraulics.volumes(bench.constants()[0], 0.04)
     rest = hydraulics.rest_state(bench.constants()[0])
     rate = 1e-12 * bench.bulk_modulus * (1.0 / volume_a + 1.0 / volume_b)
-    expected = (rest[0] - rest[1]) * np.exp(-rate * SAMPLE * np.arange(1, 301))
+    expected = (rest[0] - rest[1]) * np.exp(-rate * SAMPLE_PERIOD * np.arange(1, 301))
     np.testing.assert_allclose(states[:, 0] - states[:, 1], expected, atol=1e4)
 
 
@@ -220,7 +219,7 @@ def test_bristles_are_a_spring_before_they_slide(bench: Bench) -> None:
 
 def test_play_loses_its_width_at_each_reversal_and_the_gap_at_rest(bench: Bench) -> None:
     width = 2e-3
-    current = 3e-3 * np.sin(2 * np.pi * 2 * SAMPLE * np.arange(450))
+    current = 3e-3 * np.sin(2 * np.pi * 2 * SAMPLE_PERIOD * np.arange(450))
     ideal = replace(bench, load_cell_bandwidth=None)
     x, force = response(with_effects(ideal, effect("backlash", width=width)), current)[1][:, [2, 4]].T
     lost = np.clip(x - 0.04, -width / 2, width / 2)

@@ -181,6 +181,17 @@ def test_the_count_of_commands_may_wrap_around(link: BoxLink) -> None:
     port.close()
 
 
+def test_greetings_without_end_leave_the_box_disarmed_and_nothing_piles_up(link: BoxLink) -> None:
+    port = opened(link)
+    for _ in range(50):
+        port.write((encode_hello(0, 0) + armed_command(1)) * 20)
+        assert link.poll(0.0) == Command()
+    assert link.report.hellos == 50 * 20
+    assert link.poll(0.0) == Command(arm=True) and link.poll(0.0) is None, "the last command, behind the last of them"
+    assert link.report.commands == 50, "of each twenty the last, and the next greeting made that void"
+    port.close()
+
+
 @pytest.mark.parametrize("restart", ["host", "box"])
 def test_a_restart_begins_a_new_count(link: BoxLink, restart: str) -> None:
     port = opened(link)

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 
@@ -153,8 +153,8 @@ def test_integration_is_of_fourth_order(bench: Bench) -> None:
 def test_fifty_microseconds_are_fine_enough(bench: Bench) -> None:
     coarse, fine = (hydraulics.rest_state(bench.constants()[0]) for _ in range(2))
     for _ in range(100):
-        hydraulics.advance(bench.constants()[0], coarse, 5e-3, hydraulics.SAMPLE, hydraulics.SUBSTEPS)
-        hydraulics.advance(bench.constants()[0], fine, 5e-3, hydraulics.SAMPLE, 20 * hydraulics.SUBSTEPS)
+        hydraulics.advance(bench.constants()[0], coarse, 5e-3, SAMPLE_PERIOD, hydraulics.SUBSTEPS)
+        hydraulics.advance(bench.constants()[0], fine, 5e-3, SAMPLE_PERIOD, 20 * hydraulics.SUBSTEPS)
     np.testing.assert_allclose(coarse, fine, rtol=1e-5)
 
 

@@ -16,8 +16,7 @@ from hydro_sim.files import recordings
 from hydro_sim.identification import torch_gradients, training
 from hydro_sim.model.bench import Bench
 from hydro_sim.neural import engine, mlp, network
-from hydro_sim.structured import constants
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import constants, rollout
 
 
 def close(one, other, tolerance=1e-8):
@@ -68,7 +67,7 @@ def test_structured_gradient_is_that_of_torch():
     targets = random_start(rng, 70)[:, [6, 7, 0, 1, 2]].reshape(7, 10, 5)
     weights = 1.0 / np.array([100.0, 100.0, 1e6, 1e6, 1e-2])
     parts = c, layers, center, scale, starts, currents, targets, weights
-    loss, by_c, by_network = structured.loss_and_gradients(*parts, 2)
+    loss, by_c, by_network = rollout.loss_and_gradients(*parts, 2)
     expected, expected_c, expected_network = torch_gradients.structured_loss(*parts)
     assert loss == pytest.approx(expected, rel=1e-10)
     learned = np.array([entry.learned for entry in table])

@@ -59,8 +59,8 @@ def random_network(seed=0):
 def test_predictions_reach_the_papers_level(shipped, held_out):
     states = [shipped.model.estimate(held_out.run)]
     how = {"recorded": False, "horizon": 70, "stride": 41}
-    clean = evaluation.judge(shipped.model, states, [held_out], **how)
-    analytic = evaluation.judge(AnalyticModel(Bench.nominal()), states, [held_out], **how)
+    clean = evaluation.prediction_errors(shipped.model, states, [held_out], **how)
+    analytic = evaluation.prediction_errors(AnalyticModel(Bench.nominal()), states, [held_out], **how)
     share = clean.rmse / Scales.of(held_out.truth).span
     for column, level in {0: 0.0006, 2: 0.0009, 4: 0.0004, 5: 0.0002, 6: 0.0031}.items():
         assert share[column] <= level
@@ -69,7 +69,7 @@ def test_predictions_reach_the_papers_level(shipped, held_out):
 
 def test_predictions_stay_near_the_noise_floor(shipped, held_out):
     states = [shipped.model.estimate(held_out.run)]
-    noisy = evaluation.judge(shipped.model, states, [held_out], recorded=True, horizon=70, stride=41)
+    noisy = evaluation.prediction_errors(shipped.model, states, [held_out], recorded=True, horizon=70, stride=41)
     assert np.all(noisy.rmse <= 1.2 * evaluation.noise_floor([held_out]))
 
 

@@ -18,8 +18,7 @@ from hydro_sim.excitation.coverage import coverage
 from hydro_sim.excitation.schedules import load_schedule, save_schedule
 from hydro_sim.files import recordings
 from hydro_sim.files.recordings import DataError
-from hydro_sim.identification import adam, learn, training
-from hydro_sim.identification import stages as identification
+from hydro_sim.identification import adam, learn, stages, training
 from hydro_sim.identification.checkpoint import Checkpoint
 from hydro_sim.identification.objectives import StructuredObjective, Windows
 from hydro_sim.learned.model import Learned
@@ -130,7 +129,7 @@ def test_training_stops_when_validation_no_longer_gets_better(data):
 def test_identification_finds_the_benchs_constants(data):
     chosen = training.Settings(identify_windows=90)
     start = training.start(data, chosen, Bench.nominal())
-    model = identification.identified(start, data, chosen.identify_windows, chosen.seed, lambda _: None)
+    model = stages.identified(start, data, chosen.identify_windows, chosen.seed, lambda _: None)
     c, _ = constants.values(model.table, model.theta)
     found = {entry.name: value for entry, value in zip(model.table, c, strict=True)}
     assert found["friction_coulomb"] == pytest.approx(12.0, rel=0.05)
@@ -141,12 +140,12 @@ def test_identification_finds_the_benchs_constants(data):
 
 def test_readings_are_weighed_by_what_the_model_leaves_of_them(data):
     shipped = Learned.load().model
-    np.testing.assert_allclose(identification.left(shipped, data) / observer.READING_NOISE, 1.0, rtol=0.1)
+    np.testing.assert_allclose(stages.left(shipped, data) / observer.READING_NOISE, 1.0, rtol=0.1)
     names = [entry.name for entry in shipped.table]
     theta = shipped.theta.copy()
     theta[names.index("viscous_friction")] += 0.7
     wrong = shipped.with_parameters(theta, shipped.flat)
-    left = identification.left(wrong, data) / observer.READING_NOISE
+    left = stages.left(wrong, data) / observer.READING_NOISE
     assert left[0] > 2.0 and (left >= 1.0).all()
     objective = StructuredObjective(replace(wrong, left=left), *[Windows(data.validation, 70, 35)] * 2, batch=1, seed=0)
     np.testing.assert_array_equal(objective.weights, 1.0 / left)

@@ -23,9 +23,11 @@ def write_whole(path: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         partial.replace(path)
-    except OSError:
+    except OSError as error:
         with suppress(OSError):
             partial.unlink()
+        if error.filename is None:  # a full disk says only that it is full
+            error.filename = str(path)
         raise
     flush_folder(path.parent)
 

@@ -18,7 +18,7 @@ from hydro_bridge.cli.console import UserError, command
 from hydro_bridge.files import bench_file
 from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
+from hydro_bridge.ros import Level, Status, declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import differences, known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.frames import BoxInfo
@@ -85,7 +85,7 @@ class BridgeNode(PlantNode):
         logger, self._bench = self.get_logger(), bench
         self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box)
         self.connect(self.link)
-        self.get_logger().info(be_prompt(realtime=realtime))
+        self.get_logger().info(request_realtime(realtime=realtime))
         self._thread = threading.Thread(target=self.link.run, name="serial", daemon=True)
 
     def begin(self) -> None:

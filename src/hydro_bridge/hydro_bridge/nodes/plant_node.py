@@ -37,14 +37,14 @@ from hydro_bridge.ros import (
     STATE_QOS,
     DiagnosticsPublisher,
     Level,
-    RivalWatch,
+    PublisherConflictWatch,
     StateMessage,
     Status,
     box_to_message,
+    publisher_conflicts,
     reference_from_message,
-    with_rivals,
+    with_publisher_conflicts,
 )
-from hydro_bridge.ros import publisher_conflict as rivals
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import Flag, flag_names
@@ -97,12 +97,12 @@ class PlantNode(Node):
         self.create_service(SetBool, ARM_SERVICE, self._on_arm)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._tell_events, clock=steady)
-        self._rival_watch = RivalWatch(self)
+        self._rival_watch = PublisherConflictWatch(self)
         self.create_timer(1.0, self._look_for_rivals, clock=steady)
         self.diagnostics = DiagnosticsPublisher(self, self._status)
 
     def destroy_node(self) -> None:
-        """End the watch for rivals, too."""
+        """End the watch for publisher_conflicts, too."""
         self._rival_watch.close()
         super().destroy_node()
 
@@ -133,7 +133,7 @@ class PlantNode(Node):
             self.side.guard.set_reference(signal)
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        trouble = rivals(self, GAINS, STATE) if request.data else ""
+        trouble = publisher_conflicts(self, GAINS, STATE) if request.data else ""
         trouble = trouble or self.side.arm(request.data)
         response.success, response.message = not trouble, trouble or ("armed" if request.data else "disarmed")
         if not trouble or trouble != self._refusal:  # some ask again and again
@@ -154,7 +154,7 @@ class PlantNode(Node):
         if given_up:
             message = f"{status.message}: {given_up}"
             status = replace(status, level=max(status.level, Level.WARN), message=message)
-        return with_rivals(status, rivals(self, GAINS, STATE))
+        return with_publisher_conflicts(status, publisher_conflicts(self, GAINS, STATE))
 
     def _tell_events(self) -> None:
         with self.side.lock:

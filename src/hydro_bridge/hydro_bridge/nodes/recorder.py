@@ -25,7 +25,7 @@ from hydro_bridge.bags.recording import repair
 from hydro_bridge.bags.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
 from hydro_bridge.bags.types import TopicQos
 from hydro_bridge.cli.console import UserError, command, writable_folder
-from hydro_bridge.ros import GRAPH, DiagnosticsPublisher, Level, Status, be_prompt, ros_arguments, run_node
+from hydro_bridge.ros import GRAPH, DiagnosticsPublisher, Level, Status, request_realtime, ros_arguments, run_node
 
 _QUEUE = 2000  # messages per topic that wait while the disk is slow: 2 s of samples
 _PRIORITY = 5  # of SCHED_FIFO: below all that acts. The middleware hands over some 0.5 s of samples, then drops them
@@ -40,7 +40,7 @@ class RecorderNode(Node):
 
     def __init__(self, make_run: Callable[[], RecordingRun], topics: Sequence[str], *, realtime: bool) -> None:
         super().__init__("recorder")
-        scheduling = be_prompt(realtime=realtime, priority=_PRIORITY)  # before samples come in
+        scheduling = request_realtime(realtime=realtime, priority=_PRIORITY)  # before samples come in
         self._run = make_run()
         self.failed = False
         self._unknown = [topic for topic in topics if topic not in GRAPH]

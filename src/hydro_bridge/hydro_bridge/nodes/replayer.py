@@ -27,7 +27,7 @@ from hydro_bridge.ros import (
     STATE,
     DiagnosticsPublisher,
     Status,
-    be_prompt,
+    request_realtime,
     ros_arguments,
     run_node,
 )
@@ -50,7 +50,7 @@ class ReplayerNode(Node):
         )
         self.failure: Exception | None = None
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        be_prompt(realtime=False)
+        request_realtime(realtime=False)
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
 
     def begin(self) -> None:

@@ -40,7 +40,7 @@ def limit_run() -> None:
     resource.setrlimit(resource.RLIMIT_RTTIME, (min(round(1e6 * RUN_MAX), most), most))
 
 
-def be_ordinary() -> None:
+def drop_realtime() -> None:
     """Leave SCHED_FIFO: what comes now (plots, files) shall hold up nobody."""
     with suppress(OSError):
         for thread in os.listdir("/proc/self/task"):
@@ -48,5 +48,5 @@ def be_ordinary() -> None:
 
 
 def _end(number: int, _: FrameType | None) -> None:
-    be_ordinary()
+    drop_realtime()
     raise RanTooLong(number, f"ran {RUN_MAX:g} s by SCHED_FIFO without a pause: something in it spins; it ends here")

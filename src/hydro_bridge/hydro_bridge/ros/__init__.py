@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from hydro_bridge.process.realtime import be_ordinary
+from hydro_bridge.process.realtime import drop_realtime
 from hydro_bridge.ros.box_info import listen_to_box
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
@@ -17,14 +17,15 @@ from hydro_bridge.ros.messages import (
     state_from_message,
 )
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
-from hydro_bridge.ros.publisher_conflict import RivalWatch, rivals, with_rivals
+from hydro_bridge.ros.publisher_conflict import PublisherConflictWatch, publisher_conflicts, with_publisher_conflicts
 from hydro_bridge.ros.recorder_watch import RecorderWatch
-from hydro_bridge.ros.scheduling import be_prompt
+from hydro_bridge.ros.scheduling import request_realtime
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
     BOX,
     BOX_QOS,
+    CLOCK,
     CORRECTION,
     CORRECTION_QOS,
     DIAGNOSTICS,
@@ -45,6 +46,7 @@ __all__ = [
     "ARM_SERVICE",
     "BOX",
     "BOX_QOS",
+    "CLOCK",
     "CORRECTION",
     "CORRECTION_QOS",
     "DIAGNOSTICS",
@@ -64,11 +66,11 @@ __all__ = [
     "DiagnosticsPublisher",
     "Level",
     "RecorderWatch",
-    "RivalWatch",
+    "PublisherConflictWatch",
     "StateMessage",
     "Status",
-    "be_ordinary",
-    "be_prompt",
+    "drop_realtime",
+    "request_realtime",
     "box_from_message",
     "box_to_message",
     "declare_parameters",
@@ -77,12 +79,12 @@ __all__ = [
     "reference_from_message",
     "reference_to_message",
     "refuse_unknown_parameters",
-    "rivals",
+    "publisher_conflicts",
     "ros_arguments",
     "run_node",
     "seconds",
     "spin",
     "start_ros",
     "state_from_message",
-    "with_rivals",
+    "with_publisher_conflicts",
 ]

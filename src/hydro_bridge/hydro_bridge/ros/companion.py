@@ -126,6 +126,9 @@ class Companion:
 
 def _die_with(parent: int) -> None:
     """In the child, before it becomes the executable: die when the parent dies, even if it just did."""
+    signal.signal(
+        signal.SIGTERM, signal.SIG_DFL
+    )  # the parent's handler would only take note, and be gone a moment later
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)

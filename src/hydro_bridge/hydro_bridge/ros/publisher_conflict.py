@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Topics that one node at a time may publish: two trainers' gains, or two plants' states, would alternate unnoticed.
 
-Before a plant is armed it is enough that the graph shows two (`rivals`). While it is armed (`RivalWatch`) a second
+Before a plant is armed it is enough that the graph shows two (`publisher_conflicts`). While it is armed a second
 trainer may be there, silent, until it is alone: its gains have to be heard, too.
 """
 
@@ -21,7 +21,7 @@ _TURNS = 2
 _DEPTH = 200  # gains between two looks; of more the first are lost
 
 
-def rivals(node: Node, *topics: str) -> str:
+def publisher_conflicts(node: Node, *topics: str) -> str:
     """A sentence about each topic that more than one publishes; empty if there is none."""
     crowded = []
     for topic in topics:
@@ -31,14 +31,14 @@ def rivals(node: Node, *topics: str) -> str:
     return "; ".join(crowded)
 
 
-def with_rivals(status: Status, trouble: str) -> Status:
+def with_publisher_conflicts(status: Status, trouble: str) -> Status:
     """The status, made an ERROR that says so if there is `trouble`."""
     if not trouble:
         return status
     return Status(level=Level.ERROR, message=f"{trouble}; {status.message}", values=status.values)
 
 
-class RivalWatch:
+class PublisherConflictWatch:
     """Whether two nodes drive a plant that is armed, or two plants answer; look once a second.
 
     Whose gains a message holds it does not say, but the middleware numbers each publisher's messages one by one. They
@@ -63,7 +63,7 @@ class RivalWatch:
 
     def look(self) -> str:
         """Which nodes publish beside one another, in a sentence; empty if nobody does."""
-        before, self._two_plants = self._two_plants, rivals(self._node, STATE)
+        before, self._two_plants = self._two_plants, publisher_conflicts(self._node, STATE)
         return (self._two_plants if before else "") or self._two_voices()
 
     def close(self) -> None:
@@ -71,7 +71,7 @@ class RivalWatch:
         self._ear.destroy_node()
 
     def _two_voices(self) -> str:
-        crowd = rivals(self._node, GAINS)
+        crowd = publisher_conflicts(self._node, GAINS)
         if not crowd:
             self._crowded, self._turns, self._last = False, 0, []
             return ""

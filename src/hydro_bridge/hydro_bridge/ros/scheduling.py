@@ -12,7 +12,7 @@ PRIORITY = 20
 """Of SCHED_FIFO, [1, 99]: above all ordinary processes, below the kernel's own threads."""
 
 
-def be_prompt(*, realtime: bool, priority: int = PRIORITY, inherited: bool = True) -> str:
+def request_realtime(*, realtime: bool, priority: int = PRIORITY, inherited: bool = True) -> str:
     """Take the garbage collector out of the way and, if asked, run this process by SCHED_FIFO; says what came of it.
 
     Call it after everything long-lived is made: the collector no longer walks it. Without the right to SCHED_FIFO

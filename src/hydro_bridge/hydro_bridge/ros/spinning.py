@@ -17,6 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from hydro_bridge.process import endings
+from hydro_bridge.ros.keys.enclave import enclave_arguments, no_keys, secured, try_keys
 from hydro_bridge.ros.network import stay_on_this_machine
 from hydro_bridge.ros.parameters import refuse_unknown_parameters
 from hydro_bridge.settings import SettingsError
@@ -35,19 +36,26 @@ def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], li
 
 
 def start_ros(ros: Sequence[str] = ()) -> None:
-    """Start ROS without its signal handlers: ours leave time to disarm. See `network` for how far it reaches.
+    """Start ROS without its signal handlers: ours leave time to disarm.
+
+    See `network` for how far it reaches, `keys.enclave` for the keys it takes where security is on.
 
     Raises
     ------
     SettingsError
-        The arguments, `--ros-args` and what follows, cannot be used.
+        The arguments, `--ros-args` and what follows, cannot be used, or the keys cannot.
     """
     stay_on_this_machine()
+    keys = secured()
     try:
-        rclpy.init(args=["hydro", *ros], signal_handler_options=SignalHandlerOptions.NO)
+        rclpy.init(args=["hydro", *enclave_arguments(), *ros], signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # of which all of rclpy's are
+        if keys:
+            raise no_keys(error) from None
         sentence = re.sub(r",? at /\S+:\d+", "", str(error))
         raise SettingsError(f"ROS refuses its arguments: {' '.join(sentence.split())}") from None
+    if keys:
+        try_keys()
 
 
 def spin(node: Node, until: Future | None = None) -> bool:
@@ -82,9 +90,11 @@ def spin(node: Node, until: Future | None = None) -> bool:
                 # and gives Python no chance to take a signal.
                 executor.spin_until_future_complete(done, timeout_sec=_SLICE)
     finally:
-        endings.restore(before)
-        executor.remove_node(node)
-        executor.shutdown()
+        try:
+            executor.remove_node(node)
+            executor.shutdown()
+        finally:  # last: a second signal is not to leave the node with an executor that has gone
+            endings.restore(before)
     return bool(ended)
 
 

@@ -17,6 +17,8 @@ CORRECTION = "/hydro/correction"
 REFERENCE = "/hydro/reference"
 TRAINING = "/hydro/training"
 DIAGNOSTICS = "/diagnostics"
+CLOCK = "/clock"
+"""ROS's own, of a simulation off real time; not in GRAPH, for nobody records it."""
 ARM_SERVICE = "/hydro/arm"
 OVERRIDE_SERVICE = "/hydro/override"
 

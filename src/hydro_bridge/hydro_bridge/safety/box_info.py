@@ -13,14 +13,13 @@ import yaml
 from hydro_bridge.files import bench_file
 from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.serial.frames import BoxInfo
+from hydro_bridge.signals import SAMPLE_PERIOD
 
 NO_BOX = (
     "no node says on /hydro/box what the box is and believes: start a bridge or a sim of this version, "
     "or a replayer on a recording that has it"
 )
 
-SAMPLE_PERIOD = 1e-3
-"""s, that everything here is made for."""
 
 _FLOAT32 = 1e-6  # relative: HELLO carries float32
 

@@ -17,6 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from hydro_bridge.cli.console import UserError, progress
+from hydro_bridge.process.endings import undisturbed
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD, Case
 from hydro_diagnosis.blind_benchmark.recording import clear, fresh, run_seed, whole, written
 from hydro_diagnosis.blind_benchmark.retake import ATTEMPTS, Attempt, usable
@@ -78,12 +79,13 @@ def _running(words: Sequence[str]) -> Iterator[None]:
     try:
         yield
     finally:
-        os.killpg(process.pid, signal.SIGINT)
-        try:
-            process.wait(timeout=10.0)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+        with undisturbed():  # a second Ctrl-C leaves nothing behind
+            os.killpg(process.pid, signal.SIGINT)
+            try:
+                process.wait(timeout=10.0)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
 
 
 def _environment() -> dict[str, str]:

@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from hydro_bridge.cli.console import command, progress
 from hydro_diagnosis import InputError, diagnose
-from hydro_diagnosis.blind_benchmark import access_guard as blindfold
+from hydro_diagnosis.blind_benchmark import access_guard
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD
 from hydro_diagnosis.engine import engine
 from hydro_diagnosis.report.corrected_bench import write_corrected
@@ -37,7 +37,7 @@ def diagnosed(case: Path) -> None:
     """Diagnose one case and write its answer.json: report, refused (a sentence or null), wall and cpu [s], engine."""
     if (case / ANSWER).exists():  # another one was here in the meantime
         return
-    blindfold.put_on(case.parent.parent, case.parent)
+    access_guard.put_on(case.parent.parent, case.parent)
     begun, cpu = time.monotonic(), time.process_time()
     answer: dict[str, Any] = {"report": None, "refused": None, "engine": ENGINE}
     signal.signal(signal.SIGPROF, _too_long)

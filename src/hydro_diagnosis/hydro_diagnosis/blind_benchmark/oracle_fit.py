@@ -21,7 +21,7 @@ from hydro_bridge.cli.console import progress
 from hydro_diagnosis import InputError
 from hydro_diagnosis.blind_benchmark.cases import FITTED, HELD, Case
 from hydro_diagnosis.blind_benchmark.facts import Result
-from hydro_diagnosis.dataset.loading import taken
+from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
@@ -59,7 +59,7 @@ def ruling(case: Case, recordings: Path) -> dict[str, Any]:
     """Held-out error of the true structure by channel; empty if the recordings cannot be used."""
     bench = Bench.nominal()
     try:
-        fitted, held, _ = taken([recordings / name for name in FITTED], [recordings / HELD], bench)
+        fitted, held, _ = load_dataset([recordings / name for name in FITTED], [recordings / HELD], bench)
     except InputError:
         return {}
     problem = Problem(fitted, bench)

@@ -60,7 +60,7 @@ class Visits:
         return np.hstack([cells, np.eye(_TIMES)[part] * cells.sum(axis=1, keepdims=True) / 2.0])
 
 
-def telling(visits: Visits, count: int, among: Sequence[int] | None = None) -> list[int]:
+def select_informative_windows(visits: Visits, count: int, among: Sequence[int] | None = None) -> list[int]:
     """At most `count` windows, chosen one by one: what grows most is the sum of the roots of all cells' counts."""
     cells = visits.counts()
     open_ = list(range(len(cells)) if among is None else among)

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from joblib import Parallel, delayed
 
-from hydro_diagnosis.dataset.informative_windows import WINDOW, Visits, telling
+from hydro_diagnosis.dataset.informative_windows import WINDOW, Visits, select_informative_windows
 from hydro_diagnosis.dataset.streaming import read_bag_within, table_within
 from hydro_diagnosis.formats.topics import has_states
 from hydro_diagnosis.io.column_map import ColumnMap
@@ -31,7 +31,7 @@ STILL_FOR = 0.25
 """s, over which it is seen whether the piston moves."""
 
 
-def taken(
+def load_dataset(
     recordings: Sequence[str | Path],
     holdout: Sequence[str | Path],
     bench: Bench,
@@ -185,7 +185,7 @@ def _informative(segments: list[Segment], what: str, bench: Bench, quality: list
         for at in range(0, max(len(segment) - length + 1, 1), length):
             pieces.append(segment.cut(at, at + length))
             visits.add(pieces[-1])
-    kept = telling(visits, int(LONGEST / WINDOW))
+    kept = select_informative_windows(visits, int(LONGEST / WINDOW))
     quality.append(
         f"of {total:.0f} s the {len(kept)} windows of {WINDOW:g} s were {what} which together visit most positions, "
         "velocities, currents and pressures"

@@ -16,7 +16,7 @@ import numpy as np
 
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, StateArray
-from hydro_diagnosis.dataset.informative_windows import WINDOW, Visits, telling
+from hydro_diagnosis.dataset.informative_windows import WINDOW, Visits, select_informative_windows
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, mapped
 from hydro_diagnosis.preprocessing.quality import checked
@@ -182,7 +182,7 @@ def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[Stre
     windows, visits, notes, seconds = _surveyed(stretches(), bench)
     early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
     late = [k for k in range(len(windows)) if k not in set(early)]
-    chosen = {*telling(visits, FITTED, early), *telling(visits, HELD, late)}
+    chosen = {*select_informative_windows(visits, FITTED, early), *select_informative_windows(visits, HELD, late)}
     by_stretch: dict[int, list[_Window]] = {}
     for k in sorted(chosen):
         by_stretch.setdefault(windows[k].stretch, []).append(windows[k])

@@ -76,7 +76,7 @@ class Problem:
         """Tells one doubt from another: its sum per segment; nothing but zeros without any."""
         checked = PRESSURE in self.blocks
         self._flows = [model.pressure_doubt(self.sensor_noise) for model in self.models] if checked else []
-        self.set_doubt(())
+        self.update_weights(())
         self.layout = self._layout()
         self.attenuation = {"moving_mass": self._mass_attenuation()} if MOTION in self.blocks else {}
         """By effect id: how far [SI unit] a parameter may be off because the signal that it multiplies is noisy."""
@@ -95,7 +95,7 @@ class Problem:
             blocks.append(HYDRAULIC)
         return tuple(blocks)
 
-    def set_doubt(self, claims: Sequence[Claim]) -> None:
+    def update_weights(self, claims: Sequence[Claim]) -> None:
         """Weigh residuals down: where these claims leave the sign of dry friction in doubt, and by missing rows."""
         if MOTION in self.blocks:
             everything, reversals = (*self.baseline, *claims), sum(model.reversals for model in self.models)

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.recording import MEASURED, Segment
-from hydro_sim.timing import SAMPLE
 
 Mask = npt.NDArray[np.bool_]
 Rows = npt.NDArray[np.int64]
@@ -42,20 +42,20 @@ def on_box_clock(
     shaken
         Whether the samples were not taken evenly, but placed since.
     """
-    rows, skipped = rows - rows[0], round(SAMPLE / step)
+    rows, skipped = rows - rows[0], round(SAMPLE_PERIOD / step)
     if skipped > 1:
         begin = _ticks(rows, columns, skipped)
         at = (rows >= begin) & ((rows - begin) % skipped == 0)
         rows, step, start = (rows[at] - begin) // skipped, step * skipped, start + begin * step
         columns = {key: values[at] for key, values in columns.items()}
         start, rows = start + rows[0] * step, rows - rows[0]
-    step = SAMPLE if abs(step - SAMPLE) < SAME * SAMPLE else step
-    spacing, count = max(round(step / SAMPLE), 1), int(rows[-1]) + 1
+    step = SAMPLE_PERIOD if abs(step - SAMPLE_PERIOD) < SAME * SAMPLE_PERIOD else step
+    spacing, count = max(round(step / SAMPLE_PERIOD), 1), int(rows[-1]) + 1
     whole = len(rows) == count
-    if whole and step == SAMPLE and not shaken:
+    if whole and step == SAMPLE_PERIOD and not shaken:
         return Segment(name, start, step, {key: np.asarray(one, np.float64) for key, one in columns.items()})
     place = (name, start, step / spacing, spacing, (count - 1) * spacing + 1)
-    if step == SAMPLE and not shaken:
+    if step == SAMPLE_PERIOD and not shaken:
         thinner = _placed(*place, *_fewer(rows, columns, _gaps_doubled(rows)))
     else:
         thinner = _placed(name, start, step / spacing, 2 * spacing, place[-1], *_halved(rows, columns, spacing))
@@ -129,8 +129,9 @@ def rate_note(step: float, segment: Segment) -> str:
     """What a recording's `step` [s] means for what can be told, in a sentence."""
     rate = f"recorded at {1.0 / step:.4g} Hz"
     if segment.thinner is None:
-        return f"{rate}: of every {round(SAMPLE / step)} rows that at the box's millisecond was taken"
+        return f"{rate}: of every {round(SAMPLE_PERIOD / step)} rows that at the box's millisecond was taken"
     return (
-        f"{rate}, not the box's {1.0 / SAMPLE:.4g} Hz: what happens between two rows is not known; nothing is claimed "
+        f"{rate}, not the box's {1.0 / SAMPLE_PERIOD:.4g} Hz: what happens between two rows is not known; "
+        "nothing is claimed "
         "that half of the rows would not show too"
     )

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
@@ -17,7 +18,6 @@ from hydro_diagnosis.preprocessing.sensor_faults import Mask, frozen_encoder, re
 from hydro_diagnosis.preprocessing.stamps import counted, placed_by_stamps, stamped, uneven
 from hydro_diagnosis.recording import MEASURED, Recording, Segment
 from hydro_sim.model.bench import Bench
-from hydro_sim.timing import SAMPLE
 
 BRIDGED = 5
 """Rows, the longest gap that is bridged."""
@@ -211,7 +211,7 @@ def _segments(
         segments.append(on_box_clock(name, start, step, at, found, shaken=shaken))
     if bridged:
         notes.append(f"{bridged} missing samples were bridged by splines; they and their neighbours are not judged")
-    if segments and abs(step - SAMPLE) > SAME * SAMPLE:
+    if segments and abs(step - SAMPLE_PERIOD) > SAME * SAMPLE_PERIOD:
         notes.append(rate_note(step, segments[0]))
     if still:
         notes.append(f"{still} samples in which the piston stands still were not used")

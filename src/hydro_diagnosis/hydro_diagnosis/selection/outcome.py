@@ -26,7 +26,7 @@ class SearchSettings:
     """Prospects that are fitted in full at each step."""
     form_error: float = 0.035
     """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
-    openings: int = 3
+    restarts: int = 3
     """First claims that are tried, one search each, as long as something remains unexplained, [1, 10]."""
     effort: int = 9000
     """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before the

@@ -18,15 +18,15 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import screen
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings, Step, score
-from hydro_diagnosis.selection.significance import all_worth, form_error
+from hydro_diagnosis.selection.significance import all_significant, form_error
 
-SKETCHED = 1.0
+SCREEN_TOLERANCE = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
 SWAPS = 3
 """Rounds of exchanging causes at most, after each claim."""
-EXCHANGED = 2.0
+SWAP_BIC_MARGIN = 2.0
 """BIC by which another cause must do better, its further parameters paid: enough to never go back and forth."""
-RIPENING = 6
+MAX_REWEIGHT_ITERATIONS = 6
 """Rounds of weighing and fitting at most."""
 
 
@@ -53,9 +53,9 @@ class Search:
     def run(self) -> Outcome:
         """Search; where something remains, search again from other first claims, and keep the best outcome."""
         nothing = fit(self.problem, ())
-        openings = self._ranked(nothing)
-        best = self._from(nothing, openings[:1])
-        for opening in openings[1 : self.settings.openings]:
+        restarts = self._ranked(nothing)
+        best = self._from(nothing, restarts[:1])
+        for opening in restarts[1 : self.settings.restarts]:
             if not noticeable(self.problem, best.fit.residual) or self._spent > self.settings.effort / 3:
                 break
             self.progress(f"again from {opening.claims[0].effect.label}")
@@ -65,7 +65,7 @@ class Search:
 
     def _from(self, nothing: Fit, opening: Sequence[Fit]) -> Outcome:
         """Add what pays most, exchange what others do better, until nothing pays; then drop what is not needed."""
-        self.problem.set_doubt(())
+        self.problem.update_weights(())
         self.steps.clear()
         outcome = Outcome(nothing, nothing)
         ranked = list(opening)
@@ -88,10 +88,10 @@ class Search:
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
-        self.problem.set_doubt((*one.fit.claims, *other.fit.claims))
+        self.problem.update_weights((*one.fit.claims, *other.fit.claims))
         first, second = (score(self.problem, fit(self.problem, found.fit.claims)) for found in (one, other))
         winner = one if first <= second else other
-        self.problem.set_doubt(winner.fit.claims)
+        self.problem.update_weights(winner.fit.claims)
         return winner
 
     def _ranked(self, base: Fit) -> list[Fit]:
@@ -100,9 +100,8 @@ class Search:
         None at all where the best only mends the form of its kin: what others explain of that is mimicry.
         """
         enough = score(self.problem, base) - self.settings.threshold
-        worth = [
-            one for one in self._extended(base) if score(self.problem, one) <= enough and all_worth(self.problem, one)
-        ]
+        better = [one for one in self._extended(base) if score(self.problem, one) <= enough]
+        worth = [one for one in better if all_significant(self.problem, one)]
         mends = bool(worth) and form_error(self.problem, base, worth[0], self.settings.form_error)
         return [] if mends else worth
 
@@ -113,9 +112,9 @@ class Search:
         if key not in self._looked:
             prospects = screen(self.problem, base, self.library)[: self.settings.shortlist]
             hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self.settings.threshold]
-            fits = [fit(self.problem, (*base.claims, one.claim), tolerance=SKETCHED) for one in hopeful]
+            fits = [fit(self.problem, (*base.claims, one.claim), tolerance=SCREEN_TOLERANCE) for one in hopeful]
         elif seen != doubt:
-            fits = [fit(self.problem, one.claims, tolerance=SKETCHED) for one in fits]
+            fits = [fit(self.problem, one.claims, tolerance=SCREEN_TOLERANCE) for one in fits]
         fits = sorted(fits, key=lambda one: score(self.problem, one))
         self._looked[key] = doubt, fits
         return fits
@@ -133,7 +132,7 @@ class Search:
             fits = [one for one in self._extended(fit(self.problem, others)) if one.claims[-1].effect.label != label]
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if self._pays_in_place(one, claim.effect, outcome.fit)]
-            if better and all_worth(self.problem, better[0]):
+            if better and all_significant(self.problem, better[0]):
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
@@ -146,7 +145,7 @@ class Search:
         newest = other.claims[-1].effect
         more = len(newest.parameters) - len(effect.parameters)
         toll = self.settings.threshold * max(more, 0)
-        return score(self.problem, other) + toll < score(self.problem, current) - EXCHANGED
+        return score(self.problem, other) + toll < score(self.problem, current) - SWAP_BIC_MARGIN
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
@@ -175,9 +174,9 @@ class Search:
 
     def _weighed(self, found: Fit) -> Fit:
         """The fit under the doubt that its own claims bring, which moves with them, until both stand still."""
-        for _ in range(RIPENING):
+        for _ in range(MAX_REWEIGHT_ITERATIONS):
             before = pack(found.claims)[1]
-            self.problem.set_doubt(found.claims)
+            self.problem.update_weights(found.claims)
             found = fit(self.problem, found.claims)
             if np.allclose(pack(found.claims)[1], before, rtol=1e-3, atol=0.0) or not any(self.problem.doubted):
                 break

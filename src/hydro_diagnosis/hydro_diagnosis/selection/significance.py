@@ -17,7 +17,7 @@ ATTENUATIONS = 2.0
 """Times `Problem.attenuation`, and times what half of the rows would change, that a claim must be."""
 
 
-def worth_claiming(claim: Claim) -> bool:
+def is_significant(claim: Claim) -> bool:
     """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
 
     An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
@@ -32,9 +32,9 @@ def worth_claiming(claim: Claim) -> bool:
     return any(abs(claim.values[one.name] - one.neutral) >= one.smallest for one in amplitudes)
 
 
-def all_worth(problem: Problem, found: Fit) -> bool:
+def all_significant(problem: Problem, found: Fit) -> bool:
     """Whether every claim is worth making, and more than noise in what it multiplies or missing rows may hide."""
-    if not all(worth_claiming(claim) and _beyond_attenuation(problem, claim) for claim in found.claims):
+    if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.claims):
         return False
     return all(_beyond(claim, shift) for claim, shift in zip(found.claims, shifts(problem, found), strict=True))
 

@@ -76,7 +76,7 @@ def equation_errors(problem: Problem, claims: Sequence[Claim]) -> dict[str, Equa
     """Errors on the recordings of `problem`, by channel of residuals, before and after the claims are added.
 
     Weighted like the fit that the verdict rests on, by the inverse square of each residual's deviation under the
-    problem's doubt (`Problem.set_doubt`): where dry friction reverses, its sign is not known, and its level would stand
+    problem's doubt: where dry friction reverses, its sign is not known, and its level would stand
     in every figure. `before` and `after` have the same weights.
     """
     before, after = problem.residual(()), problem.residual(claims)

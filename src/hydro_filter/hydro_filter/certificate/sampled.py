@@ -19,8 +19,8 @@ import math
 
 from numba import njit
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.loop_model import LOOP
-from hydro_sim.timing import SAMPLE
 
 
 @njit(cache=True)
@@ -50,7 +50,7 @@ def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
         now, then, moved = 0.0, 0.0, 0.0
         for j in range(LOOP):
             weight = value.matrix[i, j]
-            later = weight + SAMPLE * value.rate[i, j]
+            later = weight + SAMPLE_PERIOD * value.rate[i, j]
             now += weight * next_v[j]
             then += later * after_v[j]
             moved += later * step.push[j]
@@ -58,7 +58,7 @@ def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
         level += after_v[i] * then
         slope += step.push[i] * then
         bent += step.push[i] * moved
-    return bent, slope, level - math.exp(-2.0 * contraction_rate * SAMPLE) * size, size
+    return bent, slope, level - math.exp(-2.0 * contraction_rate * SAMPLE_PERIOD) * size, size
 
 
 @njit(cache=True)

@@ -3,12 +3,12 @@
 
 ::
 
-    bank = FilterBank(contraction_filter.certificate, count=64)
+    bank = VectorConstantFilter(contraction_filter.certificate, count=64)
     decisions = bank.correct(records)                           records of STATE_DTYPE, one per bench
     decide(bank.parts, x, u_nom, f_r, K_p)                      in a compiled loop: delta_u, before, after, status
 
 The QP is solved by its closed form; the numbers are those of `ContractionFilter.correct`, which holds its OSQP against
-the same. `loop_filter.LoopBank` is the counterpart with the learned metric.
+the same. `loop_filter.VectorLoopFilter` is the counterpart with the learned metric.
 """
 
 from __future__ import annotations
@@ -21,12 +21,10 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray
-from hydro_filter.certificate import continuous as certificate
-from hydro_filter.certificate import qp
+from hydro_filter.certificate import continuous, qp
 from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.metric.constant import ConstantMetric
-from hydro_filter.model import analytic_kernels
-from hydro_filter.model import force_law as controller
+from hydro_filter.model import analytic_kernels, force_law
 from hydro_filter.model.dynamics import AnalyticDynamics
 from hydro_filter.model.force_law import ForceLaw
 from hydro_filter.model.state import LOAD_FORCE, STATES
@@ -105,9 +103,9 @@ def half_line(parts, x, nominal, reference, gain):
     law, v = np.empty(STATES), np.zeros(STATES)
     current = min(max(nominal, -parts.current_max), parts.current_max)
     analytic_kernels.linearize(parts.model, x, current, state_matrix, input_vector)
-    controller.gradient(parts.bench, x, nominal, gain, parts.gain_floor, law)
-    v[LOAD_FORCE] = -certificate.dead_zone(reference - x[LOAD_FORCE], parts.noise_floor) / parts.scale[LOAD_FORCE]
-    return certificate.half_line(
+    force_law.gradient(parts.bench, x, nominal, gain, parts.gain_floor, law)
+    v[LOAD_FORCE] = -continuous.dead_zone(reference - x[LOAD_FORCE], parts.noise_floor) / parts.scale[LOAD_FORCE]
+    return continuous.half_line(
         parts.metric, parts.metric_rate, state_matrix, input_vector, law, parts.scale, v, parts.contraction_rate
     )
 
@@ -137,7 +135,7 @@ def decide_many(parts, x, nominal, reference, gain, delta_u, before, after, stat
         delta_u[k], before[k], after[k], status[k] = decide(parts, x[k], nominal[k], reference[k], gain[k])
 
 
-class FilterBank:
+class VectorConstantFilter:
     """The filter for N benches at once, without a solver and without memory: see the module.
 
     Parameters

@@ -27,11 +27,10 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE, lag
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
-from hydro_sim.structured import physics
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import physics, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.physics import (
     AREA,
@@ -51,7 +50,6 @@ from hydro_sim.structured.physics import (
     STROKE,
 )  # fmt: skip
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS
-from hydro_sim.timing import SAMPLE
 
 EQUATIONS = ("load", "motion", "hydraulic force", "chamber a", "chamber b")
 SUSPECTS = (
@@ -128,25 +126,25 @@ def errors(model, m, x, error, size):
     s, slope, inputs, r = np.empty(STATES), np.empty(8), np.empty(INPUTS), np.empty(OUTPUTS)
     first, second = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
     readings, position = m.middle, m.middle[X_P]
-    speed = (x[POSITION] - m.last[X_P]) / (2.0 * SAMPLE)
+    speed = (x[POSITION] - m.last[X_P]) / (2.0 * SAMPLE_PERIOD)
     s[0], s[1], s[2], s[3] = readings[P_A], readings[P_B], position, speed
     s[4], s[5], s[6], s[7], s[8] = m.hidden[SPOOL], m.hidden[SPOOL_RATE], m.cell, m.cell_rate, m.hidden[BRISTLE_STATE]
-    structured.residual(layers, center, scale, s, inputs, first, second, r)
+    rollout.residual(layers, center, scale, s, inputs, first, second, r)
     physics.rates(c, s[:8], s[8], 0.0, r, slope)
-    bend = (x[POSITION] - 2.0 * position + m.last[X_P]) / SAMPLE**2
+    bend = (x[POSITION] - 2.0 * position + m.last[X_P]) / SAMPLE_PERIOD**2
     pushed = c[GAIN_H] * c[AREA] * (s[0] - c[RATIO] * s[1])
     error[0] = readings[F_L] - c[GAIN_L] * m.cell - c[BIAS_L]
     error[1] = c[MASS] * (bend - slope[3])
     error[2] = readings[F_H] - pushed - c[BIAS_H]
-    error[3] = 0.5 * (x[PRESSURE_A] - m.last[P_A]) - SAMPLE * slope[0]
-    error[4] = 0.5 * (x[PRESSURE_B] - m.last[P_B]) - SAMPLE * slope[1]
+    error[3] = 0.5 * (x[PRESSURE_A] - m.last[P_A]) - SAMPLE_PERIOD * slope[0]
+    error[4] = 0.5 * (x[PRESSURE_B] - m.last[P_B]) - SAMPLE_PERIOD * slope[1]
     area_b = c[RATIO] * c[AREA]
-    displaced = c[BULK] * SAMPLE * abs(speed)
+    displaced = c[BULK] * SAMPLE_PERIOD * abs(speed)
     size[0] = abs(c[GAIN_L] * m.cell)
     size[1] = abs(c[SPRING] * (position - c[REST]))
     size[2] = abs(pushed)
-    size[3] = SAMPLE * abs(slope[0]) + displaced * c[AREA] / (c[DEAD_A] + c[AREA] * position)
-    size[4] = SAMPLE * abs(slope[1]) + displaced * area_b / (c[DEAD_B] + area_b * (c[STROKE] - position))
+    size[3] = SAMPLE_PERIOD * abs(slope[0]) + displaced * c[AREA] / (c[DEAD_A] + c[AREA] * position)
+    size[4] = SAMPLE_PERIOD * abs(slope[1]) + displaced * area_b / (c[DEAD_B] + area_b * (c[STROKE] - position))
 
 
 @njit(cache=True)

@@ -19,16 +19,14 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from hydro_bridge.signals import FloatArray
-from hydro_filter.certificate import qp
-from hydro_filter.certificate import sampled as sampled_certificate
-from hydro_filter.metric import network as metric_network
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.certificate import qp, sampled
+from hydro_filter.metric import network
 from hydro_filter.metric.network import MetricParts, MetricValue, metric_value
 from hydro_filter.model import displacement
 from hydro_filter.model.loop_model import LOOP, LoopModel, LoopStep, linearize, loop_step
 from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.model.hydraulics import input_gain, velocity_term
-from hydro_sim.timing import SAMPLE
 
 
 class LoopParts(NamedTuple):
@@ -100,24 +98,24 @@ def integral_term(bench, gain_floor, x, nominal_current, reference, reference_ra
 
 
 @njit(cache=True, inline="always")
-def pose(parts, memory, x, nominal, current, reference, reference_rate, gain, room):
+def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace):
     """The problem of one sample, all finite, of an armed bench. Moves the memory on."""
-    loop, value, step = parts.loop, room.value, room.step
+    loop, value, step = parts.loop, workspace.value, workspace.step
     displacement.settle(loop, memory, x, current, reference_rate)
     linearize(loop, memory.hidden, x, nominal, current, gain, step)
-    displacement.displace(loop, memory, x, reference, reference_rate, room.v)
+    displacement.displace(loop, memory, x, reference, reference_rate, workspace.v)
     displacement.follow(loop, memory, x, current, reference_rate)
-    metric_network.evaluate(parts.metric, x, step.state_rate, gain, value)
-    outside = metric_network.foreign(parts.metric, gain)
+    network.evaluate(parts.metric, x, step.state_rate, gain, value)
+    outside = network.foreign(parts.metric, gain)
     rate = parts.foreign_rate if outside else parts.rate
     term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, reference, reference_rate, gain)
-    asked = sampled_certificate.unasked(term, parts.integral_allowance) / law_gain
-    bent, slope, level, size = sampled_certificate.quadratic(
-        step, value, room.v, current - nominal + asked, asked, rate, room.next_v, room.after_v
+    asked = sampled.unasked(term, parts.integral_allowance) / law_gain
+    bent, slope, level, size = sampled.quadratic(
+        step, value, workspace.v, current - nominal + asked, asked, rate, workspace.next_v, workspace.after_v
     )
-    share = sampled_certificate.fade(size, parts.foreign_noise_size if outside else parts.noise_size)
+    share = sampled.fade(size, parts.foreign_noise_size if outside else parts.noise_size)
     slope, level = share * slope, share * share * level
-    a, b, best = sampled_certificate.half_line(bent, slope, level)
+    a, b, best = sampled.half_line(bent, slope, level)
     limit = loop.current_max
     applied = min(max(nominal, -limit), limit)
     return Problem(a, b, -limit - applied, limit - applied, bent, slope, level, best)
@@ -127,7 +125,7 @@ def pose(parts, memory, x, nominal, current, reference, reference_rate, gain, ro
 def judge(problem, change):
     """M_c [1/s] before and with a change of the current [A]."""
     after = problem.bent * change * change + 2.0 * problem.slope * change + problem.level
-    return problem.level / SAMPLE, after / SAMPLE
+    return problem.level / SAMPLE_PERIOD, after / SAMPLE_PERIOD
 
 
 @njit(cache=True)
@@ -157,12 +155,12 @@ def finite(x, nominal, current, reference, reference_rate, gain):
 
 
 @njit(cache=True, inline="always")
-def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, armed, room):
+def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, armed, workspace):
     """Decide about a sample: `Decision`.
 
     Parameters
     ----------
-    parts, room
+    parts, workspace
         `loop_filter.LoopFilter.parts`, `space(parts)`.
     memory
         One record of `MEMORY_DTYPE`, zeros at the beginning.
@@ -180,7 +178,7 @@ def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, 
     if not finite(x, nominal, current, reference, reference_rate, gain):
         displacement.begin(memory)
         return Decision(0.0, math.nan, math.nan, qp.NAN)
-    problem = pose(parts, memory, x, nominal, current, reference, reference_rate, gain, room)
+    problem = build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace)
     if not armed:
         return Decision(0.0, 0.0, 0.0, qp.PASS)
     if math.isnan(problem.a) and math.isfinite(problem.best):

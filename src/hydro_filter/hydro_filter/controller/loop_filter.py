@@ -5,7 +5,7 @@
 
     contraction_filter = default_filter(bench)
     contraction_filter.correct(sample)                    Sample in, Result out, one bench; OSQP, as the node runs it
-    bank = LoopBank(contraction_filter.parts, count=64)
+    bank = VectorLoopFilter(contraction_filter.parts, count=64)
     delta_u = bank.correct(records).delta_u               records of STATE_DTYPE, one per bench; the QP's closed form
     loop_decision.decide(parts, memory[i], x, ...)         the same call for a compiled loop
 
@@ -13,7 +13,8 @@ Samples must follow one another, each once. A correction acts one sample after i
 is not: safety.md.
 
 `LoopFilter` also watches whether the model is still the bench's (`innovations`); where it is not, every answer is
-MISMATCH and corrects nothing. A `LoopBank` does not: its benches are simulated, by that model or on purpose by others.
+MISMATCH and corrects nothing. A `VectorLoopFilter` does not: its benches are simulated, by that model or on purpose by
+others.
 """
 
 from __future__ import annotations
@@ -73,23 +74,23 @@ NOT_FINITE, FITS, BROKEN = range(3)
 
 
 @njit(cache=True)
-def boxed(parts, room, monitor, limit):
+def boxed(parts, workspace, monitor, limit):
     """All of them where compiled code finds them: to hand seventy arrays over takes as long as all the rest."""
     box = numba.typed.List()
-    box.append((parts, room, monitor, limit))
+    box.append((parts, workspace, monitor, limit))
     return box
 
 
 @njit(cache=True)
 def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
     """How the sample is, and its `Problem`; moves the memory, shape (1,), and the monitor's on."""
-    parts, room, monitor, limit = box[0]
+    parts, workspace, monitor, limit = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
         displacement.begin(memory[0])
         innovations.begin(monitor[0])
         return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     innovations.watch(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
-    p = loop_decision.pose(parts, memory[0], x, nominal, current, reference, reference_rate, gain, room)
+    p = loop_decision.build_problem(parts, memory[0], x, nominal, current, reference, reference_rate, gain, workspace)
     state = BROKEN if monitor[0].broken != 0 else FITS
     return state, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
 
@@ -172,13 +173,13 @@ class Decisions:
     """`hydro_bridge.signals.CorrectionStatus`."""
 
 
-class LoopBank:
+class VectorLoopFilter:
     """The filter for N benches at once: the QP by its closed form, no solver, no ages."""
 
     def __init__(self, parts: LoopParts, count: int) -> None:
         self.parts = parts
         self.memory = np.zeros(count, MEMORY_DTYPE)
-        self._room = loop_decision.space(parts)
+        self._workspace = loop_decision.space(parts)
         self.decisions = Decisions(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, np.uint8))
 
     def forget(self, benches: npt.NDArray[np.bool_] | slice = slice(None)) -> None:
@@ -193,17 +194,26 @@ class LoopBank:
         armed = (records["flags"] & int(Flag.ARMED)) != 0
         made = self.decisions
         _decide_many(
-            self.parts, self.memory, x, signals, armed, self._room, made.delta_u, made.before, made.after, made.status
+            self.parts,
+            self.memory,
+            x,
+            signals,
+            armed,
+            self._workspace,
+            made.delta_u,
+            made.before,
+            made.after,
+            made.status,
         )
         return made
 
 
 @njit(cache=True)
-def _decide_many(parts, memory, x, signals, armed, room, delta_u, before, after, status):
+def _decide_many(parts, memory, x, signals, armed, workspace, delta_u, before, after, status):
     for k in range(len(x)):
         nominal, current, reference, rate, gain = signals[k]
         delta_u[k], before[k], after[k], status[k] = loop_decision.decide(
-            parts, memory[k], x[k], nominal, current, reference, rate, gain, armed[k], room
+            parts, memory[k], x[k], nominal, current, reference, rate, gain, armed[k], workspace
         )
 
 

@@ -15,7 +15,7 @@ TROUBLE = (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.INFEAS
 
 
 @dataclass
-class Tally:
+class FilterStatistics:
     """Since the node began; `trouble` compares with the last time it was asked."""
 
     statuses: Counter[CorrectionStatus] = field(default_factory=Counter)

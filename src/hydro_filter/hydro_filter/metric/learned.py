@@ -19,7 +19,7 @@ import numpy as np
 from hydro_bridge.files.tensors import LARGEST, UnsoundError, check_shapes
 from hydro_bridge.settings import check as check_settings
 from hydro_bridge.signals import FloatArray
-from hydro_filter.metric import network as metric_network
+from hydro_filter.metric import network
 from hydro_filter.metric.design import MetricDesign, design_table
 from hydro_filter.metric.network import ENTRIES, HIDDEN, INPUTS, MetricParts, metric_value
 from hydro_filter.model.loop_model import LOOP_FIELDS, LoopModel
@@ -102,7 +102,7 @@ class LearnedMetric:
     def matrix_and_rate(self, x: FloatArray, state_rate: FloatArray, gain: float) -> tuple[FloatArray, FloatArray]:
         """M and M' [1/s] along x' (8,) [SI units per s]."""
         value = metric_value(self.parts)
-        metric_network.evaluate(self.parts, x, state_rate, gain, value)
+        network.evaluate(self.parts, x, state_rate, gain, value)
         return value.matrix, value.rate
 
     def with_weights(self, flat: FloatArray) -> LearnedMetric:

@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model import hidden_states
 from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE
 from hydro_filter.model.loop_model import (
@@ -53,7 +54,6 @@ from hydro_sim.structured.physics import (
     SPRING,
     VISCOUS,
 )  # fmt: skip
-from hydro_sim.timing import SAMPLE
 
 MEMORY_DTYPE = np.dtype(
     [("hidden", np.float64, (HIDDEN,)), ("reference_rate", np.float64), ("running", np.bool_)], align=True
@@ -89,7 +89,7 @@ def follow(loop, memory, x, current, reference_rate):
 @njit(cache=True)
 def bend(memory, reference_rate):
     """f_r'' [N/s^2] from two samples of f_r'."""
-    return min(max((reference_rate - memory.reference_rate) / SAMPLE, -BEND_MAX), BEND_MAX)
+    return min(max((reference_rate - memory.reference_rate) / SAMPLE_PERIOD, -BEND_MAX), BEND_MAX)
 
 
 @njit(cache=True, inline="always")

@@ -27,9 +27,8 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from hydro_bridge.signals import FloatArray
-from hydro_filter.model import force_law as controller
-from hydro_filter.model import structured_kernels as model_kernels
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.model import force_law, structured_kernels
 from hydro_filter.model.hidden_states import SPOOL
 from hydro_filter.model.state import FORCE_SCALE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_filter.model.tangent import SOURCES, WIDTH
@@ -57,7 +56,6 @@ from hydro_sim.structured.physics import (
     TANK,
 )  # fmt: skip
 from hydro_sim.structured.rollout import FULL
-from hydro_sim.timing import SAMPLE
 
 LOOP_FIELDS = ("f_h", "spool", "spool_rate", "f_l", "f_l_rate", "x_p", "x_p_rate", "x_p_rate_box")
 LOOP = len(LOOP_FIELDS)
@@ -168,13 +166,13 @@ def hydraulic_slopes(c, pressure_a, pressure_b, position, spool):
 def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
     """Fill `step` at x (8,), hidden states (3,), for a nominal current and the one that the valve got [A]."""
     c, scale = loop.model[0], loop.scale
-    model_kernels.lift(c, x, hidden, step.full)
+    structured_kernels.lift(c, x, hidden, step.full)
     before, after = step.full, step.after
     after[:] = before
     share_a, share_b = shares(c, x[POSITION])
     gain = hydraulic_slopes(c, before[0], before[1], before[2], hidden[SPOOL])[0]
     _embed(c, scale, share_a, share_b, gain, step.nudges)
-    model_kernels.nudge(loop.free, after, current, step.nudges, step.rates)
+    structured_kernels.nudge(loop.free, after, current, step.nudges, step.rates)
     _state_rate(c, before, after, step.state_rate)
     side = math.copysign(1.0, hidden[SPOOL] + c[OFFSET])
     if side * (after[4] + c[OFFSET]) < 0.0:  # the spool passes zero: see CLOSED
@@ -182,13 +180,13 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
         after[:] = before
         after[4], after[5] = closed, 0.0
         _embed(c, scale, share_a, share_b, gain, step.nudges)
-        model_kernels.nudge(loop.free, after, closed, step.nudges, step.rates)
+        structured_kernels.nudge(loop.free, after, closed, step.nudges, step.rates)
     gain = hydraulic_slopes(c, after[0], after[1], after[2], hidden[SPOOL])[0]
     _read(c, scale, gain, step.nudges, step.rates, step.transition, step.push)
     step.transition[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = loop.model[4][1]  # the differentiator's memory
     law, feedback = step.law, step.feedback
     nominal = math.copysign(nominal_current, side)
-    controller.gradient(loop.bench, x, nominal, proportional_gain, loop.gain_floor, law)
+    force_law.gradient(loop.bench, x, nominal, proportional_gain, loop.gain_floor, law)
     feedback[:] = 0.0
     feedback[Q_HYDRAULIC] = (law[PRESSURE_A] * share_a + law[PRESSURE_B] * share_b) * scale[Q_HYDRAULIC]
     feedback[Q_LOAD] = law[LOAD_FORCE] * scale[Q_LOAD]
@@ -228,7 +226,7 @@ def _read(c, scale, gain, nudges, rates, transition, push):
 def _state_rate(c, before, after, rate):
     """x' over the model's sample, without the readings' noise."""
     area = c[GAIN_H] * c[AREA]
-    rate[0] = area * (after[0] - before[0] - c[RATIO] * (after[1] - before[1])) / SAMPLE
-    rate[2] = c[GAIN_L] * (after[6] - before[6]) / SAMPLE
-    rate[4], rate[5], rate[6] = (after[:3] - before[:3]) / SAMPLE
-    rate[1], rate[3], rate[7] = (after[9:12] - before[9:12]) / SAMPLE
+    rate[0] = area * (after[0] - before[0] - c[RATIO] * (after[1] - before[1])) / SAMPLE_PERIOD
+    rate[2] = c[GAIN_L] * (after[6] - before[6]) / SAMPLE_PERIOD
+    rate[4], rate[5], rate[6] = (after[:3] - before[:3]) / SAMPLE_PERIOD
+    rate[1], rate[3], rate[7] = (after[9:12] - before[9:12]) / SAMPLE_PERIOD

@@ -16,6 +16,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model import network_tangent, tangent
 from hydro_filter.model.hidden_states import BRISTLE_STATE, SPOOL, SPOOL_RATE
 from hydro_filter.model.state import (
@@ -28,11 +29,10 @@ from hydro_filter.model.state import (
     VELOCITY,
 )
 from hydro_filter.model.tangent import WIDTH
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.physics import AREA, BIAS_L, GAIN_H, GAIN_L, RATIO
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS, READINGS
-from hydro_sim.timing import SAMPLE
 
 NUDGED = 7
 """Columns that a measured state needs: f_l, f_l', p_a, p_b, x_p, x_p' and the current; f_h and f_h' move nothing."""
@@ -65,17 +65,17 @@ def nudge(model, full, current, d, rates):
     c, layers, center, scale, memories = model
     s, before, after = full[:STATES], np.empty(READINGS), np.empty(READINGS)
     r, dr, inside = np.empty(OUTPUTS), np.zeros((OUTPUTS, WIDTH)), np.empty(4)
-    structured.read(c, s, before)
+    rollout.read(c, s, before)
     _shown(c, d, memories, -1.0, rates)
     _added(layers, center, scale, s, d, r, dr)
     tangent.advance(c, s, current, r, d, dr)
     inside[:] = s[:4]
-    structured.bound(c, s)
+    rollout.bound(c, s)
     for i in range(4):
         if s[i] != inside[i]:
             d[i] = 0.0
-    structured.read(c, s, after)
-    structured.differentiate(memories, before, after, full[STATES:])
+    rollout.read(c, s, after)
+    rollout.differentiate(memories, before, after, full[STATES:])
     _shown(c, d, memories, 1.0, rates)
 
 
@@ -93,7 +93,7 @@ def _added(layers, center, scale, s, d, r, dr):
 @njit(cache=True)
 def _shown(c, d, memories, sign, rates):
     """Nudges of the box's differences of f_h, f_l, x_p before (sign -1: set) and after a sample (sign 1: added)."""
-    force, velocity = sign * (1.0 - memories[0]) / SAMPLE, sign * (1.0 - memories[1]) / SAMPLE
+    force, velocity = sign * (1.0 - memories[0]) / SAMPLE_PERIOD, sign * (1.0 - memories[1]) / SAMPLE_PERIOD
     hydraulic, load = force * c[GAIN_H] * c[AREA], force * c[GAIN_L]
     if sign < 0.0:
         rates[:] = 0.0

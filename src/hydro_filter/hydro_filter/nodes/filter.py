@@ -31,6 +31,7 @@ from rclpy.parameter import Parameter
 from hydro_bridge.cli.console import command
 from hydro_bridge.process import endings
 from hydro_bridge.ros import (
+    CLOCK,
     CORRECTION,
     CORRECTION_QOS,
     STATE,
@@ -38,22 +39,22 @@ from hydro_bridge.ros import (
     DiagnosticsPublisher,
     Level,
     Status,
-    be_prompt,
     declare_parameters,
     listen_to_box,
+    publisher_conflicts,
+    request_realtime,
     ros_arguments,
     run_node,
     seconds,
-    with_rivals,
+    with_publisher_conflicts,
 )
-from hydro_bridge.ros import publisher_conflict as rivals
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.settings import check, describe
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag
 from hydro_filter.controller.factory import CONSTANT, DEFAULT, LEARNED, Choice, Filter, Settings, warm_up
 from hydro_filter.controller.filter import FilterSettings, Result
 from hydro_filter.controller.loop_filter import LoopFilterSettings
-from hydro_filter.controller.statistics import TROUBLE, Tally, sentence
+from hydro_filter.controller.statistics import TROUBLE, FilterStatistics, sentence
 from hydro_filter.model.sample import Sample
 from hydro_msgs.msg import BenchState, Correction
 from hydro_sim.files.pairing import refuse
@@ -93,7 +94,7 @@ class FilterNode(Node):
         super().__init__("filter")
         self.settings = declare_parameters(self, settings)
         self.filter = self._compiled(choice)
-        self.tally = Tally()
+        self.tally = FilterStatistics()
         self.foreign = ""
         """Why its files are not this bench's, by what the plant says of itself; empty: they are."""
         self._mismatch = ""
@@ -103,7 +104,7 @@ class FilterNode(Node):
         self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        scheduling = be_prompt(realtime=realtime)
+        scheduling = request_realtime(realtime=realtime)
         told = "; ".join(f"{name}: {value}" for name, value in self._told.items())
         self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
@@ -176,7 +177,7 @@ class FilterNode(Node):
 
     def _follow_the_plants_clock(self) -> None:
         """Change to /clock where somebody publishes it and the states are stamped by it; and back."""
-        name, simulated = "use_sim_time", self.count_publishers("/clock") > 0
+        name, simulated = "use_sim_time", self.count_publishers(CLOCK) > 0
         if abs(self._age) > FOREIGN and simulated != self.get_parameter(name).value:
             self.set_parameters([Parameter(name, value=simulated)])
             self.get_logger().warning("states come by " + ("/clock" if simulated else "the machine's clock") + " now")
@@ -198,7 +199,8 @@ class FilterNode(Node):
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
         values = {**self._told, **self.tally.values(self.filter.qp.counts)}
         values["fits"] = f"no: {self._mismatch}" if self._mismatch else "yes"
-        return with_rivals(Status(level=level, message=told, values=values), rivals(self, STATE))
+        status = Status(level=level, message=told, values=values)
+        return with_publisher_conflicts(status, publisher_conflicts(self, STATE))
 
 
 def sample_of(message: BenchState) -> Sample:

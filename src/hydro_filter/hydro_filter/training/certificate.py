@@ -13,12 +13,11 @@ import numpy as np
 import torch
 
 from hydro_bridge.cli.console import Table
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.training import loss as metric_loss
+from hydro_filter.training import loss
 from hydro_filter.training.loss import LossSettings, Samples
 from hydro_filter.training.training import network_of
-from hydro_sim.timing import SAMPLE
 
 QUANTILES = (0.5, 0.99, 0.999, 1.0)
 COLUMNS = {
@@ -58,7 +57,7 @@ def certificate_table(
 @torch.no_grad()
 def growth(metric: LearnedMetric, samples: Samples, how: LossSettings) -> tuple[FloatArray, FloatArray]:
     """Largest eigenvalue [1/s] at lambda itself, and the condition number of M, both shape (b,)."""
-    matrix, rate = metric_loss.matrices(network_of(metric), samples, metric.floor)
-    slack = samples.decay * (np.exp(2.0 * how.margin * SAMPLE) - 1.0) / SAMPLE
-    values = metric_loss.growth(matrix, rate, samples) - slack
+    matrix, rate = loss.matrices(network_of(metric), samples, metric.floor)
+    slack = samples.decay * (np.exp(2.0 * how.margin * SAMPLE_PERIOD) - 1.0) / SAMPLE_PERIOD
+    values = loss.growth(matrix, rate, samples) - slack
     return values.numpy(), torch.linalg.cond(matrix).numpy()

@@ -26,7 +26,7 @@ from hydro_filter.model import displacement
 from hydro_filter.model.displacement import MEMORY_DTYPE
 from hydro_filter.model.loop_model import LOOP, LoopModel, linearize, loop_step
 from hydro_filter.model.state import STATES
-from hydro_sim.excitation import drawn as schedule
+from hydro_sim.excitation import drawn
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -124,8 +124,8 @@ def _corrected(plan: Schedule, correction: FloatArray) -> Schedule:
 
 
 def _reference(rng: np.random.Generator) -> ReferenceSignal:
-    limits = schedule.Range(seconds=(4.0, 5.0), force_max=330.0, offset_max=100.0, frequency=(0.3, 3.0))
-    return schedule.draw(5.0, int(rng.integers(2**31)), limits)[0].signal
+    limits = drawn.Range(seconds=(4.0, 5.0), force_max=330.0, offset_max=100.0, frequency=(0.3, 3.0))
+    return drawn.draw(5.0, int(rng.integers(2**31)), limits)[0].signal
 
 
 def label_of(first: StateArray, second: StateArray) -> int:

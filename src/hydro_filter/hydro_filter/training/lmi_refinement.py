@@ -14,12 +14,11 @@ from collections.abc import Iterator
 import numpy as np
 import torch
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.design import factor_entries
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop_model import LOOP, Q_LOAD
 from hydro_filter.training.data import STABLE, Windows
-from hydro_sim.timing import SAMPLE
 
 SAMPLES = 120
 STEPS = 250
@@ -54,13 +53,13 @@ def polish(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
     start, moved, eye = torch.from_numpy(lower), torch.from_numpy(closed), torch.eye(LOOP, dtype=torch.float64)
     change = torch.zeros((LOOP, LOOP), dtype=torch.float64, requires_grad=True)
     optimizer = torch.optim.Adam([change], lr=STEP)
-    limit, kept = float(np.exp(-2.0 * rate * SAMPLE)), len(closed) - int(LEFT_OUT * len(closed))
+    limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(LEFT_OUT * len(closed))
     best, found = np.inf, lower
     for step in range(STEPS):
         optimizer.param_groups[0]["lr"] = STEP * (1.0 - step / STEPS) + 1e-4
         factor = start @ (eye + torch.tril(change))
         half = torch.linalg.solve_triangular(factor.expand_as(moved), moved.transpose(1, 2) @ factor, upper=False)
-        grown = (torch.linalg.eigvalsh(half @ half.transpose(1, 2))[:, -1] - limit) / SAMPLE
+        grown = (torch.linalg.eigvalsh(half @ half.transpose(1, 2))[:, -1] - limit) / SAMPLE_PERIOD
         worst = torch.sort(torch.relu(grown)).values[:kept]
         value = worst.mean() + 0.3 * worst[-1] + 1e-3 * (change**2).sum()
         if float(value.detach()) < best:

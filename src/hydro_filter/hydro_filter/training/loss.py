@@ -25,9 +25,9 @@ from typing import NamedTuple
 
 import torch
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.metric.network import ENTRIES
 from hydro_filter.model.loop_model import LOOP
-from hydro_sim.timing import SAMPLE
 
 _ROWS, _COLUMNS = torch.tril_indices(LOOP, LOOP)
 
@@ -116,19 +116,19 @@ def _lower(entries: torch.Tensor) -> torch.Tensor:
 def growth(metric: torch.Tensor, rate: torch.Tensor, samples: Samples) -> torch.Tensor:
     """Largest eigenvalue [1/s] of the contraction matrix relative to M, shape (b,); 0 or less: M decays."""
     factor = torch.linalg.cholesky(metric)
-    later = samples.closed.transpose(1, 2) @ (metric + SAMPLE * rate) @ samples.closed
+    later = samples.closed.transpose(1, 2) @ (metric + SAMPLE_PERIOD * rate) @ samples.closed
     half = torch.linalg.solve_triangular(factor, later, upper=False)
     whole = torch.linalg.solve_triangular(factor, half.transpose(1, 2), upper=False)
-    return (torch.linalg.eigvalsh(0.5 * (whole + whole.transpose(1, 2)))[:, -1] - samples.decay) / SAMPLE
+    return (torch.linalg.eigvalsh(0.5 * (whole + whole.transpose(1, 2)))[:, -1] - samples.decay) / SAMPLE_PERIOD
 
 
 def along(metric: torch.Tensor, rate: torch.Tensor, samples: Samples) -> torch.Tensor:
     """M_c [1/s] along v, shape (b,)."""
     v = samples.v[:, :, None]
     moved = samples.closed @ v
-    later = moved.transpose(1, 2) @ (metric + SAMPLE * rate) @ moved
+    later = moved.transpose(1, 2) @ (metric + SAMPLE_PERIOD * rate) @ moved
     now = v.transpose(1, 2) @ metric @ v
-    return (later[:, 0, 0] - samples.decay * now[:, 0, 0]) / SAMPLE
+    return (later[:, 0, 0] - samples.decay * now[:, 0, 0]) / SAMPLE_PERIOD
 
 
 def _bent(violation: torch.Tensor, knee: float) -> torch.Tensor:

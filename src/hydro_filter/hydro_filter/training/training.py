@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from hydro_bridge.files.tensors import check_numbers
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import GAIN_UNIT, INPUTS
 from hydro_filter.model.loop_model import LOOP, Q_SPOOL_RATE
@@ -25,7 +25,6 @@ from hydro_filter.model.state import STATES
 from hydro_filter.training import loss as metric_loss
 from hydro_filter.training.data import STABLE, UNSTABLE, Windows
 from hydro_filter.training.loss import LossSettings, Network, Samples
-from hydro_sim.timing import SAMPLE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,7 +106,7 @@ def _samples(
     base = np.repeat(table_rows(metric, windows.gain, outside=outside), span, axis=0)
     closed = windows.transition + windows.push[..., np.newaxis] * feedback[..., np.newaxis, :]
     flat = (inputs.reshape(-1, INPUTS), nudge.reshape(-1, INPUTS), base, closed.reshape(-1, LOOP, LOOP))
-    decay = np.full(count * span, np.exp(-2.0 * rate * SAMPLE))
+    decay = np.full(count * span, np.exp(-2.0 * rate * SAMPLE_PERIOD))
     arrays = (*flat, decay, windows.v.reshape(-1, LOOP), np.full(count * span, kind))
     return Samples(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
 
@@ -137,7 +136,7 @@ def flat_of(network: Network) -> FloatArray:
 def judge(network: Network, samples: Samples, floor: float, how: LossSettings) -> Quality:
     """Quality at lambda itself, without the training's margin."""
     metric, rate = metric_loss.matrices(network, samples, floor)
-    slack = samples.decay * (np.exp(2.0 * how.margin * SAMPLE) - 1.0) / SAMPLE
+    slack = samples.decay * (np.exp(2.0 * how.margin * SAMPLE_PERIOD) - 1.0) / SAMPLE_PERIOD
     stable, outside = samples.kind > 0, samples.inputs[:, -1] > 0.5
     grown = metric_loss.growth(metric, rate, samples) - slack > 0.0
     caught = metric_loss.along(metric, rate, samples)[~stable] > 0.0

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
-from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray, ReferenceSignal, Waveform
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 FAST = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=2.0)
@@ -31,7 +30,7 @@ class Case:
 
     def draw(self, seed: int, seconds: float) -> FloatArray:
         """Gains of a run, shape (policy steps, 2)."""
-        return self.gains(np.random.default_rng(seed), round(seconds / (POLICY_SAMPLES * SAMPLE)))
+        return self.gains(np.random.default_rng(seed), round(seconds / (SAMPLES_PER_STEP * SAMPLE_PERIOD)))
 
 
 def held(kp: float, ki: float) -> Callable[[np.random.Generator, int], FloatArray]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray, StateArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, StateArray
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
 from hydro_filter.metric.learned import LearnedMetric
@@ -23,7 +23,6 @@ from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.structured.model import StructuredModel
-from hydro_sim.timing import SAMPLE
 
 FILTERS = ("none", "learned", "solved", "projected")
 """none: bypassed, its certificate evaluated; learned: the default; solved: its metric with the network at zero;
@@ -111,7 +110,7 @@ def outcome(task: Task) -> Outcome:
     settled = states[min(SETTLING, len(states) // 2) :]
     numbers = gammas(done.results, Bench.nominal().valve_current_max)
     return Outcome(
-        bounded=done.bounded, seconds=len(states) * SAMPLE, peak=float(np.abs(states["load_force"]).max()),
+        bounded=done.bounded, seconds=len(states) * SAMPLE_PERIOD, peak=float(np.abs(states["load_force"]).max()),
         rmse=float(np.sqrt(np.mean(error_of(settled) ** 2))), chattering=chattering(settled), numbers=numbers,
         samples=len(states), failed=sum(int(result.status) in (2, 3, 4) for result in done.results),
     )  # fmt: skip
@@ -124,7 +123,7 @@ def error_of(states: StateArray) -> FloatArray:
 
 def chattering(states: StateArray) -> float:
     """RMS of u' [A/s]."""
-    return float(np.sqrt(np.mean((np.diff(states["valve_current"]) / SAMPLE) ** 2))) if len(states) > 1 else 0.0
+    return float(np.sqrt(np.mean((np.diff(states["valve_current"]) / SAMPLE_PERIOD) ** 2))) if len(states) > 1 else 0.0
 
 
 COLUMNS = {

@@ -19,13 +19,22 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.signals import STATE_DTYPE, Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, StateArray
+from hydro_bridge.signals import (
+    SAMPLE_PERIOD,
+    SAMPLES_PER_STEP,
+    STATE_DTYPE,
+    Command,
+    CorrectionStatus,
+    Flag,
+    FloatArray,
+    ReferenceSignal,
+    StateArray,
+)
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
-from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 
 class Corrector(Protocol):
@@ -75,14 +84,14 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
     guard.set_arm(True)
     guard.set_reference(trial.reference)
     changes = np.asarray(trial.gains) - (box.config.base_kp, box.config.base_ki)
-    states = np.empty(len(changes) * POLICY_SAMPLES, STATE_DTYPE)
+    states = np.empty(len(changes) * SAMPLES_PER_STEP, STATE_DTYPE)
     results: list[Result] = []
     box.receive(Command(), 0.0)
     measurement = plant.reset(trial.seed)
     for k in range(len(states)):
-        now = k * SAMPLE
-        if k % POLICY_SAMPLES == 0:
-            delta_kp, delta_ki = (float(change) for change in changes[k // POLICY_SAMPLES])
+        now = k * SAMPLE_PERIOD
+        if k % SAMPLES_PER_STEP == 0:
+            delta_kp, delta_ki = (float(change) for change in changes[k // SAMPLES_PER_STEP])
             guard.set_gains(delta_kp, delta_ki, now)
         box.receive(guard.command(now), now)
         states[k] = box.tick(measurement, now)

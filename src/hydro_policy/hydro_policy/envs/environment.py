@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray, ReferenceSignal, StateArray
-from hydro_policy.envs.vector_env import Fleet, records
+from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.task.mdp import ACTIONS, TaskSettings, observe
 
 FAULTS = int(Flag.FORCE_LIMIT | Flag.SENSOR_FAULT)
@@ -56,7 +56,7 @@ class Environment:
         Observation, reward, gains.
     """
 
-    def __init__(self, fleet: Fleet, task: TaskSettings) -> None:
+    def __init__(self, fleet: VectorBench, task: TaskSettings) -> None:
         self.fleet, self.task = fleet, task
         self.observation: FloatArray = np.zeros((len(fleet), 0))
         self._references: list[ReferenceSignal] = []

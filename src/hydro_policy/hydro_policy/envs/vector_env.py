@@ -20,16 +20,22 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, ReferenceSignal, StateArray
-from hydro_policy.envs import vector_filter as fleet_filter
-from hydro_policy.envs import vector_plants as fleet_plants
+from hydro_bridge.signals import (
+    SAMPLE_PERIOD,
+    SAMPLES_PER_STEP,
+    STATE_DTYPE,
+    Command,
+    FloatArray,
+    ReferenceSignal,
+    StateArray,
+)
+from hydro_policy.envs import vector_filter, vector_plants
 from hydro_policy.envs.vector_filter import FleetFilter, NoFilter
 from hydro_policy.envs.vector_plants import PlantRows
-from hydro_sim.box import kernel as box_kernel
+from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
-from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 DEAD_TIME_MAX = 8
 """Samples that a command can be late at most."""
@@ -38,7 +44,7 @@ LINK_DTYPE = np.dtype([("gain_delay", np.int64), ("dead_time", np.int64), ("held
 """What lies between policy, box and valve: delays in samples, and the currents still on their way, newest first."""
 
 
-class Fleet:
+class VectorBench:
     """See the module.
 
     Parameters
@@ -61,15 +67,15 @@ class Fleet:
         filters: FleetFilter | None = None,
     ) -> None:
         self.config, self.filters = config or BoxConfig(), filters or NoFilter()
-        self.rows: PlantRows = fleet_plants.rows(plants)
+        self.rows: PlantRows = vector_plants.rows(plants)
         count = len(plants)
         self.benches = np.concatenate([bench.constants() for bench in benches])
         self.settings = np.concatenate([self.config.constants(bench) for bench in benches])
-        self.boxes = np.zeros(count, box_kernel.STATE_DTYPE)
-        self.commands = np.zeros(count, box_kernel.COMMAND_DTYPE)
+        self.boxes = np.zeros(count, kernel.STATE_DTYPE)
+        self.commands = np.zeros(count, kernel.COMMAND_DTYPE)
         self.links = np.zeros(count, LINK_DTYPE)
         self.links["gain_delay"] = 1
-        self.samples: StateArray = np.zeros((count, POLICY_SAMPLES), STATE_DTYPE)
+        self.samples: StateArray = np.zeros((count, SAMPLES_PER_STEP), STATE_DTYPE)
         """The last step's samples, shape (benches, 10); the last column is what the policy acts upon."""
 
     def __len__(self) -> int:
@@ -80,17 +86,17 @@ class Fleet:
         self.benches[index] = bench.constants()[0]
         self.settings[index] = self.config.constants(bench)[0]
         self.links[index]["gain_delay"], self.links[index]["dead_time"] = gain_delay, dead_time
-        fleet_plants.put(self.rows, index, plant)
+        vector_plants.put(self.rows, index, plant)
 
     def begin(
         self, index: int, reference: ReferenceSignal, seed: int, changes: tuple[float, float] = (0.0, 0.0)
     ) -> None:
         """From rest: disarmed once, armed with `reference` and gain changes, first sample taken."""
         one = slice(index, index + 1)
-        fleet_plants.restart(self.rows, index, seed)
-        box_kernel.reset(self.boxes[one])
+        vector_plants.restart(self.rows, index, seed)
+        kernel.reset(self.boxes[one])
         fill_command(self.commands[one], Command())
-        box_kernel.receive(self.settings[one], self.boxes[one], self.commands[one], 0.0)
+        kernel.receive(self.settings[one], self.boxes[one], self.commands[one], 0.0)
         fill_command(
             self.commands[one],
             Command(
@@ -102,14 +108,14 @@ class Fleet:
             ),
         )
         self.links[index]["held"] = 0.0
-        fleet_filter.forget(self.filters, index)
+        vector_filter.forget(self.filters, index)
         box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
-        _exchange(*box, self.filters, index, fleet_plants.measurements(self.rows)[index], self.samples[index, -1:])
+        _exchange(*box, self.filters, index, vector_plants.measurements(self.rows)[index], self.samples[index, -1:])
 
     def step(self, changes: FloatArray) -> StateArray:
         """Ten samples with gain changes (delta_kp, delta_ki), shape (benches, 2); returns `samples`."""
         box = self.benches, self.settings, self.boxes, self.commands
-        noise = fleet_plants.noise(self.rows, POLICY_SAMPLES)
+        noise = vector_plants.noise(self.rows, SAMPLES_PER_STEP)
         step = _step if type(self.rows.arrays).__module__.startswith("hydro_policy.") else _step_foreign
         step(*box, self.filters, self.rows.arrays, self.links, np.ascontiguousarray(changes), noise, self.samples)
         return self.samples
@@ -118,10 +124,10 @@ class Fleet:
 @njit(cache=True)
 def _exchange(bench, settings, box, command, filters, i, measurement, sample):
     """The box's millisecond: a command down, a sample up; and the filter's word on it, for the next command."""
-    time = box[0].sequence * SAMPLE
-    box_kernel.receive(settings, box, command, time)
-    box_kernel.tick(bench, settings, box, measurement, time, sample)
-    command[0].delta_u = fleet_filter.correct(filters, i, measurement, sample[0])
+    time = box[0].sequence * SAMPLE_PERIOD
+    kernel.receive(settings, box, command, time)
+    kernel.tick(bench, settings, box, measurement, time, sample)
+    command[0].delta_u = vector_filter.correct(filters, i, measurement, sample[0])
 
 
 @njit(cache=True)
@@ -131,11 +137,11 @@ def _step(benches, settings, boxes, commands, filters, plants, links, changes, n
         one, link = slice(i, i + 1), links[i]
         current = samples[i, length - 1].valve_current
         for k in range(length):
-            fleet_plants.advance(plants, i, noise[i, k], _delayed(link, current))
+            vector_plants.advance(plants, i, noise[i, k], _delayed(link, current))
             if k == link.gain_delay - 1:
                 commands[i].delta_kp, commands[i].delta_ki = changes[i, 0], changes[i, 1]
             sample = samples[i, k : k + 1]
-            measurement = fleet_plants.measurement(plants, i)
+            measurement = vector_plants.measurement(plants, i)
             _exchange(benches[one], settings[one], boxes[one], commands[one], filters, i, measurement, sample)
             current = sample[0].valve_current
 

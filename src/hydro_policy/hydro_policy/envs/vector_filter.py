@@ -46,7 +46,7 @@ class LearnedFilter(NamedTuple):
     fresh: bool
     parts: LoopParts
     memory: npt.NDArray[np.void]
-    room: Space
+    workspace: Space
 
 
 FleetFilter = NoFilter | ConstantFilter | LearnedFilter
@@ -94,7 +94,7 @@ def _correct(filters, i, x, sample):
             armed = (sample.flags & _ARMED) != 0
             return loop_decision.decide(
                 filters.parts, filters.memory[i], x, signals[0], signals[1], signals[2], sample.reference_force_rate,
-                sample.proportional_gain, armed, filters.room,
+                sample.proportional_gain, armed, filters.workspace,
             )[0]  # fmt: skip
 
         return learned

@@ -23,8 +23,7 @@ from hydro_sim.model import plant as plants_of
 from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.neural import mlp, network
 from hydro_sim.neural.network_model import NetworkModel
-from hydro_sim.structured import integration
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.model import StructuredModel
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS
 
@@ -151,7 +150,7 @@ def _advance(plants, i, noise, current):
 
         def model(plants, i, noise, current):
             x, a1, a2, r = plants.scratch
-            structured.advance_full(
+            rollout.advance_full(
                 plants.c[i], plants.layers, plants.center, plants.scale, plants.memories, plants.full[i], current,
                 plants.work, x, a1, a2, r, plants.clean[i],
             )  # fmt: skip
@@ -205,7 +204,7 @@ def _structured(plants: Sequence[LearnedPlant]) -> Structured:
     h1, h2 = model.hidden
     return Structured(
         np.tile(c, (count, 1)), layers, center, scale, memories, np.concatenate([plant.sensors for plant in plants]),
-        np.zeros((count, structured.FULL)), np.zeros((count, 8)), np.zeros((count, 8)),
+        np.zeros((count, rollout.FULL)), np.zeros((count, 8)), np.zeros((count, 8)),
         np.concatenate([plant._last for plant in plants]), np.zeros((count, 8)), integration.scratch(),
         (np.empty(INPUTS), np.empty(h1), np.empty(h2), np.empty(OUTPUTS)),
     )  # fmt: skip

@@ -11,12 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray, StateArray
-from hydro_policy.envs.vector_env import Fleet, records
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, StateArray
+from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.sac.policy import Policy
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
-from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 Chooser = Callable[[FloatArray], FloatArray]
 """From the last samples of all benches, shape (n, 14), to their gain changes, shape (n, 2)."""
@@ -44,31 +43,31 @@ def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
 
 
 def rmse(
-    fleet: Fleet, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
+    fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
 ) -> FloatArray:
     """Force RMSE [N] of each run, shape (n,), bench i playing `cases[i]`; NaN if the box tripped."""
     return _run(fleet, cases, choose, settings, seed, keep=False)[0]
 
 
 def record(
-    fleet: Fleet, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
+    fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
 ) -> tuple[FloatArray, StateArray]:
     """As `rmse`, and all samples after the first, shape (n, samples)."""
     return _run(fleet, cases, choose, settings, seed, keep=True)
 
 
 def _run(
-    fleet: Fleet, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int, *, keep: bool
+    fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int, *, keep: bool
 ) -> tuple[FloatArray, StateArray]:
     for index, case in enumerate(cases):
         fleet.begin(index, case.signal, seed)
-    ends = np.array([round(settings.length(case) / SAMPLE) for case in cases])
-    first = round(settings.settle / SAMPLE)
+    ends = np.array([round(settings.length(case) / SAMPLE_PERIOD) for case in cases])
+    first = round(settings.settle / SAMPLE_PERIOD)
     squares, tripped = np.zeros(len(fleet)), np.zeros(len(fleet), bool)
     kept: list[StateArray] = []
-    for start in range(1, int(ends.max()), POLICY_SAMPLES):
+    for start in range(1, int(ends.max()), SAMPLES_PER_STEP):
         samples = fleet.step(choose(records(fleet.samples[:, -1], STATE_FIELDS)))
-        number = start + np.arange(POLICY_SAMPLES)
+        number = start + np.arange(SAMPLES_PER_STEP)
         counted = (number >= first) & (number < ends[:, np.newaxis])
         error = np.where(counted, samples["reference_force"] - samples["load_force"], 0.0)
         squares += np.sum(error * error, axis=1)

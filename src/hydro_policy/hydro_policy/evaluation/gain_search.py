@@ -22,7 +22,7 @@ from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantWatch
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import EvaluationSettings
 
 Gains = tuple[float, float]
@@ -151,7 +151,7 @@ class GridSession:
     outputs
         The graph.
     rearm
-        See `PlantWatch`.
+        See `PlantSupervisor`.
     override
         Gains that a person holds.
     monitor
@@ -173,7 +173,7 @@ class GridSession:
     ) -> None:
         self.search, self.evaluation = GridSearch(settings), evaluation
         self.override = override or GainOverride()
-        self.watch = PlantWatch(outputs, rearm, requirements, self.override)
+        self.watch = PlantSupervisor(outputs, rearm, requirements, self.override)
         self._outputs, self._monitor = outputs, monitor or SafetyMonitor()
         self._pair: Gains | None = None
         self._next()

@@ -13,7 +13,7 @@ from hydro_policy.sac.policy import Policy
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantWatch
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.task.mdp import GainRange
 from hydro_policy.task.scoring import Score
@@ -30,7 +30,7 @@ class Surroundings:
     """What an examination shares with the training that it interrupts."""
 
     outputs: Outputs
-    watch: PlantWatch
+    watch: PlantSupervisor
     override: GainOverride
     monitor: SafetyMonitor
 

@@ -15,14 +15,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hydro_bridge.safety.readiness import Requirement
-from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Flag, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_DTYPE, Flag, FloatArray
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantWatch
+from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.task.cases import Case, EvaluationSettings
-from hydro_policy.task.mdp import SAMPLES_PER_STEP
 from hydro_policy.task.scoring import Score, Trace, score
 from hydro_policy.task.step_aggregator import HELD, StepClock
 
@@ -55,9 +54,9 @@ class EvaluationSession:
     outputs
         The graph.
     watch, rearm
-        Of a session that this one is part of; else one of its own, with `rearm` (see `plant_supervisor.PlantWatch`).
+        Of a session that this one is part of; else one of its own, with `rearm` (see `PlantSupervisor`).
     after
-        The watch of the session before this one, whose plant is taken over as it is: see `PlantWatch.take_over`.
+        The watch of the session before this one, whose plant is taken over as it is: see `PlantSupervisor.take_over`.
     override
         Gains that a person holds.
     monitor
@@ -75,8 +74,8 @@ class EvaluationSession:
         outputs: Outputs,
         *,
         rearm: bool = True,
-        watch: PlantWatch | None = None,
-        after: PlantWatch | None = None,
+        watch: PlantSupervisor | None = None,
+        after: PlantSupervisor | None = None,
         override: GainOverride | None = None,
         monitor: SafetyMonitor | None = None,
         retries: int = 0,
@@ -85,7 +84,7 @@ class EvaluationSession:
         if not controllers:
             raise ValueError("an evaluation needs a controller")
         self.settings, self.override = settings, override or GainOverride()
-        self.watch = watch or PlantWatch(outputs, rearm, requirements, self.override)
+        self.watch = watch or PlantSupervisor(outputs, rearm, requirements, self.override)
         self.plan = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
         self.scores: list[Score] = []
         self.traces: list[Trace] = []

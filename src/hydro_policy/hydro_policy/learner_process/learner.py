@@ -124,14 +124,14 @@ class Learner:
         self.publish(time.monotonic())
 
     @property
-    def owed(self) -> int:
+    def pending_updates(self) -> int:
         """Updates that the transitions so far entitle to and that are not done yet."""
         learnt_from = self.replay.produced - self.settings.warmup_steps
         return int(self.settings.updates_per_step * max(learnt_from, 0)) - self.sac.updates
 
     def work(self) -> int:
         """Up to `CHUNK` of the updates owed; returns how many were done."""
-        count = min(self.owed, CHUNK)
+        count = min(self.pending_updates, CHUNK)
         if count > 0:
             self.sac.learn(self.replay, count)
         return max(count, 0)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import multiprocessing
+import select
 import signal
 import time
 from collections import deque
@@ -71,7 +72,7 @@ class LearnerSupervisor:
             self._memory.status(),
         )
         self._good = self._memory.good()
-        self._rollbacks = 0  # asked for
+        self._rollbacks, self._unheard = 0, False  # asked for; whether the learner had no ear for the last one
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
             start = resumed.learner
@@ -121,7 +122,7 @@ class LearnerSupervisor:
         blob = self._weights.read()
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
-    def revive(self) -> str | None:
+    def restart_if_dead(self) -> str | None:
         """If the learner died, start another from its last snapshot; what to tell the user of that.
 
         Raises
@@ -131,6 +132,8 @@ class LearnerSupervisor:
         """
         self._hear()
         if self.alive:
+            if self._unheard:
+                self._ask_to_roll_back()
             return None
         if self._said and not self.ready:
             raise LearnerError(f"the learner cannot begin: {self._said}")
@@ -164,16 +167,24 @@ class LearnerSupervisor:
         self._ask_to_roll_back()
 
     def _ask_to_roll_back(self) -> None:
-        with suppress(OSError):  # dead: `revive` asks its successor
-            self._requests.send(RollBack())
+        self._unheard = not self._ask(RollBack())  # `restart_if_dead` asks again, or its successor
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Ask for a checkpoint; False if the learner is not there to hear it."""
-        try:
-            self._requests.send(SaveRequest(self._run.path, trainer, best))
-            return True
-        except OSError:
-            return False
+        return self._ask(SaveRequest(self._run.path, trainer, best))
+
+    def _ask(self, request: RollBack | SaveRequest | None, patience: float = 0.0) -> bool:
+        """Send a request; False if the learner is dead, or has read nothing for so long that there is no room for it.
+
+        A pipe that is ready to be written to has room for more than any of them. `patience` in s.
+        """
+        room = select.poll()
+        with suppress(OSError):
+            room.register(self._requests, select.POLLOUT)
+            if room.poll(round(1e3 * patience)):
+                self._requests.send(request)
+                return True
+        return False
 
     def stop(self, trainer: dict[str, Any]) -> None:
         """Write the last checkpoint and end the process; if it is dead or hangs, write the checkpoint from here.
@@ -183,11 +194,9 @@ class LearnerSupervisor:
         LearnerError
             The checkpoint cannot be written.
         """
-        before, asked = self.checkpoints, self.save(trainer)
-        try:
-            self._requests.send(None)
-        except OSError:
-            asked = False
+        before = self.checkpoints
+        last = SaveRequest(self._run.path, trainer, best=False)
+        asked = self._ask(last, STOP_TIMEOUT) and self._ask(None, STOP_TIMEOUT)
         self._process.join(STOP_TIMEOUT if asked else 0.5)
         if self._process.is_alive():
             self._process.kill()

@@ -34,7 +34,7 @@ from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.planned import planned, refuse_policy, surprise
 from hydro_policy.nodes.progress import EvaluationProgress
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantWatch
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.mdp import BASE, GainRange
 from hydro_sim.files.pairing import Believed
 
@@ -200,7 +200,7 @@ def evaluate_on(
     *,
     rearm: bool,
     settings: EvaluationSettings | None = None,
-    after: PlantWatch | None = None,
+    after: PlantSupervisor | None = None,
 ) -> EvaluationSession:
     """Run an evaluation on a node that is up; what is there when a signal comes is returned all the same.
 

@@ -34,15 +34,15 @@ from hydro_bridge.ros import (
     Companion,
     CompanionError,
     RecorderWatch,
-    be_ordinary,
-    be_prompt,
+    drop_realtime,
     listen_to_box,
+    publisher_conflicts,
     reference_to_message,
+    request_realtime,
     seconds,
     spin,
     state_from_message,
 )
-from hydro_bridge.ros import publisher_conflict as rivals
 from hydro_bridge.safety.box_info import KnownBox, told
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import ReferenceSignal
@@ -52,7 +52,7 @@ from hydro_msgs.srv import OverrideGains
 from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.nodes.sayings import Sayings
 from hydro_policy.sessions.session import Session
-from hydro_policy.supervision import requirements as needs
+from hydro_policy.supervision import requirements
 from hydro_policy.supervision.override import GainOverride
 
 TICK = 0.05  # s
@@ -130,7 +130,7 @@ class GraphNode(Node):
         NotReadyError
             No plant came within its time, or nobody says what it is.
         """
-        needed = (needs.plant(lambda: self._sampled < math.inf), told(lambda: self.box is not None))
+        needed = (requirements.plant(lambda: self._sampled < math.inf), told(lambda: self.box is not None))
         self._meeting, self._done = Readiness(needed, lambda sentence: self.say(sentence, warning=True)), Future()
         if self.box is not None:
             self._on_box(self.box)
@@ -153,7 +153,7 @@ class GraphNode(Node):
         """
         self._refuse()
         self._session, self._each_tick, self._done = session, each_tick, Future()
-        scheduling = be_prompt(realtime=self._realtime, priority=PRIORITY, inherited=False)
+        scheduling = request_realtime(realtime=self._realtime, priority=PRIORITY, inherited=False)
         self.say(f"gains leave by {scheduling}")
         try:
             broken = spin(self, self._done)
@@ -161,7 +161,7 @@ class GraphNode(Node):
             return not broken
         finally:
             self._session = None
-            be_ordinary()
+            drop_realtime()
 
     def disarm(self) -> None:
         """Ask the plant to disarm and wait for its answer, at most 2 s."""
@@ -257,6 +257,9 @@ class GraphNode(Node):
         except ValueError as error:
             answer.success, answer.message = False, str(error)
             self.say(f"override refused: {error}", warning=True)
+        except OSError as error:  # the run's record cannot be written
+            answer.success, answer.message = False, str(error)
+            self._fail(error)
         return answer
 
     def _on_tick(self) -> None:
@@ -290,7 +293,7 @@ class GraphNode(Node):
             self._finish()
 
     def _look_around(self, now: float) -> None:
-        trouble = rivals(self, GAINS)
+        trouble = publisher_conflicts(self, GAINS)
         looked = now - self._heard > _LOOK
         if trouble and looked and not self._crowded:
             how = f"{self.get_name()} waits until it is alone, {_ALONE_WITHIN:g} s at most"

@@ -99,7 +99,7 @@ class TrainingProgress:
             "lost samples": session.clock.lost,
             "interruptions": session.progress.interruptions,
             "rollbacks": session.progress.rollbacks,
-            "last stop": session.ledger.last_stop or "none",
+            "last stop": session.state_of_run.last_stop or "none",
             "override": session.override.description,
             "best score": session.progress.best_score,
             "error peak [N]": session.monitor.peak,

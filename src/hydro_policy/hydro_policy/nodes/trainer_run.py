@@ -17,7 +17,14 @@ from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import rearms
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.nodes.trainer_results import compared, tell_files, timing
-from hydro_policy.nodes.trainer_start import Prepared, begin_record, prepare, start_plant, taken_back
+from hydro_policy.nodes.trainer_start import (
+    Prepared,
+    begin_record,
+    prepare,
+    start_plant,
+    taken_back,
+    tell_plant_again,
+)
 from hydro_policy.runs.initial_agent import Start
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.sessions.episode import Phase
@@ -40,6 +47,7 @@ def train(options: argparse.Namespace) -> int:
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
         recording = start_plant(stack, options, prepared, node)
         session = begin_session(node, prepared, learner, record, rearm=rearms(options))
+        stack.callback(tell_plant_again, run, settings, options)
         stack.callback(lambda: learner.stop(session.state()))
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits
@@ -88,7 +96,7 @@ def drive(
         return False, None
     bar = TrainingProgress(node, session, learner)
     try:
-        finished = session.ledger.trained or node.drive(session, bar.tick)
+        finished = session.state_of_run.trained or node.drive(session, bar.tick)
     finally:
         bar.close()
     inference = session.explorer.inference.sentence()
@@ -115,7 +123,7 @@ def wait_for(learner: LearnerSupervisor, node: GraphNode) -> None:
     """
     readiness = Readiness([requirements.learner(learner)], node.say)
     while not readiness.complete:
-        if (sentence := learner.revive()) is not None:
+        if (sentence := learner.restart_if_dead()) is not None:
             node.say(sentence, warning=True)
         readiness.look(time.monotonic())
         time.sleep(0.05)

@@ -71,7 +71,7 @@ def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
     except CompanionError:
         lost = node.companions.lost and not node.refused  # by itself: the run may go on with --resume
         if prepared.made and not lost and node.response.count == 0:  # no gains have ever gone out
-            shutil.rmtree(prepared.run.path)
+            shutil.rmtree(prepared.run.path, ignore_errors=True)  # whoever took it away was faster
         raise
 
 
@@ -144,6 +144,12 @@ def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Start
     agent = start.agent if start else dump(Sac(OBSERVATIONS, ACTIONS, settings.sac))
     nothing = ReplayBuffer(OBSERVATIONS, ACTIONS, settings.sac.batch_size + 128)
     write_run(SaveRequest(run.path, {}, best=False), agent, None, nothing, settings)
+
+
+def tell_plant_again(run: RunDirectory, settings: TrainingSettings, options: argparse.Namespace) -> None:
+    """Write which plant it is into a folder that a checkpoint has made anew, after somebody had taken the run away."""
+    if run.latest.exists() and not run.load_plant():
+        run.save_settings(settings, plant_words(options))
 
 
 def met(node: GraphNode) -> Believed:

@@ -15,9 +15,9 @@ from itertools import islice
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs import vector_runs
 from hydro_policy.envs.randomisation import Drawn
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_runs import Chooser
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import BASE
@@ -79,7 +79,7 @@ class Examination:
 
     def __init__(
         self,
-        fleet: Callable[[int], Fleet],
+        fleet: Callable[[int], VectorBench],
         believed: Bench,
         evaluation: EvaluationSettings,
         draw: Callable[[int], Drawn] | None = None,
@@ -88,7 +88,7 @@ class Examination:
     ) -> None:
         self._make, self._believed, self._evaluation = fleet, believed, evaluation
         self._benches: list[Drawn] = []
-        reference = fleet_runs.fixed(np.array(REFERENCE_GAINS), base)
+        reference = vector_runs.fixed(np.array(REFERENCE_GAINS), base)
         known = self._rmse(reference, [None])
         self.reference: FloatArray = np.where(np.isnan(known), evaluation.amplitude / math.sqrt(2.0), known)
         """N, RMSE of the reference gains, shape (benches, cases); where they trip, that of no tracking at all."""
@@ -120,7 +120,7 @@ class Examination:
             if bench is not None:
                 fleet.replace(index, self._believed, bench.plant, bench.gain_delay, bench.dead_time)
                 played[index] = _within_reach(case, bench)
-        return fleet_runs.rmse(fleet, played, choose, self._evaluation).reshape(len(benches), len(cases))
+        return vector_runs.rmse(fleet, played, choose, self._evaluation).reshape(len(benches), len(cases))
 
 
 def _within_reach(case: Case, bench: Drawn) -> Case:

@@ -23,10 +23,10 @@ import numpy as np
 
 from hydro_bridge.settings import check
 from hydro_bridge.signals import ReferenceSignal
-from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_policy.envs import vector_runs
 from hydro_policy.envs.environment import Environment, Transitions
 from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
-from hydro_policy.envs.vector_env import Fleet
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.pretraining.examination import Examination
 from hydro_policy.runs.checkpoint import Checkpoint
@@ -169,7 +169,7 @@ class Pretraining:
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
         """The mean action on the four sines: a new entry of `history`, and perhaps the best agent so far."""
-        marks = self._exam(fleet_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
+        marks = self._exam(vector_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
         if marks.score < self.best_score:
             self.best_score, self.best = marks.score, dump(self.sac)
         self.history.append(
@@ -180,10 +180,10 @@ class Pretraining:
             }
         )  # fmt: skip
 
-    def _fleet(self, count: int) -> Fleet:
+    def _fleet(self, count: int) -> VectorBench:
         filters = fleet_filter(self.settings.filter, self._believed, count)
         plants = [self._plant() for _ in range(count)]
-        return Fleet([self._believed] * count, plants, self.settings.box, filters)
+        return VectorBench([self._believed] * count, plants, self.settings.box, filters)
 
     def _plant(self) -> Plant:
         if isinstance(self._source, Learned):

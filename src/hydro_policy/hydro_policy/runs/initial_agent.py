@@ -18,7 +18,7 @@ from hydro_sim.files.stamping import stamp_of
 
 AGENT = "learner.safetensors"
 
-CARE = 0.1
+ACTOR_LEARNING_RATE_SCALE = 0.1
 """Share of the actor's learning rate that is left on the bench."""
 
 REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
@@ -49,7 +49,7 @@ class Start:
         """
         sac = replace(
             settings.sac,
-            actor_learning_rate=CARE * settings.sac.actor_learning_rate,
+            actor_learning_rate=ACTOR_LEARNING_RATE_SCALE * settings.sac.actor_learning_rate,
             hidden_size=self.sac.hidden_size,
             log_std_min=self.sac.log_std_min,
             log_std_max=self.sac.log_std_max,

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 
 from hydro_bridge.signals import FloatArray
-from hydro_policy.sac import kernel as sac_kernel
-from hydro_policy.sac import network_kernel
+from hydro_policy.sac import kernel, network_kernel
 from hydro_policy.sac.mlp import FlatAdam, StackedMlp
 from hydro_policy.sac.replay import Batch, ReplayBuffer
 from hydro_sim.neural.mlp import Layers
@@ -125,11 +124,11 @@ class Sac:
         self.entropy_optimizer = FlatAdam(self.log_entropy_coefficient, settings.entropy_learning_rate)
         self.updates = 0
         self._actions, self._dtype = actions, dtype
-        self._numbers = sac_kernel.Numbers(
+        self._numbers = kernel.Numbers(
             observations, actions, settings.discount, settings.target_rate, settings.target_entropy,
             settings.reward_scale, settings.log_std_min, settings.log_std_max,
         )  # fmt: skip
-        self._networks = sac_kernel.Networks(
+        self._networks = kernel.Networks(
             _layers(self.actor_network)[0], _layers(self.actor_network, gradient=True)[0], _layers(self.critics),
             _layers(self.critics, gradient=True), _layers(self.target_critics), self.target_critics.parameters.numpy(),
         )  # fmt: skip
@@ -158,7 +157,7 @@ class Sac:
         optimizers = (self.actor_optimizer, self.critic_optimizer, self.entropy_optimizer)
         gradients = (self.actor_network.gradient, self.critics.gradient, torch.zeros(1, dtype=self._dtype))
         adams = [_adam(optimizer, gradient) for optimizer, gradient in zip(optimizers, gradients, strict=True)]
-        sac_kernel.learn(self._networks, *adams, self._numbers, replay.rows, places.numpy(), noise.numpy())
+        kernel.learn(self._networks, *adams, self._numbers, replay.rows, places.numpy(), noise.numpy())
         for optimizer in optimizers:
             optimizer.steps += updates
         self.updates += updates

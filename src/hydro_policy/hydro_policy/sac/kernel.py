@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from hydro_policy.sac import network_kernel as nets
+from hydro_policy.sac import network_kernel
 from hydro_policy.sac.network_kernel import Floats
 from hydro_sim.neural.mlp import Layers
 
@@ -63,23 +63,24 @@ def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places
     `noise`: standard normal, shape (updates, 2, batch, actions), first for the targets, then for the actor.
     """
     count, kind, inputs = places.shape[1], networks.target_parameters.dtype, numbers.observations + numbers.actions
-    width = nets.four(inputs)
-    now, following = nets.buffer(width, kind), nets.buffer(width, kind)
+    width = network_kernel.four(inputs)
+    now, following = network_kernel.buffer(width, kind), network_kernel.buffer(width, kind)
     reward, end, target = np.empty(count, kind), np.empty(count, kind), np.empty(count, kind)
-    actor_pass = nets.new_pass(networks.actor, kind)
-    first, second = nets.new_pass(networks.critics[0], kind), nets.new_pass(networks.critics[1], kind)
+    actor_pass = network_kernel.new_pass(networks.actor, kind)
+    first = network_kernel.new_pass(networks.critics[0], kind)
+    second = network_kernel.new_pass(networks.critics[1], kind)
     draw = _draw(numbers.actions, count, kind)
     for k in range(len(places)):
         alpha = kind.type(math.exp(entropy_adam.parameters[0]))
         _gather(numbers, rows, places[k], now, following, reward, end)
         _targets(networks, numbers, following, noise[k, 0], reward, end, alpha, actor_pass, first, second, draw, target)
         _critics(networks, now, target, first, second)
-        nets.adam_step(critic_adam, k + 1)
+        network_kernel.adam_step(critic_adam, k + 1)
         _actor(networks, numbers, now, noise[k, 1], alpha, actor_pass, first, second, draw)
-        nets.adam_step(actor_adam, k + 1)
+        network_kernel.adam_step(actor_adam, k + 1)
         entropy_adam.gradient[0] = -(draw.log_probability.sum() / kind.type(count) + numbers.target_entropy)
-        nets.adam_step(entropy_adam, k + 1)
-        nets.follow(networks.target_parameters, critic_adam.parameters, numbers.target_rate)
+        network_kernel.adam_step(entropy_adam, k + 1)
+        network_kernel.follow(networks.target_parameters, critic_adam.parameters, numbers.target_rate)
 
 
 @njit(cache=True)
@@ -89,10 +90,10 @@ def _gather(numbers, rows, places, now, following, reward, end):
     for k in range(len(places)):
         row = rows[places[k]]
         for i in range(n):
-            now[i * nets.ROW + k] = row[i]
-            following[i * nets.ROW + k] = row[n + i]
+            now[i * network_kernel.ROW + k] = row[i]
+            following[i * network_kernel.ROW + k] = row[n + i]
         for j in range(m):
-            now[(n + j) * nets.ROW + k] = row[2 * n + j]
+            now[(n + j) * network_kernel.ROW + k] = row[2 * n + j]
         reward[k], end[k] = row[2 * n + m], row[2 * n + m + 1]
 
 
@@ -102,8 +103,8 @@ def _targets(networks, numbers, following, noise, reward, end, alpha, actor_pass
     kind = target.dtype.type
     scale, discount, one = kind(numbers.reward_scale), kind(numbers.discount), kind(1.0)
     _sample(networks.actor, numbers, following, noise, actor_pass, draw)
-    nets.forward(nets.padded(networks.targets[0]), following, first, len(target))
-    nets.forward(nets.padded(networks.targets[1]), following, second, len(target))
+    network_kernel.forward(network_kernel.padded(networks.targets[0]), following, first, len(target))
+    network_kernel.forward(network_kernel.padded(networks.targets[1]), following, second, len(target))
     for k in range(len(target)):
         value = min(first.y[k], second.y[k]) - alpha * draw.log_probability[k]
         target[k] = scale * reward[k] + discount * (one - end[k]) * value
@@ -118,11 +119,11 @@ def _critics(networks, now, target, first, second):
         way, layers, gradient = first, networks.critics[0], networks.critic_gradients[0]
         if member == 1:
             way, layers, gradient = second, networks.critics[1], networks.critic_gradients[1]
-        padded = nets.padded(layers)
-        nets.forward(padded, now, way, count)
+        padded = network_kernel.padded(layers)
+        network_kernel.forward(padded, now, way, count)
         for k in range(count):
             way.g[k] = (way.y[k] - target[k]) * share
-        nets.backward(padded, now, way, count, gradient)
+        network_kernel.backward(padded, now, way, count, gradient)
 
 
 @njit(cache=True)
@@ -132,26 +133,26 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
     kind = draw.action.dtype.type
     zero, one, two, share = kind(0.0), kind(1.0), kind(2.0), kind(1.0 / count)
     _sample(networks.actor, numbers, now, noise, actor_pass, draw)
-    critic_1, critic_2 = nets.padded(networks.critics[0]), nets.padded(networks.critics[1])
-    nets.forward(critic_1, now, first, count)
-    nets.forward(critic_2, now, second, count)
+    critic_1, critic_2 = network_kernel.padded(networks.critics[0]), network_kernel.padded(networks.critics[1])
+    network_kernel.forward(critic_1, now, first, count)
+    network_kernel.forward(critic_2, now, second, count)
     for k in range(count):  # only the smaller critic passes its gradient on
         smaller = first.y[k] <= second.y[k]
         first.g[k], second.g[k] = (one, zero) if smaller else (zero, one)
-    nets.to_inputs(critic_1, first, count)
-    nets.to_inputs(critic_2, second, count)
-    slopes = np.zeros((2, nets.four(actions) * nets.ROW), draw.action.dtype)
-    nets.product(nets.input_rows(networks.critics[0].w1, n, actions), first.g1, slopes[0], count)
-    nets.product(nets.input_rows(networks.critics[1].w1, n, actions), second.g1, slopes[1], count)
+    network_kernel.to_inputs(critic_1, first, count)
+    network_kernel.to_inputs(critic_2, second, count)
+    slopes = np.zeros((2, network_kernel.four(actions) * network_kernel.ROW), draw.action.dtype)
+    network_kernel.product(network_kernel.input_rows(networks.critics[0].w1, n, actions), first.g1, slopes[0], count)
+    network_kernel.product(network_kernel.input_rows(networks.critics[1].w1, n, actions), second.g1, slopes[1], count)
     for j in range(actions):
         for k in range(count):
             a = draw.action[j, k]
-            slope = slopes[0, j * nets.ROW + k] + slopes[1, j * nets.ROW + k]
+            slope = slopes[0, j * network_kernel.ROW + k] + slopes[1, j * network_kernel.ROW + k]
             to_mean = two * alpha * a - slope * (one - a * a)
-            actor_pass.g[j * nets.ROW + k] = to_mean * share
+            actor_pass.g[j * network_kernel.ROW + k] = to_mean * share
             to_log_std = (to_mean * draw.deviation[j, k] - alpha) * draw.inside[j, k]
-            actor_pass.g[(actions + j) * nets.ROW + k] = to_log_std * share
-    nets.backward(nets.padded(networks.actor), now, actor_pass, count, networks.actor_gradient)
+            actor_pass.g[(actions + j) * network_kernel.ROW + k] = to_log_std * share
+    network_kernel.backward(network_kernel.padded(networks.actor), now, actor_pass, count, networks.actor_gradient)
 
 
 @njit(cache=True)
@@ -162,14 +163,14 @@ def _sample(layers, numbers, inputs, noise, way, draw):
     zero, half, one, two = kind(0.0), kind(0.5), kind(1.0), kind(2.0)
     low, high = kind(numbers.log_std_min), kind(numbers.log_std_max)
     log_2, half_log_2pi = kind(math.log(2.0)), kind(0.5 * math.log(2.0 * math.pi))
-    nets.forward(nets.padded(layers), inputs, way, count)
+    network_kernel.forward(network_kernel.padded(layers), inputs, way, count)
     draw.log_probability[:] = zero
     for j in range(actions):
         for k in range(count):
-            raw, eps = way.y[(actions + j) * nets.ROW + k], kind(noise[k, j])
+            raw, eps = way.y[(actions + j) * network_kernel.ROW + k], kind(noise[k, j])
             log_std = min(max(raw, low), high)
             deviation = math.exp(log_std) * eps
-            u = way.y[j * nets.ROW + k] + deviation
+            u = way.y[j * network_kernel.ROW + k] + deviation
             fading = math.exp(-two * abs(u))  # both tanh and log(1 - tanh^2) from one exponential
             a = math.copysign((one - fading) / (one + fading), u)
             softplus = math.log1p(fading) + max(-two * u, zero)  # of -2u
@@ -177,7 +178,7 @@ def _sample(layers, numbers, inputs, noise, way, draw):
             draw.log_probability[k] += density + two * (u + softplus - log_2)
             draw.action[j, k], draw.deviation[j, k] = a, deviation
             draw.inside[j, k] = one if raw == log_std else zero
-            inputs[(numbers.observations + j) * nets.ROW + k] = a
+            inputs[(numbers.observations + j) * network_kernel.ROW + k] = a
 
 
 @njit(cache=True)

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.signals import STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, CorrectionStatus, FloatArray, ReferenceSignal
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.trial import Corrector
@@ -25,8 +25,6 @@ from hydro_policy.supervision.outputs import Outputs
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
-
-SAMPLE = 1e-3  # s
 
 PASSED = Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
 """What a filter says that has nothing to correct."""
@@ -64,13 +62,13 @@ class InlineLearner:
 
     def work(self) -> None:
         """All updates owed, then publish."""
-        if self._learner.owed >= CHUNK:
+        if self._learner.pending_updates >= CHUNK:
             while self._learner.work():
                 pass
             self._learner.publish(time.monotonic())
 
-    def revive(self) -> None:
-        """Nothing to revive."""
+    def restart_if_dead(self) -> None:
+        """Nothing to restart_if_dead."""
 
     def snapshot(self) -> bytes:
         """See `LearnerSupervisor.snapshot`; of this moment."""
@@ -151,12 +149,12 @@ class OfflineGraph(Outputs):
         if self.corrector is not None:
             self.answer = self.corrector.correct(Sample.of(output))
         self._measurement = self.plant.step(float(output["valve_current"]))
-        self.time += SAMPLE
+        self.time += SAMPLE_PERIOD
         return output
 
     def run(self, session: Session, seconds: float, learner: InlineLearner | None = None) -> None:
         """Drive `session` until it is finished or `seconds` of bench time are over."""
-        end = self.time + seconds - 0.5 * SAMPLE
+        end = self.time + seconds - 0.5 * SAMPLE_PERIOD
         tick = 0
         while self.time < end and not session.finished:
             record = self.sample()

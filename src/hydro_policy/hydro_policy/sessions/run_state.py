@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hydro_policy.evaluation import policy_examination as exam
+from hydro_policy.evaluation import policy_examination
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sessions.episode import EpisodeRecord, Progress
@@ -14,7 +14,7 @@ from hydro_policy.supervision.rollback import PolicyKeeper
 from hydro_policy.task.scoring import Score
 
 
-class Ledger:
+class RunState:
     """Enters episodes, examinations and stops, and says what they mean for the run.
 
     Parameters
@@ -77,8 +77,8 @@ class Ledger:
     def add_exam(self, scores: Sequence[Score]) -> bool:
         """Enter an examination that the policy came through; True if it is the best so far."""
         progress, settings = self.progress, self._settings.exam
-        progress.reference_rmse = progress.reference_rmse or exam.reference_rmse(settings, scores)
-        verdict = exam.verdict(scores, progress.reference_rmse)
+        progress.reference_rmse = progress.reference_rmse or policy_examination.reference_rmse(settings, scores)
+        verdict = policy_examination.verdict(scores, progress.reference_rmse)
         best = verdict.score < progress.best_score
         self.keeper.accept(best)
         progress.examined, progress.best_score = progress.episode, min(verdict.score, progress.best_score)

@@ -7,13 +7,13 @@ from typing import Protocol
 
 from hydro_bridge.signals import FloatArray
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import PlantWatch
+from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 
 
 class Session(Protocol):
     """What drives a plant: a `TrainingSession` or an `EvaluationSession`."""
 
-    watch: PlantWatch
+    watch: PlantSupervisor
     override: GainOverride
 
     @property

@@ -18,18 +18,18 @@ from typing import Any
 
 from hydro_bridge.safety.readiness import Requirement
 from hydro_bridge.signals import Flag, FloatArray
-from hydro_policy.evaluation import policy_examination as exam
+from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sessions.episode import EpisodeRecord, Phase, Progress
-from hydro_policy.sessions.run_state import Ledger
+from hydro_policy.sessions.run_state import RunState
 from hydro_policy.sessions.training_episode import EpisodePlayer
 from hydro_policy.supervision.learner_requests import ActingLearner
 from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantWatch
+from hydro_policy.supervision.plant_supervisor import FALLBACK, PlantSupervisor
 from hydro_policy.supervision.requirements import learner as learner_ready
 from hydro_policy.task.step_aggregator import Step, StepClock
 
@@ -49,7 +49,7 @@ class TrainingSession:
     outputs
         The graph.
     rearm
-        See `PlantWatch`.
+        See `PlantSupervisor`.
     state, best
         `state()` and best agent of the session to continue, or None.
     override
@@ -75,18 +75,18 @@ class TrainingSession:
     ) -> None:
         self.settings, self.learner = settings, learner
         self.override, self.record = override or GainOverride(), record or RunRecord()
-        self.watch = PlantWatch(outputs, rearm, (learner_ready(learner), *requirements), self.override)
+        self.watch = PlantSupervisor(outputs, rearm, (learner_ready(learner), *requirements), self.override)
         self.clock = StepClock()
         self.progress = Progress() if state is None else Progress(**state["progress"])
-        self.ledger = Ledger(settings, learner, self.progress, best, self.record)
-        self.keeper = self.ledger.keeper
+        self.state_of_run = RunState(settings, learner, self.progress, best, self.record)
+        self.keeper = self.state_of_run.keeper
         self.player = EpisodePlayer(settings, learner, outputs, self.progress)
         self.explorer, self.monitor = self.player.explorer, self.player.monitor
         if state is not None:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.phase = Phase.WAITING
         self.exam: EvaluationSession | None = None
-        self._around = exam.Surroundings(outputs, self.watch, self.override, self.monitor)
+        self._around = policy_examination.Surroundings(outputs, self.watch, self.override, self.monitor)
         self._outputs = outputs
 
     @property
@@ -107,7 +107,7 @@ class TrainingSession:
     @property
     def gave_up(self) -> str:
         """Why the run ended before its last episode; empty if it did not."""
-        return self.ledger.gave_up
+        return self.state_of_run.gave_up
 
     def state(self) -> dict[str, Any]:
         """For a checkpoint, as JSON types."""
@@ -139,7 +139,7 @@ class TrainingSession:
         self.watch.on_tick(now)
         if self.watch.lost and self.phase in UNDER_WAY:
             self._pause("no samples", self._where)
-        message = self.learner.revive()
+        message = self.learner.restart_if_dead()
         if message is not None:
             self._outputs.say(message, warning=True)
 
@@ -170,9 +170,9 @@ class TrainingSession:
     def _begin(self) -> None:
         """Whatever is due: an examination, an episode, or the end."""
         self.keeper.start()
-        if self.ledger.exam_due:
+        if self.state_of_run.exam_due:
             self._begin_exam()
-        elif self.ledger.trained:
+        elif self.state_of_run.trained:
             self.phase = Phase.FINISHED
         else:
             self.player.begin()
@@ -183,7 +183,7 @@ class TrainingSession:
         if reason is not None:
             self._stop(reason, step.sample)
         elif self.player.complete:
-            self._go_on(best=self.ledger.add_episode(self.current))
+            self._go_on(best=self.state_of_run.add_episode(self.current))
 
     def _begin_exam(self) -> None:
         """Examine the learner's present state; learning goes on meanwhile, acting does not change."""
@@ -192,18 +192,18 @@ class TrainingSession:
             self.policy.load_flat(parameters)
         reference_too = not self.progress.reference_rmse
         gains = self.settings.task.gains
-        self.exam = exam.examination(self.settings.exam, self.policy, gains, reference_too, self._around)
+        self.exam = policy_examination.examination(self.settings.exam, self.policy, gains, reference_too, self._around)
         self.explorer.forget()
         self.phase = Phase.EVALUATING
 
     def _examine(self, running: EvaluationSession, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         acted = running.on_sample(sequence, sample, flags, now)
-        reason = exam.failure(running.scores)
+        reason = policy_examination.failure(running.scores)
         if reason:
             self._stop(reason, sample)
         elif running.finished:
             self.exam = None
-            self._go_on(best=self.ledger.add_exam(running.scores))
+            self._go_on(best=self.state_of_run.add_exam(running.scores))
         return acted
 
     def _go_on(self, *, best: bool) -> None:
@@ -233,8 +233,8 @@ class TrainingSession:
         good = self.keeper.roll_back()
         if good is not None:
             self.policy.load_flat(good)
-        sentence = self.ledger.add_stop(reason, where)
-        self.phase = Phase.FINISHED if self.ledger.gave_up else Phase.PAUSED
+        sentence = self.state_of_run.add_stop(reason, where)
+        self.phase = Phase.FINISHED if self.state_of_run.gave_up else Phase.PAUSED
         self._outputs.say(sentence, warning=True)
 
     def _pause(self, reason: str, where: str) -> None:

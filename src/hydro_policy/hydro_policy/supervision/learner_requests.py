@@ -42,7 +42,7 @@ class ActingLearner(RollingLearner, Protocol):
     def new_weights(self) -> FloatArray | None:
         """The actor's flat parameters if there are newer ones."""
 
-    def revive(self) -> str | None:
+    def restart_if_dead(self) -> str | None:
         """Restart it if it died; returns what to tell the user."""
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:

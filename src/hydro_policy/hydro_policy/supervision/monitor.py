@@ -18,8 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.signals import SAMPLE_PERIOD, CorrectionStatus
-from hydro_policy.task.mdp import SAMPLES_PER_STEP
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus
 from hydro_policy.task.step_aggregator import Step
 
 _EVALUATED = frozenset(

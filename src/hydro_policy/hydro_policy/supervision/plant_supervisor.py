@@ -48,7 +48,7 @@ FITS = "the filter's model fits again: going on"
 CALM_AGAIN = "calm again: disarmed and armed anew, so that the force law begins anew"
 
 
-class PlantWatch:
+class PlantSupervisor:
     """Follows the box's flags and asks for arming.
 
     Parameters
@@ -156,7 +156,7 @@ class PlantWatch:
         self._calm_until = math.inf
         self._outputs.reference(ReferenceSignal())
 
-    def take_over(self, before: PlantWatch) -> None:
+    def take_over(self, before: PlantSupervisor) -> None:
         """Go on where another session's watch ends: what that has left armed is no find, its calm is waited for."""
         self._acted, self._spoilt = before._acted, before._spoilt
         if before.calming:

@@ -15,9 +15,6 @@ import numpy as np
 
 from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, Waveform
 
-SAMPLES_PER_STEP = 10
-"""Box samples per policy step: 1 kHz control, 100 Hz policy."""
-
 ACTIONS = 2
 
 BASE = (15.0, 5.0)

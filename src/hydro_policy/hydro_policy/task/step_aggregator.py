@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_bridge.signals import STATE_FIELDS, Flag, FloatArray
-from hydro_policy.task.mdp import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE, SAMPLES_PER_STEP
+from hydro_bridge.signals import SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray
+from hydro_policy.task.mdp import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE
 
 HELD = int(Flag.WATCHDOG | Flag.FILTER_STALE)
 """With one of these the box held base gains: what followed was not the action's doing."""

@@ -26,7 +26,7 @@ import numpy.typing as npt
 from hydro_bridge.serial.frames import INTEGRAL_FORMS, BoxInfo
 from hydro_bridge.settings import SettingsError, check
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
-from hydro_sim.box import kernel as box_kernel
+from hydro_sim.box import kernel
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 
@@ -93,7 +93,7 @@ class BoxConfig:
 
     def constants(self, bench: Bench) -> npt.NDArray[np.void]:
         """What the compiled box reads: one record of `kernel.SETTINGS_DTYPE`, shape (1,)."""
-        record = np.zeros(1, box_kernel.SETTINGS_DTYPE)
+        record = np.zeros(1, kernel.SETTINGS_DTYPE)
         for name in set(record.dtype.names or ()) & {entry.name for entry in fields(self)}:
             record[name] = getattr(self, name)
         record["integral_form"] = INTEGRAL_FORMS.index(self.integral)
@@ -116,18 +116,18 @@ class Box:
         self.config = config or BoxConfig()
         self.bench = bench.constants()
         self.settings = self.config.constants(bench)
-        self.state = np.zeros(1, box_kernel.STATE_DTYPE)
-        self._command = np.zeros(1, box_kernel.COMMAND_DTYPE)
+        self.state = np.zeros(1, kernel.STATE_DTYPE)
+        self._command = np.zeros(1, kernel.COMMAND_DTYPE)
         self.reset()
 
     def reset(self) -> None:
         """As after power-up: disarmed, no command seen, sequence 0."""
-        box_kernel.reset(self.state)
+        kernel.reset(self.state)
 
     def receive(self, command: Command, time: float) -> None:
         """Take a command that arrived at box time [s]."""
         fill_command(self._command, command)
-        box_kernel.receive(self.settings, self.state, self._command, time)
+        kernel.receive(self.settings, self.state, self._command, time)
 
     def tick(self, measurement: FloatArray, time: float) -> np.void:
         """One sample at box time [s] of a measurement x, shape (8,); returns a record of `STATE_DTYPE`.
@@ -135,7 +135,7 @@ class Box:
         Its `valve_current` is what to hold until the next sample; always finite and within the valve's limit.
         """
         output: StateArray = np.zeros(1, STATE_DTYPE)
-        box_kernel.tick(self.bench, self.settings, self.state, measurement, time, output)
+        kernel.tick(self.bench, self.settings, self.state, measurement, time, output)
         sample: np.void = output[0]
         return sample
 

@@ -11,9 +11,8 @@ import math
 import numpy as np
 from numba import njit
 
-from hydro_bridge.signals import Flag, Waveform
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag, Waveform
 from hydro_sim.box import force_law, reference
-from hydro_sim.timing import SAMPLE
 
 ARMED, SATURATED, WATCHDOG = int(Flag.ARMED), int(Flag.SATURATED), int(Flag.WATCHDOG)
 TRIPPED, SENSOR_FAULT = int(Flag.TRIPPED), int(Flag.SENSOR_FAULT)
@@ -103,7 +102,7 @@ def _playable(signal, force_range):
     shape = 0 <= signal.waveform <= LAST_WAVEFORM and math.isfinite(signal.phase)
     if signal.waveform == reference.HOLD:
         return levels and shape and math.isfinite(signal.frequency)
-    return levels and shape and 0.0 < signal.frequency < 1.0 / SAMPLE
+    return levels and shape and 0.0 < signal.frequency < 1.0 / SAMPLE_PERIOD
 
 
 @njit(cache=True)
@@ -195,7 +194,8 @@ def _control(bench, limits, state, measurement, late, time, output):
         return False
     unlimited = nominal if late else nominal + state.delta_u
     current = min(max(unlimited, -bench.valve_current_max), bench.valve_current_max)
-    state.integral = force_law.integrate(limits.integral_form, state.integral, error, k_i, unlimited, current, SAMPLE)
+    form, step = limits.integral_form, SAMPLE_PERIOD
+    state.integral = force_law.integrate(form, state.integral, error, k_i, unlimited, current, step)
     output.valve_current, output.nominal_valve_current = current, nominal
     output.reference_force, output.reference_force_rate = wanted, wanted_rate
     return current != unlimited

@@ -16,6 +16,7 @@ from hydro_bridge.bags.recording import RecordingError
 from hydro_bridge.cli.console import writable, writable_folder
 from hydro_bridge.errors import explained
 from hydro_bridge.process import endings
+from hydro_bridge.process.realtime import drop_realtime
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_info
 from hydro_sim.emulator import jobs
 from hydro_sim.emulator.control import ControlPipe
@@ -121,6 +122,7 @@ def _serve(options: argparse.Namespace) -> None:
     try:
         timing = running.run(options.seconds, lambda: bool(stop))
     finally:
+        drop_realtime()  # a long log takes seconds to write
         terminal.unplug()
         if control is not None:
             control.close()

@@ -10,12 +10,11 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, Command, FloatArray, StateArray
-from hydro_sim.box import kernel as box_kernel
+from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
+from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
-from hydro_sim.emulator.truth.parameters import SAMPLE_TIME
 from hydro_sim.model.bench import Bench
 
 
@@ -43,7 +42,7 @@ def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, p
     parameters, differentiation, state, chain = plant
     clean[:] = chain[0].clean
     truth.physical(state, physical)
-    box_kernel.tick(bench, settings, box, chain[0].measurement, time, sample)
+    kernel.tick(bench, settings, box, chain[0].measurement, time, sample)
     truth.advance(parameters, differentiation, state, chain, scratch, noise, sample[0].valve_current)
 
 
@@ -71,16 +70,16 @@ class Machine:
         self.records = (self.plant.parameters, self.plant.differentiation, self.plant.state, self.plant.chain)
         self.bench = believed.constants()
         self.settings = (box or BoxConfig()).constants(believed)
-        self.box = np.zeros(1, box_kernel.STATE_DTYPE)
-        box_kernel.reset(self.box)
+        self.box = np.zeros(1, kernel.STATE_DTYPE)
+        kernel.reset(self.box)
         self.clean, self.physical = np.empty(len(PLANT_FIELDS)), np.empty(len(truth.TRUTH_FIELDS))
         self.samples = 0  # since the last power-up
-        self._command = np.zeros(1, box_kernel.COMMAND_DTYPE)
+        self._command = np.zeros(1, kernel.COMMAND_DTYPE)
 
     @property
     def time(self) -> float:
         """Box time [s] of the coming sample."""
-        return self.samples * SAMPLE_TIME
+        return self.samples * SAMPLE_PERIOD
 
     def warm_up(self) -> None:
         """Run everything once, so that nothing is left to compile, and start anew."""
@@ -91,13 +90,13 @@ class Machine:
 
     def restart(self) -> None:
         """Power-cycle the box: disarmed, sequence and clock from zero. The plant goes on."""
-        box_kernel.reset(self.box)
+        kernel.reset(self.box)
         self.samples = 0
 
     def receive(self, command: Command) -> None:
         """Take a command that arrived since the last sample."""
         fill_command(self._command, command)
-        box_kernel.receive(self.settings, self.box, self._command, self.time)
+        kernel.receive(self.settings, self.box, self._command, self.time)
 
     def tick(self) -> np.void:
         """One sample; returns a record of `STATE_DTYPE`. `clean` and `physical` then hold what belongs to it."""
@@ -141,6 +140,6 @@ class Machine:
 def _run(box, plant, scratch, noise, first, commands, which, states, clean, physical):
     bench, settings, memory = box
     for k in range(len(which)):
-        time = (first + k) * SAMPLE_TIME
-        box_kernel.receive(settings, memory, commands[which[k] : which[k] + 1], time)
+        time = (first + k) * SAMPLE_PERIOD
+        kernel.receive(settings, memory, commands[which[k] : which[k] + 1], time)
         exchange(bench, settings, memory, plant, scratch, noise[k], time, states[k : k + 1], clean[k], physical[k])

@@ -11,12 +11,11 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import PLANT_FIELDS, Command, FloatArray, StateArray
-from hydro_sim.box import kernel as box_kernel
+from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, Command, FloatArray, StateArray
+from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth.config import TruthConfig
-from hydro_sim.emulator.truth.parameters import SAMPLE_TIME
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.excitation.schedules import Segment
 from hydro_sim.model.bench import Bench
@@ -95,7 +94,7 @@ def roomy(segments: Sequence[Segment], base: BoxConfig | None = None) -> BoxConf
 
 def _schedule(segments: Sequence[Segment], settings: BoxConfig) -> tuple[npt.NDArray[np.void], npt.NDArray[np.int64]]:
     """Commands, shape (m + 1,), the first disarms; and which of them comes before each sample, shape (n,)."""
-    commands = np.zeros(len(segments) + 1, box_kernel.COMMAND_DTYPE)
+    commands = np.zeros(len(segments) + 1, kernel.COMMAND_DTYPE)
     fill_command(commands[:1], Command())
     for index, segment in enumerate(segments):
         command = Command(
@@ -108,7 +107,7 @@ def _schedule(segments: Sequence[Segment], settings: BoxConfig) -> tuple[npt.NDA
         )
         fill_command(commands[index + 1 : index + 2], command)
     ends = [
-        round(math.fsum(segment.seconds for segment in segments[: k + 1]) / SAMPLE_TIME) for k in range(len(segments))
+        round(math.fsum(segment.seconds for segment in segments[: k + 1]) / SAMPLE_PERIOD) for k in range(len(segments))
     ]
     which = np.searchsorted(np.array(ends), np.arange(ends[-1]), side="right") + 1
     which[0] = 0

@@ -15,17 +15,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_bridge.process.realtime import limit_run
-from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, FloatArray
+from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, FloatArray
 from hydro_sim.emulator.control import ControlPipe, obey
 from hydro_sim.emulator.line.faults import LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import Recording, noise_free_states
-from hydro_sim.emulator.truth.parameters import SAMPLE_TIME
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.yaml_settings import ConfigError
 
-_PERIOD_NS = round(SAMPLE_TIME * 1e9)
+_PERIOD_NS = round(SAMPLE_PERIOD * 1e9)
 _GIVE_UP_NS = 100 * _PERIOD_NS  # behind by more than this (the machine slept): do not catch up
 _CONTROL_EVERY = 20  # samples between looks at the control pipe
 _PR_SET_TIMERSLACK = 29
@@ -87,7 +86,7 @@ class RealTime:
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> Timing:
         """Run for `seconds`, or until `stopped`; returns how well the deadlines were met."""
-        count = None if seconds is None else round(seconds / SAMPLE_TIME)
+        count = None if seconds is None else round(seconds / SAMPLE_PERIOD)
         timing, cpu = self.timing, time.process_time()
         gc.collect()
         gc.disable()  # the loop makes no cycles, and a collection would cost a deadline
@@ -95,7 +94,7 @@ class RealTime:
             start = time.monotonic_ns()
             while (count is None or timing.samples < count) and not stopped():
                 start = self._wait(start + timing.samples * _PERIOD_NS, start)
-                self._sample(timing.samples * SAMPLE_TIME)
+                self._sample(timing.samples * SAMPLE_PERIOD)
                 timing.samples += 1
                 if self.status is not None and timing.samples % 1000 == 0:
                     timing.cpu = time.process_time() - cpu
@@ -153,7 +152,7 @@ class RealTime:
         return (
             f"{timing.samples / 1000:6.0f} s  port {port:9}  {mode:8}  f_r {sample['reference_force']:7.1f} N  "
             f"f_l {sample['load_force']:7.1f} N  late {timing.late}  blocked {self.link.report.blocked}  "
-            f"CPU {100 * timing.cpu / (timing.samples * SAMPLE_TIME):.0f} %"
+            f"CPU {100 * timing.cpu / (timing.samples * SAMPLE_PERIOD):.0f} %"
         )
 
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from hydro_sim.emulator.truth.parameters import SAMPLE_TIME
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.excitation.schedules import Segment
 
 DEFAULT_SCHEDULE = (
@@ -23,7 +23,7 @@ def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
     """The segments, repeated or cut so that they last `seconds` in all."""
     result: list[Segment] = []
     left = seconds
-    while left > 0.5 * SAMPLE_TIME:
+    while left > 0.5 * SAMPLE_PERIOD:
         segment = segments[len(result) % len(segments)]
         result.append(replace(segment, seconds=min(segment.seconds, left)))
         left -= segment.seconds

@@ -6,9 +6,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import accumulate
 
-from hydro_bridge.signals import Flag
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag
 from hydro_sim.excitation.schedules import Segment
-from hydro_sim.model.hydraulics import SAMPLE
 
 
 class Playback:
@@ -33,7 +32,7 @@ class Playback:
     @property
     def elapsed(self) -> float:
         """Time played [s]."""
-        return self._samples * SAMPLE
+        return self._samples * SAMPLE_PERIOD
 
     @property
     def finished(self) -> bool:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Run
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
@@ -63,7 +63,7 @@ def _rollout(constants, memories, starts, currents):
         rates = starts[k, STATES:].copy()
         _read(constants[0], y, before)
         for h in range(horizon):
-            hydraulics.advance(constants[0], y, currents[k, h], hydraulics.SAMPLE, hydraulics.SUBSTEPS)
+            hydraulics.advance(constants[0], y, currents[k, h], SAMPLE_PERIOD, hydraulics.SUBSTEPS)
             _read(constants[0], y, after)
             differentiate(memories, before, after, rates)
             show(after, rates, measured[k, h])

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_bridge.signals import PLANT_FIELDS, FloatArray
-from hydro_sim.model.hydraulics import SAMPLE
+from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, UNITS, figure, legend
 
 SI_UNITS = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
@@ -37,8 +36,8 @@ def draw_horizons(
     with figure(path, 8, size=(7.0, 14.0), sharex=True) as (_, axes):
         for i, (axis, field) in enumerate(zip(axes, PLANT_FIELDS, strict=True)):
             name, unit, factor = UNITS[field]
-            axis.loglog(horizons * SAMPLE, factor * analytic[:, i], color=RED, label="analytic")
-            axis.loglog(horizons * SAMPLE, factor * learned[:, i], color=BLUE, label="learned")
+            axis.loglog(horizons * SAMPLE_PERIOD, factor * analytic[:, i], color=RED, label="analytic")
+            axis.loglog(horizons * SAMPLE_PERIOD, factor * learned[:, i], color=BLUE, label="learned")
             if noise is not None:
                 axis.axhline(factor * noise[i], color=GRAY, linestyle="--", label="noise of the recording")
             axis.set(title=name, ylabel=f"RMSE [{unit}]")

@@ -13,7 +13,7 @@ import numba
 from hydro_bridge.signals import FloatArray
 from hydro_sim.neural import network
 from hydro_sim.neural.engine import Engine
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import rollout
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -29,7 +29,7 @@ class Compiled:
 
     def structured(self, *batch: Any) -> tuple[float, FloatArray, FloatArray]:
         """See `Engine`."""
-        return structured.loss_and_gradients(*batch, numba.get_num_threads())
+        return rollout.loss_and_gradients(*batch, numba.get_num_threads())
 
 
 class OnTorch:

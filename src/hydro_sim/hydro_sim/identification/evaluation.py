@@ -100,7 +100,7 @@ def pooled(parts: list[Errors]) -> Errors:
     )  # fmt: skip
 
 
-def judge(
+def prediction_errors(
     predictor: Predictor, states: list[FloatArray], scored: list[Scored], *, recorded: bool, horizon: int, stride: int
 ) -> Errors:
     """Pooled errors on several runs, against the recordings themselves or against the noise-free logs."""

@@ -21,8 +21,7 @@ from hydro_bridge.cli.resuming import given, refuse_changes
 from hydro_sim.files import recordings
 from hydro_sim.files.pairing import MadeFor
 from hydro_sim.files.recordings import DataError
-from hydro_sim.identification import adam, engines, training
-from hydro_sim.identification import stages as identification
+from hydro_sim.identification import adam, engines, stages, training
 from hydro_sim.identification.checkpoint import Checkpoint
 from hydro_sim.identification.curves import draw_curves
 from hydro_sim.learned.model import Model
@@ -70,7 +69,7 @@ def main() -> None:
         raise UserError(f"{_checkpoint(out)} is of other recordings: {', '.join(before.asked['recordings'])}")
     last, model = _train(before or _begun(options, data, settings, bench), data, _checkpoint(out))
     if isinstance(model, StructuredModel):
-        model = identification.trusted(model, data)
+        model = stages.trusted(model, data)
     facts = {
         "recordings": data.digests, "command": " ".join(["learn", *sys.argv[1:]]), "seed": settings.seed,
         "settings": asdict(settings), "code": _code_version(), "validation_error": last.best_error,
@@ -111,7 +110,7 @@ def _begun(options: argparse.Namespace, data: recordings.Data, settings: trainin
     """A training at its beginning; of a structured model the constants are identified."""
     model = training.start(data, settings, bench)
     if isinstance(model, StructuredModel):
-        model = identification.identified(model, data, settings.identify_windows, settings.seed, _say)
+        model = stages.identified(model, data, settings.identify_windows, settings.seed, _say)
     asked = {"recordings": data.digests, "bench": options.bench and os.path.abspath(options.bench)}
     return Checkpoint(progress=adam.Progress.begin(model.flat), model=model, settings=settings, asked=asked)
 

@@ -14,7 +14,7 @@ from hydro_sim.identification.engines import Compiled
 from hydro_sim.neural.deep_model import DeepModel
 from hydro_sim.neural.engine import Engine
 from hydro_sim.neural.network_model import NetworkModel
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import rollout
 from hydro_sim.structured.model import StructuredModel
 
 SETTLED = 600
@@ -122,7 +122,7 @@ class StructuredObjective:
         self.model, self.batch, self.seed = model, batch, seed
         self.training, self.validation = training, validation
         self.weights = 1.0 / model.left
-        self.states: FloatArray = np.empty((0, structured.FULL))
+        self.states: FloatArray = np.empty((0, rollout.FULL))
         self.validation_states: FloatArray = self.states
 
     def at(self, parameters: FloatArray) -> StructuredModel:

@@ -18,8 +18,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.files.recordings import READING_COLUMNS, Data, Run
 from hydro_sim.identification import identify
 from hydro_sim.identification.objectives import Indices, StructuredObjective, Windows
-from hydro_sim.structured import constants, observer
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import constants, observer, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.model import StructuredModel, first_guess
 
@@ -101,9 +100,9 @@ def _readings(model: StructuredModel, currents: FloatArray, noise: FloatArray) -
 
     def readings(theta: FloatArray, starts: FloatArray, part: slice) -> FloatArray:
         c, _ = constants.values(model.table, theta)
-        full = np.zeros((len(starts), structured.FULL))
+        full = np.zeros((len(starts), rollout.FULL))
         full[:, :STATES] = starts
-        x = structured.rollout(c, layers, center, scale, memories, full, np.ascontiguousarray(currents[part]))
+        x = rollout.rollout(c, layers, center, scale, memories, full, np.ascontiguousarray(currents[part]))
         return (x[:, :, READING_COLUMNS] / noise).reshape(len(starts), -1)
 
     return readings

@@ -14,8 +14,7 @@ import torch
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.neural import mlp
-from hydro_sim.structured import integration, physics
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import integration, physics, rollout
 
 P = {name: getattr(physics, name) for name in dir(physics) if name.isupper()}
 """Index of each constant by its name in `physics`."""
@@ -112,7 +111,7 @@ def structured_loss(
     leaves, c = _leaves(layers, device), torch.tensor(c, device=device, requires_grad=True)
     u, goal, weight, middle, spread, gains = (
         torch.tensor(np.asarray(part), device=device)
-        for part in (currents, targets, weights, center, scale, structured.OUTPUT_SCALES)
+        for part in (currents, targets, weights, center, scale, rollout.OUTPUT_SCALES)
     )
     s, readings = list(torch.tensor(starts, device=device).unbind(dim=1)), []
     for h in range(currents.shape[1]):

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydro_bridge.cli.console import Table as ConsoleTable
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
-from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray, matrix
+from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, matrix
 from hydro_sim.files import recordings
 from hydro_sim.files.pairing import Believed, refuse, unfit
 from hydro_sim.files.weights import WeightsError, shipped
@@ -22,7 +22,6 @@ from hydro_sim.identification.evaluation import Errors, Scales, Scored
 from hydro_sim.identification.objectives import SETTLED
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import SAMPLE
 from hydro_sim.structured.model import StructuredModel
 
 COLUMNS = {
@@ -70,9 +69,9 @@ def table_of(
 ) -> ConsoleTable:  # fmt: skip
     """Table rmse_model, a row per state."""
     how: dict[str, Any] = {"horizon": horizon, "stride": stride}
-    clean = evaluation.judge(learned.model, states, scored, recorded=False, **how)
-    noisy = evaluation.judge(learned.model, states, scored, recorded=True, **how)
-    other = evaluation.judge(analytic, analytic_states, scored, recorded=False, **how)
+    clean = evaluation.prediction_errors(learned.model, states, scored, recorded=False, **how)
+    noisy = evaluation.prediction_errors(learned.model, states, scored, recorded=True, **how)
+    other = evaluation.prediction_errors(analytic, analytic_states, scored, recorded=False, **how)
     scales = Scales.of(np.concatenate([item.reference for item in scored]))
     floor = evaluation.noise_floor(scored)
     noise = np.full(8, np.nan) if floor is None else floor
@@ -97,8 +96,8 @@ def _long(
     """Horizon curves, errors by region, and a free run: said, and drawn into the folder if there is one."""
     longest = min(LONGEST, _longest(scored))
     how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
-    mine = evaluation.judge(learned.model, states, scored, **how)
-    theirs = evaluation.judge(analytic, analytic_states, scored, **how)
+    mine = evaluation.prediction_errors(learned.model, states, scored, **how)
+    theirs = evaluation.prediction_errors(analytic, analytic_states, scored, **how)
     for horizon in (1, 10, 70, 200, 1000, longest):
         print(f"after {horizon / 1e3:g} s: f_l off by {mine.by_time[horizon - 1, 2]:.3g} N "
               f"(analytic {theirs.by_time[horizon - 1, 2]:.3g} N)")  # fmt: skip
@@ -117,8 +116,8 @@ def _long(
     rows = horizons - 1
     noise = evaluation.noise_floor(scored)
     curves.draw_horizons(horizons, mine.by_time[rows], theirs.by_time[rows], noise, plots / "horizons.png")
-    curves.draw_free_run(SAMPLE * np.arange(len(free)), reference, free, other, plots / "free_run.png")
-    short = evaluation.judge(learned.model, states, scored, recorded=False, horizon=70, stride=37)
+    curves.draw_free_run(SAMPLE_PERIOD * np.arange(len(free)), reference, free, other, plots / "free_run.png")
+    short = evaluation.prediction_errors(learned.model, states, scored, recorded=False, horizon=70, stride=37)
     _regions(short, scored, plots / "regions.png")
 
 

@@ -22,8 +22,7 @@ from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 from hydro_sim.neural import deep, network
 from hydro_sim.neural.deep_model import DeepModel
 from hydro_sim.neural.network_model import NetworkModel
-from hydro_sim.structured import integration
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.model import StructuredModel
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS
 
@@ -87,7 +86,7 @@ def _measured(state: FloatArray) -> FloatArray:
     """x of a rest state: of a structured model's full state, or the state itself."""
     if len(state) == network.STATES:
         return state
-    force = 0.0 if len(state) < structured.FULL else state[6]
+    force = 0.0 if len(state) < rollout.FULL else state[6]
     return np.array([force, 0.0, force, 0.0, state[0], state[1], state[2], 0.0])
 
 
@@ -105,7 +104,7 @@ def _structured_step(model: StructuredModel) -> Step:
     a1, a2 = np.empty(model.hidden[0]), np.empty(model.hidden[1])
 
     def step(state: FloatArray, current: float, measured: FloatArray) -> None:
-        structured.advance_full(*compiled, state, current, work, x, a1, a2, r, measured)
+        rollout.advance_full(*compiled, state, current, work, x, a1, a2, r, measured)
 
     return step
 

@@ -13,9 +13,8 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import hydraulics
-from hydro_sim.model.hydraulics import SAMPLE
 
 STATES = 8
 
@@ -35,14 +34,14 @@ def gain(physics, x, current, moved):
     bench, memory, y = physics[0][0], physics[1][0], np.empty(hydraulics.STATES)
     y[:4] = x[4:8]
     y[4], y[5] = x[2], x[3]
-    hydraulics.advance(bench, y, current, SAMPLE, SUBSTEPS)
+    hydraulics.advance(bench, y, current, SAMPLE_PERIOD, SUBSTEPS)
     moved[0] = hydraulics.hydraulic_force(bench, y[0] - x[4], y[1] - x[5])
-    moved[1] = (1.0 - memory) * (moved[0] / SAMPLE - x[1])
+    moved[1] = (1.0 - memory) * (moved[0] / SAMPLE_PERIOD - x[1])
     if bench.load_cell_omega > 0.0:
         moved[2], moved[3] = y[4] - x[2], y[5] - x[3]
     else:
         moved[2] = bench.spring_stiffness * (y[2] - x[6])
-        moved[3] = (1.0 - memory) * (moved[2] / SAMPLE - x[3])
+        moved[3] = (1.0 - memory) * (moved[2] / SAMPLE_PERIOD - x[3])
     for i in range(4):
         moved[4 + i] = y[i] - x[4 + i]
 

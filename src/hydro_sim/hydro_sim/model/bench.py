@@ -156,10 +156,10 @@ class Bench:
 
     def _with_corrected_numbers(self) -> Bench:
         """Without effects, those that are wrong numbers of the bench file written into its numbers."""
-        limits = {
-            entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in fields(self) if entry.metadata
-        }
-        numbers = program.corrected({name: getattr(self, name) for name in limits}, limits, self.effects)
+        quantities = [entry for entry in fields(self) if entry.metadata]
+        limits = {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in quantities}
+        believed = {name: getattr(self, name) for name in limits}
+        numbers: dict[str, Any] = program.corrected(believed, limits, self.effects)
         return replace(self, effects=(), **numbers)
 
 

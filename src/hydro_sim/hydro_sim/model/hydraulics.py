@@ -22,7 +22,6 @@ import numpy as np
 from numba import njit
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.timing import SAMPLE as SAMPLE
 
 STATES = 6
 """Length of the physical state y."""

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 from numba import njit
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import integration, sensing
@@ -99,7 +99,7 @@ def advance(constants, sensor_constants, state, noise, valve_current):
     if bench.effects.active:
         integration.advance(bench, state[0].memory, state[0].y, valve_current)
     else:
-        hydraulics.advance(bench, state[0].y, valve_current, hydraulics.SAMPLE, hydraulics.SUBSTEPS)
+        hydraulics.advance(bench, state[0].y, valve_current, SAMPLE_PERIOD, hydraulics.SUBSTEPS)
     integration.read(bench, state[0].y, raw)
     if bench.effects.active:
         sensing.show(bench.effects, state[0].memory, raw)

@@ -21,8 +21,7 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.settings import check
-from hydro_bridge.signals import FloatArray
-from hydro_sim.timing import SAMPLE
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 
 RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """What the sensors give, in the order of every raw array here."""
@@ -62,7 +61,7 @@ class Sensors:
 
 def _memory(age: float) -> float:
     """Coefficient a of a differentiator of that age [s]."""
-    return (age / SAMPLE - 0.5) / (age / SAMPLE + 0.5)
+    return (age / SAMPLE_PERIOD - 0.5) / (age / SAMPLE_PERIOD + 0.5)
 
 
 class Noise:
@@ -114,9 +113,9 @@ def restart(last, raw, measurement):
 def condition(sensors, last, raw, measurement):
     """One sample of the box: readings `raw`, shape (5,), into `measurement`, shape (8,), whose rates are its memory."""
     force, velocity = sensors.force_memory, sensors.velocity_memory
-    measurement[1] = force * measurement[1] + (1.0 - force) * (raw[0] - last.force_h) / SAMPLE
-    measurement[3] = force * measurement[3] + (1.0 - force) * (raw[1] - last.force_l) / SAMPLE
-    measurement[7] = velocity * measurement[7] + (1.0 - velocity) * (raw[4] - last.position) / SAMPLE
+    measurement[1] = force * measurement[1] + (1.0 - force) * (raw[0] - last.force_h) / SAMPLE_PERIOD
+    measurement[3] = force * measurement[3] + (1.0 - force) * (raw[1] - last.force_l) / SAMPLE_PERIOD
+    measurement[7] = velocity * measurement[7] + (1.0 - velocity) * (raw[4] - last.position) / SAMPLE_PERIOD
     last.force_h, last.force_l, last.position = raw[0], raw[1], raw[4]
     _show(raw, measurement)
 

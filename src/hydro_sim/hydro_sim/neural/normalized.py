@@ -10,10 +10,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from hydro_bridge.signals import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Run
 from hydro_sim.files.weights import Tensors
-from hydro_sim.model.hydraulics import SAMPLE
 from hydro_sim.neural.engine import Engine
 from hydro_sim.neural.network import INPUTS, STATES
 
@@ -68,7 +67,7 @@ class NormalizedModel(ABC):
     @property
     def step(self) -> Any:
         """What one sample adds to z per unit of the outputs, shape (8,), float32."""
-        return (SAMPLE * self.rate_scale / self.scale).astype(np.float32)
+        return (SAMPLE_PERIOD * self.rate_scale / self.scale).astype(np.float32)
 
     def normalized(self, x: FloatArray, u: FloatArray) -> tuple[Any, Any]:
         """z of x, shape (..., 8), and the scaled current of u [A], float32."""
@@ -108,7 +107,7 @@ def normalization(training: list[Run]) -> dict[str, Any]:
     moved = np.concatenate([run.x[10:] - run.x[:-10] for run in training]).std(axis=0)
     return {
         "center": x.mean(axis=0), "scale": x.std(axis=0), "current_scale": float(u.std()),
-        "rate_scale": moved / (10 * SAMPLE), "rest": training[0].x[0].copy(),
+        "rate_scale": moved / (10 * SAMPLE_PERIOD), "rest": training[0].x[0].copy(),
     }  # fmt: skip
 
 

@@ -7,6 +7,7 @@ import queue
 import sys
 import threading
 import time
+from contextlib import suppress
 
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -28,8 +29,9 @@ _DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 
 
 def tell(sentence: str) -> None:
-    """Say it on the terminal, above a progress bar."""
-    tqdm.write(sentence, file=sys.stderr)
+    """Say it on the terminal, above a progress bar; where nobody reads that any more, nowhere."""
+    with suppress(OSError, ValueError):
+        tqdm.write(sentence, file=sys.stderr)
 
 
 class Arming:
@@ -109,5 +111,6 @@ class Arming:
         self._refusal = refusal
 
     def _read_keys(self) -> None:
-        for line in sys.stdin:
-            self._keys.put(line)
+        with suppress(OSError, ValueError):  # the terminal has gone
+            for line in sys.stdin:
+                self._keys.put(line)

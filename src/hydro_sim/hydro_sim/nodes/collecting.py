@@ -32,10 +32,10 @@ from hydro_bridge.ros import (
     Companion,
     RecorderWatch,
     listen_to_box,
+    publisher_conflicts,
     reference_to_message,
     spin,
 )
-from hydro_bridge.ros import publisher_conflict as rivals
 from hydro_bridge.safety.box_info import KnownBox, told
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag
@@ -112,14 +112,13 @@ class CollectNode(Node):
     def leave(self) -> None:
         """Leave the plant disarmed, with a reference of 0 N for who arms it next; not one that was never driven."""
         with undisturbed():  # a second Ctrl-C waits
-            if self._bar is not None:
-                self._bar.close()
-            if not self._driving:
-                return
-            self._driving = False
-            self._reference_publisher.publish(reference_to_message(Signal()))
-            if not self._arming.disarm():
+            driven, self._driving = self._driving, False
+            if driven:
+                self._reference_publisher.publish(reference_to_message(Signal()))
+            if driven and not self._arming.disarm():
                 tell("! the plant did not confirm that it is disarmed; its own watchdog remains")
+            if self._bar is not None:  # after the plant: there may be no terminal any more
+                self._bar.close()
 
     def _on_state(self, message: BenchState) -> None:
         self._heard = min(self._heard, time.monotonic())
@@ -134,7 +133,7 @@ class CollectNode(Node):
     def _look_around(self, now: float) -> None:
         if not self._ready(now) or now - self._heard < _LOOK:
             return
-        self.ended = rivals(self, GAINS)
+        self.ended = publisher_conflicts(self, GAINS)
         if self._rearm is None:
             self._rearm = self.plant in ("sim", EMULATED_BOX)
         self._met.set_result(None)
@@ -199,7 +198,7 @@ class CollectNode(Node):
     def _follow_arming(self, now: float) -> None:
         if self._finished.done() or self.playback.flags & Flag.ARMED:
             self._arming.rest()
-        elif trouble := rivals(self, GAINS):
+        elif trouble := publisher_conflicts(self, GAINS):
             self._end(f"{trouble}; the plant is left disarmed")
         else:
             self._arming.seek(tripped=bool(self.playback.flags & Flag.TRIPPED), now=now)

@@ -18,7 +18,7 @@ from rosgraph_msgs.msg import Clock
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.nodes.plant_node import PlantNode
-from hydro_bridge.ros import Level, Status, be_prompt, declare_parameters, ros_arguments, run_node
+from hydro_bridge.ros import CLOCK, Level, Status, declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import describe
@@ -34,7 +34,6 @@ from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.simulation.realtime import SimSettings, Simulation
 
-CLOCK = "/clock"
 SIMULATED_BOX = "hydro sim"
 """What the simulated box calls itself."""
 CLOCK_DEPTH = 10
@@ -100,7 +99,7 @@ class SimNode(PlantNode):
         info = box_info(believed, config, SIMULATED_BOX)
         self._known = known_box(info, believed.to_mapping(), self.get_name())
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
-        self.get_logger().info(be_prompt(realtime=realtime and self.simulation.real_time))
+        self.get_logger().info(request_realtime(realtime=realtime and self.simulation.real_time))
         self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
 
     def begin(self) -> None:

@@ -16,7 +16,7 @@ import threading
 import time
 from collections.abc import Callable
 
-from hydro_sim.timing import POLICY_SAMPLES
+from hydro_bridge.signals import SAMPLES_PER_STEP
 
 RESEND = 0.25
 """s after which an unanswered sample is sent again: the state is published best effort."""
@@ -86,7 +86,7 @@ class LockStep:
         """Who has yet to answer sample `sequence`."""
         behind = (sequence - self._corrected) & 0xFFFFFFFF
         uncorrected = self._filter and self._correction_every <= behind < 1 << 31
-        return ["filter"] * uncorrected + ["trainer"] * (self._trainer and self._ungained >= POLICY_SAMPLES)
+        return ["filter"] * uncorrected + ["trainer"] * (self._trainer and self._ungained >= SAMPLES_PER_STEP)
 
     def _go_on_without(self, sequence: int) -> None:
         silent = self.awaited(sequence)

@@ -16,13 +16,21 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from hydro_bridge.signals import STATE_DTYPE, Command, Flag, FloatArray, ReferenceSignal, StateArray
-from hydro_sim.box import kernel as box_kernel
+from hydro_bridge.signals import (
+    SAMPLE_PERIOD,
+    SAMPLES_PER_STEP,
+    STATE_DTYPE,
+    Command,
+    Flag,
+    FloatArray,
+    ReferenceSignal,
+    StateArray,
+)
+from hydro_sim.box import kernel
 from hydro_sim.box.box import Box, BoxConfig, fill_command
 from hydro_sim.model import plant as plants
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
-from hydro_sim.timing import POLICY_SAMPLES, SAMPLE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +48,7 @@ class Schedule:
     @property
     def samples(self) -> int:
         """Box samples of the run."""
-        return round(self.seconds / SAMPLE)
+        return round(self.seconds / SAMPLE_PERIOD)
 
 
 def simulate(
@@ -78,7 +86,7 @@ def simulate(
         return _compiled(plant, box, schedule, gains, correction)
     output = np.zeros(schedule.samples, STATE_DTYPE)
     for k in range(schedule.samples):
-        delta_kp, delta_ki = gains[min(k // POLICY_SAMPLES, len(gains) - 1)]
+        delta_kp, delta_ki = gains[min(k // SAMPLES_PER_STEP, len(gains) - 1)]
         command = Command(
             arm=True,
             delta_kp=float(delta_kp),
@@ -87,8 +95,8 @@ def simulate(
             reference=schedule.reference,
             filter_fresh=len(correction) > 0,
         )
-        box.receive(command, k * SAMPLE)
-        output[k] = box.tick(measurement, k * SAMPLE)
+        box.receive(command, k * SAMPLE_PERIOD)
+        output[k] = box.tick(measurement, k * SAMPLE_PERIOD)
         if getattr(plant, "extrapolating", False):  # a learned plant outside of what it was trained on
             output["flags"][k] |= Flag.EXTRAPOLATING
         measurement = plant.step(float(output["valve_current"][k]))
@@ -98,7 +106,7 @@ def simulate(
 def _compiled(
     plant: AnalyticPlant, box: Box, schedule: Schedule, gains: FloatArray, correction: FloatArray
 ) -> StateArray:
-    command = np.zeros(1, box_kernel.COMMAND_DTYPE)
+    command = np.zeros(1, kernel.COMMAND_DTYPE)
     fill_command(command, Command(arm=True, reference=schedule.reference, filter_fresh=len(correction) > 0))
     output = np.zeros(schedule.samples, STATE_DTYPE)
     noise = plant.noise.rows(schedule.samples)
@@ -110,12 +118,12 @@ def _compiled(
 @njit(cache=True)
 def _loop(constants, sensors, plant_state, bench, settings, box_state, command, gains, correction, noise, output):
     for k in range(len(output)):
-        row = min(k // POLICY_SAMPLES, len(gains) - 1)
+        row = min(k // SAMPLES_PER_STEP, len(gains) - 1)
         command[0].delta_kp, command[0].delta_ki = gains[row, 0], gains[row, 1]
         if len(correction) > 0:
             command[0].delta_u = correction[k]
-        box_kernel.receive(settings, box_state, command, k * SAMPLE)
-        box_kernel.tick(bench, settings, box_state, plant_state[0].x, k * SAMPLE, output[k : k + 1])
+        kernel.receive(settings, box_state, command, k * SAMPLE_PERIOD)
+        kernel.tick(bench, settings, box_state, plant_state[0].x, k * SAMPLE_PERIOD, output[k : k + 1])
         plants.advance(constants, sensors, plant_state, noise[k], output[k].valve_current)
 
 

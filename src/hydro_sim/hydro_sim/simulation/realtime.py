@@ -26,12 +26,11 @@ from typing import Any
 from hydro_bridge.link.clock import set_by
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.settings import check
-from hydro_bridge.signals import Command, Flag, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray
 from hydro_sim.box.box import Box
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.lockstep import LockStep
 from hydro_sim.simulation.pacing import Pacer, exact_timers
-from hydro_sim.timing import SAMPLE
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,7 +86,7 @@ class Simulation:
         self.guard, self.settings = guard, settings
         self.lock = threading.Lock()
         self.steps = LockStep(log, silence_max=settings.silence_max, correction_every=settings.correction_every)
-        self.pacer = Pacer(SAMPLE / settings.speed if settings.speed > 0.0 else SAMPLE)
+        self.pacer = Pacer(SAMPLE_PERIOD / settings.speed if settings.speed > 0.0 else SAMPLE_PERIOD)
         self.samples = 0
         self.flags = Flag(0)
         self._box, self._plant = box, plant
@@ -108,11 +107,11 @@ class Simulation:
 
     def clock(self) -> float:
         """The guard's clock [s]."""
-        return time.monotonic() if self.real_time else self.samples * SAMPLE
+        return time.monotonic() if self.real_time else self.samples * SAMPLE_PERIOD
 
     def speed_reached(self) -> float:
         """Simulated seconds per second since the start."""
-        return self.samples * SAMPLE / max(time.monotonic() - self._began, SAMPLE)
+        return self.samples * SAMPLE_PERIOD / max(time.monotonic() - self._began, SAMPLE_PERIOD)
 
     def run(self) -> None:
         """Simulate until `stop`; the body of the plant's thread."""
@@ -121,7 +120,7 @@ class Simulation:
         self._began = time.monotonic()
         self.pacer.restart()
         while not self._stopping.is_set():
-            now = self.samples * SAMPLE
+            now = self.samples * SAMPLE_PERIOD
             with self.lock:
                 command = self.guard.command(self.clock())
             self._box.receive(command, now)
@@ -180,7 +179,7 @@ class Simulation:
     def _stamp(self) -> int:
         """Of the present sample, ns: ROS time at speed 1, else the simulation's own."""
         if not self.real_time:
-            return self.samples * round(1e9 * SAMPLE)
+            return self.samples * round(1e9 * SAMPLE_PERIOD)
         step = self.pacer.host_clock.look()
         if step:
             self._log(set_by(step))

@@ -14,14 +14,13 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from hydro_bridge.signals import FloatArray
-from hydro_sim.model.hydraulics import SAMPLE
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.structured import physics
 from hydro_sim.structured.physics import BRISTLE, COULOMB, STRIBECK, STRIBECK_VELOCITY
 
 STATES = 9
 SUBSTEPS = 4
-STEP = SAMPLE / SUBSTEPS
+STEP = SAMPLE_PERIOD / SUBSTEPS
 
 
 class Scratch(NamedTuple):

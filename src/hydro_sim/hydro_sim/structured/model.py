@@ -15,9 +15,7 @@ from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.neural import mlp
-from hydro_sim.structured import constants as learned_constants
-from hydro_sim.structured import observer
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import constants, observer, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.rollout import FULL, INPUTS, OUTPUTS
 
@@ -58,30 +56,28 @@ class StructuredModel:
         x, u = np.concatenate([run.x for run in training]), np.concatenate([run.u for run in training])
         inputs = np.column_stack((x[:, 4:8], u))
         generator = np.random.default_rng(seed)
-        count = len(learned_constants.constants(bench))
+        count = len(constants.constants(bench))
         return cls(
             bench=bench, theta=np.zeros(count), flat=mlp.initial(generator, INPUTS, hidden, OUTPUTS, last=0.0),
             hidden=hidden, center=inputs.mean(axis=0), scale=inputs.std(axis=0), rest=_rest(bench, training),
         )  # fmt: skip
 
     @property
-    def table(self) -> tuple[learned_constants.Constant, ...]:
+    def table(self) -> tuple[constants.Constant, ...]:
         """What the constants are."""
-        return learned_constants.constants(self.bench)
+        return constants.constants(self.bench)
 
     @property
     def compiled(self) -> tuple[Any, ...]:
         """c, layers, center, scale, memories: what the kernels take."""
         record = Sensors().constants()[0]
         memories = np.array([record["force_memory"], record["velocity_memory"]])
-        c, _ = learned_constants.values(self.table, self.theta)
+        c, _ = constants.values(self.table, self.theta)
         return c, mlp.layers(self.flat, INPUTS, self.hidden, OUTPUTS), self.center, self.scale, memories
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:
         """x, shape (n, H, 8), from full states, shape (n, 12), under currents [A], shape (n, H)."""
-        return np.asarray(
-            structured.rollout(*self.compiled, np.ascontiguousarray(starts), np.ascontiguousarray(currents))
-        )
+        return np.asarray(rollout.rollout(*self.compiled, np.ascontiguousarray(starts), np.ascontiguousarray(currents)))
 
     def estimate(self, run: Run) -> FloatArray:
         """Full states at the samples of a run, shape (n, 12), each from the readings up to it."""
@@ -111,7 +107,7 @@ class StructuredModel:
 
     def header(self) -> dict[str, Any]:
         """What the tensors are."""
-        c, _ = learned_constants.values(self.table, self.theta)
+        c, _ = constants.values(self.table, self.theta)
         entries = [
             {"name": entry.name, "unit": entry.unit, "value": float(value), "learned": entry.learned}
             for entry, value in zip(self.table, c, strict=True)

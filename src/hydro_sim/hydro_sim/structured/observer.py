@@ -14,8 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.structured import integration
-from hydro_sim.structured import rollout as structured
+from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS, READINGS
 
@@ -47,11 +46,11 @@ def constants(trust: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatAr
 def _reading_matrix(c):
     """Readings as row @ s + bias: shapes (5, 9) and (5,)."""
     row, bias, unit, reading = np.empty((READINGS, STATES)), np.empty(READINGS), np.zeros(STATES), np.empty(READINGS)
-    structured.read(c, unit, bias)
+    rollout.read(c, unit, bias)
     for i in range(STATES):
         unit[:] = 0.0
         unit[i] = 1.0
-        structured.read(c, unit, reading)
+        rollout.read(c, unit, reading)
         row[:, i] = reading - bias
     return row, bias
 
@@ -87,9 +86,9 @@ def follow(model, readings, currents, start, settings, states):
             for i in range(STATES):
                 moved[:] = s
                 moved[i] += nudges[i]
-                structured.advance(c, layers, center, scale, moved, current, work, x, a1, a2, r)
+                rollout.advance(c, layers, center, scale, moved, current, work, x, a1, a2, r)
                 jacobian[:, i] = moved
-            structured.advance_full(c, layers, center, scale, memories, full, current, work, x, a1, a2, r, measured)
+            rollout.advance_full(c, layers, center, scale, memories, full, current, work, x, a1, a2, r, measured)
             for i in range(STATES):
                 jacobian[:, i] = (jacobian[:, i] - s) / nudges[i]
             p = jacobian @ p @ jacobian.T
@@ -97,7 +96,7 @@ def follow(model, readings, currents, start, settings, states):
                 p[i, i] += missed[i] * missed[i]
             p = 0.5 * (p + p.T)
         _correct(s, p, row, bias, readings[k], noise)
-        structured.bound(c, s)
+        rollout.bound(c, s)
         states[k] = full
 
 

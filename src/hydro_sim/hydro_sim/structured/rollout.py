@@ -18,7 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
-from hydro_sim.model.hydraulics import SAMPLE
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.neural import mlp
 from hydro_sim.structured import integration
 from hydro_sim.structured.integration import STATES
@@ -99,9 +99,9 @@ def advance_full(c, layers, center, scale, memories, full, current, work, x, a1,
 def differentiate(memories, before, after, rates):
     """The box's three rates a sample later (hydro_sim.model.sensors.condition, without noise)."""
     force, velocity = memories[0], memories[1]
-    rates[0] = force * rates[0] + (1.0 - force) * (after[0] - before[0]) / SAMPLE
-    rates[1] = force * rates[1] + (1.0 - force) * (after[1] - before[1]) / SAMPLE
-    rates[2] = velocity * rates[2] + (1.0 - velocity) * (after[4] - before[4]) / SAMPLE
+    rates[0] = force * rates[0] + (1.0 - force) * (after[0] - before[0]) / SAMPLE_PERIOD
+    rates[1] = force * rates[1] + (1.0 - force) * (after[1] - before[1]) / SAMPLE_PERIOD
+    rates[2] = velocity * rates[2] + (1.0 - velocity) * (after[4] - before[4]) / SAMPLE_PERIOD
 
 
 @njit(cache=True)

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +68,7 @@ class BoxLink:
         self.up, self.down = FaultyLine(faults, up), FaultyLine(faults, down)
         self.last_command = 0
         self._order = CommandOrder()
-        self._arrived: deque[Frame] = deque()
+        self._waiting: list[Frame] = []
         self._hellos = 0
         self._unwritten = b""
         self._replug_at = 0.0
@@ -90,7 +89,7 @@ class BoxLink:
         self.up.clear()
         self.down.clear()
         self.decoder.reset()
-        self._arrived.clear()
+        self._waiting.clear()
         self._unwritten = b""
         self._replug_at = now + seconds
 
@@ -103,29 +102,30 @@ class BoxLink:
     def poll(self, now: float) -> Command | None:
         """Newest command that has arrived by `now` [s], if any; answers greetings, which disarm.
 
-        What comes behind a greeting in the same millisecond waits for the next: the disarm is not to be overtaken.
+        What comes behind a greeting in the same millisecond waits for the next: the disarm is not to be overtaken. A
+        greeting behind it makes it void: nothing piles up, however many come.
         """
         if not self.terminal.plugged:
             if now < self._replug_at:
                 return None
             self.terminal.plug()
         data = self.down.carry(self.terminal.read(), now)
-        self._arrived.extend(self.decoder.feed(data) if data else ())
-        newest = None
-        while self._arrived:
-            frame = self._arrived.popleft()
+        frames, self._waiting = [*self._waiting, *(self.decoder.feed(data) if data else ())], []
+        newest, greeted = None, False
+        for frame in frames:
             if isinstance(frame, Hello) and frame.info is None:
                 self._order.reset()
-                self._greeting = True
+                self._greeting = greeted = True
+                self._waiting.clear()
                 self.report.hellos += 1
-                return Command()
-            if isinstance(frame, CommandFrame):
-                if self._order.accept(frame.sequence):
-                    newest, self.last_command = frame.command, frame.sequence
-                    self.report.commands += 1
-                else:
-                    self.report.refused += 1
-        return newest
+            elif isinstance(frame, CommandFrame) and greeted:
+                self._waiting.append(frame)
+            elif isinstance(frame, CommandFrame) and self._order.accept(frame.sequence):
+                newest, self.last_command = frame.command, frame.sequence
+                self.report.commands += 1
+            elif isinstance(frame, CommandFrame):
+                self.report.refused += 1
+        return Command() if greeted else newest
 
     def send(self, sample: np.void, now: float) -> None:
         """Send one sample, a record of `STATE_DTYPE`, without ever waiting."""

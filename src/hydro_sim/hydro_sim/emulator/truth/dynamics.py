@@ -14,8 +14,9 @@ import math
 import numpy as np
 from numba import njit
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.truth import friction, load, oil, valve
-from hydro_sim.emulator.truth.parameters import DELAY_SAMPLES, LUGRE, SAMPLE_TIME, SUBSTEP, SUBSTEPS
+from hydro_sim.emulator.truth.parameters import DELAY_SAMPLES, LUGRE, SUBSTEP, SUBSTEPS
 
 STANDSTILL = 1e-5  # m/s, below which a direction of motion says nothing
 
@@ -137,7 +138,7 @@ def hold_command(p, state, current, walk_noise):
     """A new sample begins: remember its valve current [A] and draw the random force's next value."""
     state.commands[state.sample % DELAY_SAMPLES] = current
     if p.walk_force > 0.0:
-        kept = math.exp(-SAMPLE_TIME / p.walk_time)
+        kept = math.exp(-SAMPLE_PERIOD / p.walk_time)
         state.walk = kept * state.walk + math.sqrt(1.0 - kept * kept) * walk_noise
 
 
@@ -145,7 +146,7 @@ def hold_command(p, state, current, walk_noise):
 def advance_substep(p, state, index, work):
     """Substep `index` of the present sample, in place; `work` is scratch space, shape (3, 8)."""
     elapsed = index * SUBSTEP
-    time = state.sample * SAMPLE_TIME + elapsed
+    time = state.sample * SAMPLE_PERIOD + elapsed
     # the command is constant within a step; both of Heun's slopes must see the same side of its jumps
     command = valve.delayed_command(p, state.commands, state.sample, elapsed)
     force_h, force_l = state.hydraulic_force, state.load_force

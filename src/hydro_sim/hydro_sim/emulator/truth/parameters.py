@@ -8,13 +8,13 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.truth.config import TruthBench, TruthConfig, TruthSensors
 from hydro_sim.emulator.truth.effects import SENSORS, Effects, Ratio
 from hydro_sim.emulator.truth.outside import Outside
 
-SAMPLE_TIME = 1e-3  # s, one sample of the box
 SUBSTEPS = 40  # of 25 us: not the step of the simulated plant, and short enough for the end stops
-SUBSTEP = SAMPLE_TIME / SUBSTEPS
+SUBSTEP = SAMPLE_PERIOD / SUBSTEPS
 ATMOSPHERE = 101325.0  # Pa
 DELAY_SAMPLES = 64  # ring of past commands; the largest transport delay is 50 ms
 

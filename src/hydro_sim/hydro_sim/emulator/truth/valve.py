@@ -10,7 +10,8 @@ import math
 
 from numba import njit
 
-from hydro_sim.emulator.truth.parameters import DELAY_SAMPLES, SAMPLE_TIME
+from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_sim.emulator.truth.parameters import DELAY_SAMPLES
 
 LAMINAR_DROP = 2e3  # Pa: below about this an orifice's flow is laminar, so that its slope at zero drop is finite
 
@@ -18,7 +19,7 @@ LAMINAR_DROP = 2e3  # Pa: below about this an orifice's flow is laminar, so that
 @njit(cache=True)
 def delayed_command(p, commands, sample, elapsed):
     """Command [A] that reaches the valve `elapsed` seconds into `sample`; `commands` is a ring of the last ones."""
-    late = math.floor((elapsed - p.delay) / SAMPLE_TIME + 1e-9)  # the margin keeps multiples of the sample exact
+    late = math.floor((elapsed - p.delay) / SAMPLE_PERIOD + 1e-9)  # the margin keeps multiples of the sample exact
     return commands[(sample + int(late)) % DELAY_SAMPLES]
 
 

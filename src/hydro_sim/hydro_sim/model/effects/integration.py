@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.model import hydraulics
 from hydro_sim.model.effects import motion, oil, sensing, valve
 from hydro_sim.model.effects.record import SUBSTEPS
 from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
-from hydro_sim.timing import SAMPLE
 
 STATES = hydraulics.STATES + 1
 DEMAND = hydraulics.STATES
@@ -38,13 +38,13 @@ def begin(bench, memory, y, raw):
 def advance(bench, memory, y, current):
     """Hold a current [A] for one sample: y, shape (6,), of `model.hydraulics`, and `memory` move on in place."""
     program = bench.effects
-    step = SAMPLE / SUBSTEPS
+    step = SAMPLE_PERIOD / SUBSTEPS
     state, slopes, probe, raw = np.empty(STATES), np.empty((4, STATES)), np.empty(STATES), np.empty(5)
     state[:DEMAND], state[DEMAND] = y, memory.demand
     valve.hold(program, memory, current)
     for k in range(SUBSTEPS):
         spool = valve.command(program, memory, k)
-        time = memory.samples * SAMPLE + (k + 0.5) * step
+        time = memory.samples * SAMPLE_PERIOD + (k + 0.5) * step
         out, back = valve.openings(program, bench.valve_gain, spool, time)
         _runge_kutta(bench, memory, state, out, back, step, slopes, probe)
         motion.remember(program, memory, state[2], state[3])

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.model.effects import lags, valve
 from hydro_sim.model.effects.catalogue import form_of, label
 from hydro_sim.model.effects.forms import Form
 from hydro_sim.model.effects.record import CAPACITY, COMMAND, EFFECTS_DTYPE, HISTORY, HOOKS, LAG, SUBSTEPS
-from hydro_sim.timing import SAMPLE
 
 Entry = tuple[Form, tuple[float, ...]]
 
@@ -88,7 +88,7 @@ def program(effects: Sequence[Mapping[str, Any]]) -> npt.NDArray[np.void]:
         record["first"][0, hook] = count
         for form, values in sorted((entry for entry in entries if entry[0].hook == hook), key=_stage):
             if not _is_delay(form):
-                numbers = _numbers(form, values, SAMPLE / SUBSTEPS)
+                numbers = _numbers(form, values, SAMPLE_PERIOD / SUBSTEPS)
                 record["kind"][0, count], record["value"][0, count, : len(numbers)] = form.kind, numbers
                 count += 1
     record["first"][0, HOOKS] = count
@@ -101,7 +101,7 @@ def _is_delay(form: Form) -> bool:
 
 def _delay(entries: Sequence[Entry]) -> float:
     """Dead times together, in samples."""
-    return sum(values[0] for form, values in entries if _is_delay(form)) / SAMPLE
+    return sum(values[0] for form, values in entries if _is_delay(form)) / SAMPLE_PERIOD
 
 
 def _stage(entry: Entry) -> int:

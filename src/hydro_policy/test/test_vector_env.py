@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Command, Flag, ReferenceSignal, Waveform
-from hydro_filter.controller.compiled import FilterBank
+from hydro_filter.controller.compiled import VectorConstantFilter
 from hydro_filter.controller.filter import ContractionFilter
-from hydro_filter.controller.loop_filter import LoopBank, default_filter
-from hydro_policy.envs import vector_runs as fleet_runs
+from hydro_filter.controller.loop_filter import VectorLoopFilter, default_filter
+from hydro_policy.envs import vector_runs
 from hydro_policy.envs.environment import Environment
-from hydro_policy.envs.vector_env import Fleet, records
+from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.envs.vector_runs import fixed
 from hydro_policy.sessions.offline import OfflineGraph
@@ -65,7 +65,7 @@ def test_every_bench_of_a_fleet_is_the_offline_simulation_to_the_bit(kind: str, 
     want = simulate(
         PLANTS[kind](), BENCH, Schedule(reference=SINE, gains=gains, seconds=0.01 * steps), config=config, seed=7
     )
-    fleet = Fleet([BENCH] * 3, [PLANTS[kind]() for _ in range(3)], config)
+    fleet = VectorBench([BENCH] * 3, [PLANTS[kind]() for _ in range(3)], config)
     fleet.links["gain_delay"] = 10  # the offline schedule changes gains with the step's own sample
     changes = gains - (15.0, 5.0)
     for index in range(3):
@@ -81,7 +81,7 @@ def test_every_bench_of_a_fleet_is_the_offline_simulation_to_the_bit(kind: str, 
 
 def test_gains_act_when_a_graph_could_have_delivered_them() -> None:
     """The gains that are chosen upon a step's sample are in force at the very next sample, as in `OfflineGraph`."""
-    fleet = Fleet([BENCH], [AnalyticPlant(BENCH)])
+    fleet = VectorBench([BENCH], [AnalyticPlant(BENCH)])
     fleet.begin(0, SINE, 1)
     shown = fleet.step(np.array([[40.0, 3.0]]))[0]["proportional_gain"]
     np.testing.assert_array_equal(shown, 55.0)
@@ -100,7 +100,7 @@ def test_a_dead_time_shifts_what_reaches_the_valve() -> None:
     """With the valve three samples late the plant does what it does at once, three samples later."""
 
     def forces(dead_time: int) -> np.ndarray:
-        fleet = Fleet([BENCH], [AnalyticPlant(BENCH, noise=0.0)])
+        fleet = VectorBench([BENCH], [AnalyticPlant(BENCH, noise=0.0)])
         fleet.links["dead_time"] = dead_time
         fleet.begin(0, SINE, 0)
         return np.concatenate([fleet.step(np.zeros((1, 2)))[0]["hydraulic_force"].copy() for _ in range(2)])
@@ -112,7 +112,7 @@ def test_a_dead_time_shifts_what_reaches_the_valve() -> None:
 
 def test_transitions_are_what_a_session_makes_of_the_same_samples() -> None:
     task = TaskSettings(gains=GainRange(delta_kp_max=60.0))
-    environment = Environment(Fleet([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)]), task)
+    environment = Environment(VectorBench([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)]), task)
     environment.begin([SINE, SINE], [1, 2])
     rng, clock, before = np.random.default_rng(0), StepClock(), np.zeros(2)
     clock.add(0, records(environment.fleet.samples[1, -1:], STATE_FIELDS)[0], int(Flag.ARMED))
@@ -136,7 +136,7 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
     """K_p = 300 swings up beyond the force limit: terminal, with the penalty; the next step runs from rest."""
     bench = replace(BENCH, load_cell_bandwidth=25.0)
     task = TaskSettings(gains=GainRange(delta_kp_max=285.0))
-    environment = Environment(Fleet([BENCH] * 2, [AnalyticPlant(bench) for _ in range(2)]), task)
+    environment = Environment(VectorBench([BENCH] * 2, [AnalyticPlant(bench) for _ in range(2)]), task)
     environment.begin([SINE, SINE], [0, 1])
     for _ in range(400):
         transitions = environment.step(np.array([[1.0, 0.0], [-1.0, 0.0]]))
@@ -154,13 +154,13 @@ def test_a_bench_that_trips_ends_its_transition_and_begins_anew() -> None:
 
 def test_rmse_is_that_of_the_offline_simulation() -> None:
     settings = EvaluationSettings(frequencies=(1.0, 2.0), settle=0.5, measure=1.0)
-    fleet = Fleet([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)])
-    found = fleet_runs.rmse(fleet, settings.cases, fixed(np.array((90.0, 15.0))), settings, seed=3)
+    fleet = VectorBench([BENCH] * 2, [AnalyticPlant(BENCH) for _ in range(2)])
+    found = vector_runs.rmse(fleet, settings.cases, fixed(np.array((90.0, 15.0))), settings, seed=3)
     schedule = Schedule(reference=settings.cases[1].signal, gains=(90.0, 15.0), seconds=1.5)
     want = simulate(AnalyticPlant(BENCH), BENCH, schedule, seed=3)
     error = (want["reference_force"] - want["load_force"])[500:]
     assert found[1] == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.01)  # one sample at K_p = 15 in the beginning
-    tripped = fleet_runs.rmse(fleet, settings.cases, fixed(np.array((-60.0, 5.0))), settings)
+    tripped = vector_runs.rmse(fleet, settings.cases, fixed(np.array((-60.0, 5.0))), settings)
     assert np.isnan(tripped).all()
 
 
@@ -168,13 +168,13 @@ def test_rmse_is_that_of_the_offline_simulation() -> None:
 def test_a_filter_in_the_fleet_is_the_filter_beside_the_box(kind: str) -> None:
     """Sample by sample with `Box` and the bank of `hydro_filter`, a correction acting one sample late: to the bit."""
     cell = replace(BENCH, load_cell_bandwidth=25.0)
-    fleet = Fleet([BENCH] * 2, [AnalyticPlant(cell) for _ in range(2)], filters=fleet_filter(kind, BENCH, 2))
+    fleet = VectorBench([BENCH] * 2, [AnalyticPlant(cell) for _ in range(2)], filters=fleet_filter(kind, BENCH, 2))
     for index in range(2):
         fleet.begin(index, SINE, index)
     changes = np.array([[0.0, 0.0], [120.0, 10.0]])
     got = np.concatenate([fleet.samples[1, -1:].copy()] + [fleet.step(changes)[1].copy() for _ in range(40)])
     source = ContractionFilter.for_bench(BENCH).certificate
-    bank = FilterBank(source, 1) if kind == "constant" else LoopBank(default_filter(BENCH).parts, 1)
+    bank = VectorConstantFilter(source, 1) if kind == "constant" else VectorLoopFilter(default_filter(BENCH).parts, 1)
     box, plant = Box(BENCH), AnalyticPlant(cell)
     box.receive(Command(), 0.0)
     measurement, delta_u = plant.reset(1), 0.0
@@ -194,4 +194,4 @@ def test_a_filter_in_the_fleet_is_the_filter_beside_the_box(kind: str) -> None:
 def test_a_fleet_refuses_plants_of_several_kinds() -> None:
     plants: list[Plant] = [AnalyticPlant(BENCH), LearnedPlant()]
     with pytest.raises(ValueError, match="one kind"):
-        Fleet([BENCH] * 2, plants)
+        VectorBench([BENCH] * 2, plants)

@@ -6,8 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydro_filter.certificate import qp
-from hydro_filter.certificate import sampled as sampled_certificate
+from hydro_filter.certificate import qp, sampled
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import metric_value
 from hydro_filter.model.loop_model import LOOP, loop_step
@@ -24,7 +23,7 @@ def test_the_quadratic_is_two_samples_moved_on() -> None:
         step.feedback[:] = rng.standard_normal(LOOP)
         v, known, asked = rng.standard_normal(LOOP), rng.standard_normal(), rng.standard_normal()
         one, two = np.empty(LOOP), np.empty(LOOP)
-        bent, slope, level, size = sampled_certificate.quadratic(step, value, v, known, asked, 3.0, one, two)
+        bent, slope, level, size = sampled.quadratic(step, value, v, known, asked, 3.0, one, two)
         moved = step.transition @ v + step.push * (step.feedback @ v + known)
         assert size == pytest.approx(moved @ value.matrix @ moved)
         for change in (0.0, 0.7, -2.0):
@@ -38,7 +37,7 @@ def test_the_half_line_gives_the_smallest_du_of_the_interval() -> None:
     for _ in range(2000):
         bent, slope = 10.0 ** rng.uniform(-6, 6), rng.standard_normal() * 10.0 ** rng.uniform(-6, 6)
         level = slope**2 / bent * rng.uniform(-2.0, 1.0)  # with an answer
-        a, b, _ = sampled_certificate.half_line(bent, slope, level)
+        a, b, _ = sampled.half_line(bent, slope, level)
         change, _ = qp.closed_form(a, b, -1e15, 1e15)
         left = bent * change**2 + 2.0 * slope * change + level
         assert left <= 1e-9 * abs(level)
@@ -48,7 +47,7 @@ def test_the_half_line_gives_the_smallest_du_of_the_interval() -> None:
 
 
 def test_where_no_du_helps_the_nearest_is_told() -> None:
-    a, b, best = sampled_certificate.half_line(1.0, 1.0, 2.0)
+    a, b, best = sampled.half_line(1.0, 1.0, 2.0)
     assert np.isnan(a)
     assert np.isnan(b)
     assert best == -1.0
@@ -56,14 +55,14 @@ def test_where_no_du_helps_the_nearest_is_told() -> None:
 
 def test_noise_fades_out_smoothly() -> None:
     sizes = np.linspace(0.0, 3.0, 3001)
-    shares = np.array([sampled_certificate.fade(size, 1.0) for size in sizes])
+    shares = np.array([sampled.fade(size, 1.0) for size in sizes])
     assert shares[sizes <= 1.0].max() == 0.0
     assert shares[sizes >= 2.0].min() == 1.0
     assert np.abs(np.diff(shares)).max() < 2e-3
-    assert sampled_certificate.fade(1e-9, 0.0) == 1.0
+    assert sampled.fade(1e-9, 0.0) == 1.0
 
 
 def test_the_integral_may_ask_for_its_allowance() -> None:
-    assert sampled_certificate.unasked(250.0, 300.0) == 0.0
-    assert sampled_certificate.unasked(450.0, 300.0) == 150.0
-    assert sampled_certificate.unasked(-450.0, 300.0) == -150.0
+    assert sampled.unasked(250.0, 300.0) == 0.0
+    assert sampled.unasked(450.0, 300.0) == 150.0
+    assert sampled.unasked(-450.0, 300.0) == -150.0

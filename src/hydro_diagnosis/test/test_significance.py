@@ -15,7 +15,7 @@ from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.significance import form_error, worth_claiming
+from hydro_diagnosis.selection.significance import form_error, is_significant
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -38,14 +38,14 @@ def library(label: str) -> Effect:
 def test_amplitude_at_a_bound_of_physics_is_not_claimed(effect: Effect) -> None:
     for one in amplitudes(effect):
         for bound in {one.low, one.high} - {one.neutral}:
-            assert not worth_claiming(claim(effect, **{one.name: bound}))
+            assert not is_significant(claim(effect, **{one.name: bound}))
 
 
 @pytest.mark.parametrize("effect", [e for e in ADAPTED if amplitudes(e)], ids=lambda effect: effect.label)
 def test_difference_that_matters_to_nobody_is_not_claimed(effect: Effect) -> None:
     small = {one.name: one.neutral + 0.9 * one.smallest for one in amplitudes(effect)}
-    assert not worth_claiming(claim(effect, **small))
-    assert worth_claiming(claim(effect))
+    assert not is_significant(claim(effect, **small))
+    assert is_significant(claim(effect))
 
 
 @pytest.mark.parametrize("label, name, present", [
@@ -55,8 +55,8 @@ def test_difference_that_matters_to_nobody_is_not_claimed(effect: Effect) -> Non
 def test_no_mass_and_no_friction_below_nothing_is_claimed(label: str, name: str, present: float) -> None:
     (parameter,) = library(label).parameters
     assert -present <= parameter.low < 0.0
-    assert not worth_claiming(claim(library(label), **{name: parameter.low}))
-    assert worth_claiming(claim(library(label), **{name: -0.5 * present}))
+    assert not is_significant(claim(library(label), **{name: parameter.low}))
+    assert is_significant(claim(library(label), **{name: -0.5 * present}))
 
 
 @pytest.mark.parametrize("effect", [e for e in ADAPTED if not amplitudes(e)], ids=lambda effect: effect.label)
@@ -64,9 +64,9 @@ def test_effect_of_shapes_alone_is_not_claimed_where_it_is_none(effect: Effect) 
     """The stiffest bristles are dry friction, the quickest lag is none; seen claimed, with evidence of 1000 BIC."""
     absent = {one.name: one.neutral for one in effect.parameters}
     first = effect.parameters[0]
-    assert not worth_claiming(claim(effect, **absent))
-    assert not worth_claiming(claim(effect, **{**absent, first.name: 0.97 * first.neutral}))
-    assert worth_claiming(claim(effect, **{**absent, first.name: 0.5 * first.neutral}))
+    assert not is_significant(claim(effect, **absent))
+    assert not is_significant(claim(effect, **{**absent, first.name: 0.97 * first.neutral}))
+    assert is_significant(claim(effect, **{**absent, first.name: 0.5 * first.neutral}))
 
 
 COULOMB = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
@@ -84,7 +84,7 @@ def test_newcomer_that_leaves_nothing_is_no_error_in_the_form_of_its_kin(
     states = record(replace(BENCH, effects=truth), 5)
     table = RawTable("run", states["time"].copy(), None, {name: states[name].copy() for name in states.dtype.names})
     problem = Problem(checked(table, BENCH).segments, BENCH)
-    problem.set_doubt([claim(library("friction_coulomb"), force=8.0)])
+    problem.update_weights([claim(library("friction_coulomb"), force=8.0)])
     base = fit(problem, [claim(library("friction_coulomb"), force=8.0)])
     assert noticeable(problem, base.residual) == (STRIBECK in truth)
     found = fit(problem, [*base.claims, claim(library(newest))])

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate.qp import QpCounts
-from hydro_filter.controller.statistics import Tally, sentence
+from hydro_filter.controller.statistics import FilterStatistics, sentence
 
 
 def test_gaps_are_counted_across_the_wrap_and_restarts_are_none() -> None:
-    tally = Tally()
+    tally = FilterStatistics()
     for sequence in (2**32 - 2, 2**32 - 1, 0, 3):
         tally.expect(sequence)
     assert tally.missing == 2
@@ -18,7 +18,7 @@ def test_gaps_are_counted_across_the_wrap_and_restarts_are_none() -> None:
 
 
 def test_news_are_what_happened_since_the_last_time() -> None:
-    tally = Tally()
+    tally = FilterStatistics()
     for status in (CorrectionStatus.PASS, CorrectionStatus.PASS, CorrectionStatus.STALE):
         tally.add(status, 1e-5, 1e-3)
     assert sentence(tally.news()) == "3 corrections: 1 stale"
@@ -28,7 +28,7 @@ def test_news_are_what_happened_since_the_last_time() -> None:
 
 
 def test_values_name_every_status_and_percentile() -> None:
-    tally = Tally()
+    tally = FilterStatistics()
     for k in range(1000):
         tally.add(CorrectionStatus.PASS, 1e-6 * k, 2e-6 * k)
     values = tally.values(QpCounts(fallbacks=2))

@@ -9,7 +9,7 @@ from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal
 from hydro_policy.supervision.arming import HOW_TO_ARM
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import FITS, IDLE, MISMATCH, TOO_EARLY, PlantWatch
+from hydro_policy.supervision.plant_supervisor import FITS, IDLE, MISMATCH, TOO_EARLY, PlantSupervisor
 from hydro_policy.supervision.requirements import COMPILES, NO_FILTER
 
 ARMED, STALE = int(Flag.ARMED), int(Flag.FILTER_STALE)
@@ -46,15 +46,15 @@ class Slow:
         )
 
 
-def run(watch: PlantWatch, flags: int, start: float, end: float) -> None:
+def run(watch: PlantSupervisor, flags: int, start: float, end: float) -> None:
     for tick in range(round(20 * start), round(20 * end)):
         watch.on_sample(flags, tick / 20)
         watch.on_tick(tick / 20)
 
 
-def armed_watch(heard: Heard, *, rearm: bool, override: GainOverride | None = None) -> PlantWatch:
+def armed_watch(heard: Heard, *, rearm: bool, override: GainOverride | None = None) -> PlantSupervisor:
     """Armed at 1 s, with all ready before."""
-    watch = PlantWatch(heard, rearm, override=override)
+    watch = PlantSupervisor(heard, rearm, override=override)
     run(watch, 0, 0.0, 1.0)
     run(watch, ARMED, 1.0, 1.1)
     heard.armings.clear()
@@ -64,7 +64,7 @@ def armed_watch(heard: Heard, *, rearm: bool, override: GainOverride | None = No
 
 def test_arming_waits_for_the_filter() -> None:
     heard = Heard()
-    watch = PlantWatch(heard, rearm=True)
+    watch = PlantSupervisor(heard, rearm=True)
     run(watch, STALE, 0.0, 20.0)
     assert heard.armings == []
     assert heard.said == [f"waiting for the filter, 90 s at most: {COMPILES}"]
@@ -76,7 +76,7 @@ def test_arming_waits_for_the_filter() -> None:
 
 def test_without_a_filter_it_is_armed_in_the_end_and_said() -> None:
     heard = Heard()
-    watch = PlantWatch(heard, rearm=True)
+    watch = PlantSupervisor(heard, rearm=True)
     run(watch, STALE, 0.0, 92.0)
     assert heard.armings[:2] == [False, True]
     assert heard.said.count(NO_FILTER) == 1
@@ -87,7 +87,7 @@ def test_without_a_filter_it_is_armed_in_the_end_and_said() -> None:
 @pytest.mark.parametrize("rearm", [True, False])
 def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None:
     heard, learner = Heard(), Slow()
-    watch = PlantWatch(heard, rearm, [learner.requirement])
+    watch = PlantSupervisor(heard, rearm, [learner.requirement])
     run(watch, 0, 0.0, 60.0)
     assert heard.armings == [] and not any(HOW_TO_ARM in sentence for sentence in heard.said)
     assert watch.standing == "disarmed, waiting for the learner"
@@ -99,7 +99,7 @@ def test_nothing_is_armed_before_all_that_will_act_is_ready(rearm: bool) -> None
 
 def test_enter_before_all_is_ready_is_answered_and_not_kept() -> None:
     heard, learner = Heard(), Slow()
-    watch = PlantWatch(heard, False, [learner.requirement])
+    watch = PlantSupervisor(heard, False, [learner.requirement])
     run(watch, STALE, 0.0, 1.0)
     watch.arm_now(1.0)
     assert heard.said[-1] == (
@@ -118,7 +118,7 @@ def test_enter_before_all_is_ready_is_answered_and_not_kept() -> None:
 
 def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out() -> None:
     heard = Heard()
-    watch = PlantWatch(heard, rearm=False)
+    watch = PlantSupervisor(heard, rearm=False)
     run(watch, 0, 0.0, 1.0)
     watch.arm_now(1.0)
     run(watch, STALE, 1.0, 5.0)
@@ -129,7 +129,7 @@ def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out
 
 def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_it() -> None:
     heard = Heard()
-    watch = PlantWatch(heard, rearm=False)
+    watch = PlantSupervisor(heard, rearm=False)
     run(watch, 0, 0.0, 1.0)
     watch.arm_now(1.0)
     run(watch, 0, 1.0, 1.15)
@@ -143,7 +143,7 @@ def test_a_filter_that_is_late_for_a_moment_while_the_plant_arms_does_not_undo_i
 @pytest.mark.parametrize("rearm", [True, False])
 def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: bool) -> None:
     heard = Heard()
-    watch = PlantWatch(heard, rearm)
+    watch = PlantSupervisor(heard, rearm)
     run(watch, ARMED, 0.0, 0.5)
     assert heard.armings == [False] and heard.references == [ReferenceSignal()] and heard.said == [TOO_EARLY]
     assert not watch.may_begin(0.5)
@@ -156,7 +156,7 @@ def test_a_plant_that_is_found_armed_is_disarmed_before_anything_begins(rearm: b
 
 def test_a_plant_that_is_armed_by_hand_before_all_is_ready_is_disarmed_again_and_again() -> None:
     heard, learner = Heard(), Slow()
-    watch = PlantWatch(heard, False, [learner.requirement])
+    watch = PlantSupervisor(heard, False, [learner.requirement])
     for second in range(3):
         run(watch, 0, second, second + 0.5)
         run(watch, ARMED, second + 0.5, second + 1.0)
@@ -165,7 +165,7 @@ def test_a_plant_that_is_armed_by_hand_before_all_is_ready_is_disarmed_again_and
 
 def test_what_stays_armed_is_asked_to_disarm_each_second_and_told_once() -> None:
     heard = Heard()
-    watch = PlantWatch(heard, rearm=True)
+    watch = PlantSupervisor(heard, rearm=True)
     run(watch, ARMED, 0.0, 3.5)
     assert heard.armings == [False] * 4 and heard.said == [TOO_EARLY]
 
@@ -185,7 +185,7 @@ def test_an_armed_plant_on_which_nothing_has_acted_for_a_while_is_disarmed_and_a
 def test_a_controller_that_acts_keeps_the_plant_armed_whatever_is_missing() -> None:
     heard, learner = Heard(), Slow()
     learner.ready = True
-    watch = PlantWatch(heard, True, [learner.requirement])
+    watch = PlantSupervisor(heard, True, [learner.requirement])
     run(watch, 0, 0.0, 0.5)
     heard.armings.clear()
     run(watch, ARMED, 0.5, 0.6)
@@ -213,7 +213,7 @@ def test_under_gains_that_a_person_holds_a_plant_is_not_idle_but_after_them_it_i
     [(None, 601.0, "no samples on /hydro/state"), (0, 301.0, "the learner never came")],
 )
 def test_every_wait_ends(flags: int | None, seconds: float, sentence: str) -> None:
-    watch = PlantWatch(Heard(), True, [Slow().requirement])
+    watch = PlantSupervisor(Heard(), True, [Slow().requirement])
     with pytest.raises(NotReadyError, match=sentence):
         for tick in range(round(20 * seconds)):
             if flags is not None:
@@ -225,11 +225,11 @@ def test_a_watch_goes_on_where_another_sessions_ends() -> None:
     heard = Heard()
     before = armed_watch(heard, rearm=False)
     before.acted(2.0)
-    watch = PlantWatch(heard, False)
+    watch = PlantSupervisor(heard, False)
     watch.take_over(before)
     run(watch, ARMED, 2.5, 2.7)
     assert watch.may_begin(2.7) and heard.armings == []
-    late = PlantWatch(heard, False)
+    late = PlantSupervisor(heard, False)
     late.take_over(before)
     run(late, ARMED, 9.0, 9.1)
     assert heard.armings == [False], "it has waited too long in between"
@@ -255,7 +255,7 @@ def test_calm_is_a_second_armed_without_reference_and_anew_where_the_box_was_dis
 
 def test_nothing_begins_while_the_filters_model_is_not_this_benchs_and_each_change_is_told_once() -> None:
     heard = Heard()
-    watch = PlantWatch(heard, rearm=True)
+    watch = PlantSupervisor(heard, rearm=True)
     for _ in range(3):
         watch.on_correction(CorrectionStatus.MISMATCH)
     run(watch, STALE, 0.0, 200.0)

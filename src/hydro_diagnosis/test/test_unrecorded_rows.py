@@ -25,7 +25,7 @@ from hydro_diagnosis.recording import Recording
 from hydro_diagnosis.selection.current_alignment import current_is_early
 from hydro_diagnosis.selection.localisation import mean_squares
 from hydro_diagnosis.selection.outcome import SearchSettings
-from hydro_diagnosis.selection.significance import all_worth
+from hydro_diagnosis.selection.significance import all_significant
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -71,7 +71,7 @@ def test_slow_clean_recordings_are_noise(nominal: StateArray, spacing: int) -> N
 def test_no_mass_is_claimed_of_a_clean_bench(nominal: StateArray, spacing: int) -> None:
     problem = Problem(logged(nominal, slice(None, None, spacing)).segments, BENCH)
     found = fit(problem, [Claim(MASS, {"mass": 0.1})])
-    assert not all_worth(problem, found) or not surely(problem, found)[0].claims
+    assert not all_significant(problem, found) or not surely(problem, found)[0].claims
 
 
 def test_half_of_the_rows_tell_how_far_a_parameter_may_be_off(nominal: StateArray) -> None:

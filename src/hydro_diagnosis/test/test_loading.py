@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hydro_diagnosis.dataset.loading import ENOUGH, taken
+from hydro_diagnosis.dataset.loading import ENOUGH, load_dataset
 from hydro_diagnosis.io.table import InputError
 from hydro_sim.model.bench import Bench
 
@@ -17,9 +17,9 @@ BENCH = Bench.nominal()
 
 @pytest.mark.parametrize("backend", ["loky", "threading"])
 def test_recordings_read_side_by_side_are_the_same(backend: str, worn: list[Path]) -> None:
-    fitted, held, notes = taken(worn[:2], worn[2:], BENCH)
+    fitted, held, notes = load_dataset(worn[:2], worn[2:], BENCH)
     with joblib.parallel_config(backend=backend, n_jobs=2):
-        fitted_too, held_too, notes_too = taken(worn[:2], worn[2:], BENCH)
+        fitted_too, held_too, notes_too = load_dataset(worn[:2], worn[2:], BENCH)
     assert [one.recording for one in fitted_too] == ["run0", "run1"] == [one.recording for one in fitted]
     assert notes_too == notes
     for one, other in zip([*fitted, *held], [*fitted_too, *held_too], strict=True):
@@ -31,7 +31,7 @@ def test_missing_recording_is_one_sentence_from_a_worker_too(worn: list[Path], t
         joblib.parallel_config(backend="loky", n_jobs=2),
         pytest.raises(InputError, match="there is no such recording"),
     ):
-        taken([worn[0], tmp_path / "nowhere"], [], BENCH)
+        load_dataset([worn[0], tmp_path / "nowhere"], [], BENCH)
 
 
 def tripped(recording: Path, folder: Path, moving: float) -> Path:
@@ -52,7 +52,7 @@ def tripped(recording: Path, folder: Path, moving: float) -> Path:
 def test_too_little_motion_is_refused_and_the_remedy_is_named(worn: list[Path], tmp_path: Path) -> None:
     short = [tripped(recording, tmp_path, 1.2) for recording in worn[:2]]
     with pytest.raises(InputError, match=r"piston moves for 2\.\d s.*lower gains.*give the box.*valve_nominal_flow"):
-        taken(short, [worn[2]], BENCH)
+        load_dataset(short, [worn[2]], BENCH)
 
 
 def test_refusal_for_too_little_motion_says_what_was_discarded(worn: list[Path], tmp_path: Path) -> None:
@@ -61,18 +61,18 @@ def test_refusal_for_too_little_motion_says_what_was_discarded(worn: list[Path],
     data.loc[late, "pressure_b"] = np.random.default_rng(8).normal(0.0, 6e3, late.sum())
     data.to_csv(tmp_path / "low.csv", index=False)
     with pytest.raises(InputError, match=r"moves for 1\.5 s.*low\S*: \d{4} samples .* cavitate.*; record it") as error:
-        taken([tmp_path / "low.csv"], [worn[2]], BENCH)
+        load_dataset([tmp_path / "low.csv"], [worn[2]], BENCH)
     assert str(error.value).count("lower gains") == 1
 
 
 def test_just_enough_motion_is_taken(worn: list[Path], tmp_path: Path) -> None:
-    fitted, _, _ = taken([tripped(recording, tmp_path, ENOUGH) for recording in worn[:2]], [worn[2]], BENCH)
+    fitted, _, _ = load_dataset([tripped(recording, tmp_path, ENOUGH) for recording in worn[:2]], [worn[2]], BENCH)
     assert len(fitted) == 2
 
 
 def test_held_out_recording_that_shows_nothing_is_replaced_and_listed(worn: list[Path], tmp_path: Path) -> None:
     still = tripped(worn[2], tmp_path, 0.0)
-    fitted, held, notes = taken(worn[:2], [still], BENCH)
+    fitted, held, notes = load_dataset(worn[:2], [still], BENCH)
     assert {one.recording for one in fitted} == {"run0"}
     assert {one.recording for one in held} == {"run1"}
     assert any(still.stem in note and "left out" in note for note in notes)
@@ -86,18 +86,18 @@ def test_bench_that_only_swings_from_stop_to_stop_is_refused_with_the_remedy(wor
     path = tmp_path / "swings.csv"
     data.to_csv(path, index=False)
     with pytest.raises(InputError, match=r"end stop.*give the box"):
-        taken([path], [], BENCH)
+        load_dataset([path], [], BENCH)
 
 
 def test_held_out_recording_that_is_fitted_too_is_refused(worn: list[Path]) -> None:
     with pytest.raises(InputError, match="run0 was given twice: what is checked on must not be fitted"):
-        taken(worn[:2], [worn[0]], BENCH)
+        load_dataset(worn[:2], [worn[0]], BENCH)
 
 
 def test_copies_under_another_name_or_in_another_format_are_refused(worn: list[Path], tmp_path: Path) -> None:
     copy = tmp_path / "wednesday.parquet"
     pd.read_csv(worn[1]).to_parquet(copy)
     with pytest.raises(InputError, match="run1 and wednesday hold the same"):
-        taken(worn[:2], [copy], BENCH)
+        load_dataset(worn[:2], [copy], BENCH)
     with pytest.raises(InputError, match="run1 and wednesday hold the same"):
-        taken([worn[1], copy], [], BENCH)
+        load_dataset([worn[1], copy], [], BENCH)

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_diagnosis.dataset import loading as intake
-from hydro_diagnosis.dataset import streaming as survey
-from hydro_diagnosis.dataset.informative_windows import Visits, telling
+from hydro_diagnosis.dataset import loading, streaming
+from hydro_diagnosis.dataset.informative_windows import Visits, select_informative_windows
 from hydro_diagnosis.dataset.streaming import read_bag_within
 from hydro_diagnosis.io.table import RawTable, read_table
 from hydro_diagnosis.preprocessing.quality import checked
@@ -44,8 +43,8 @@ def minute(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording]:
 
 def test_bag_read_in_stretches_is_the_bag(minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch) -> None:
     path, whole = minute
-    monkeypatch.setattr(survey, "STRETCH", 7_001)
-    monkeypatch.setattr(survey, "WHOLE", 9)
+    monkeypatch.setattr(streaming, "STRETCH", 7_001)
+    monkeypatch.setattr(streaming, "WHOLE", 9)
     again = read_bag_within(path, BENCH)
     assert again.quality == whole.quality
     assert [one.start for one in again.segments] == [one.start for one in whole.segments]
@@ -58,11 +57,11 @@ def test_windows_of_a_long_bag_are_what_it_holds(
     minute: tuple[Path, Recording], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, whole = minute
-    monkeypatch.setattr(survey, "STRETCH", 5_000)
-    monkeypatch.setattr(survey, "WINDOW", 2.0)
+    monkeypatch.setattr(streaming, "STRETCH", 5_000)
+    monkeypatch.setattr(streaming, "WINDOW", 2.0)
     kept = read_bag_within(path, BENCH)
-    assert len(kept.segments) == survey.FITTED + survey.HELD
-    assert sum(one.start >= 40.0 for one in kept.segments) == survey.HELD
+    assert len(kept.segments) == streaming.FITTED + streaming.HELD
+    assert sum(one.start >= 40.0 for one in kept.segments) == streaming.HELD
     assert "15 windows of 2 s were kept" in kept.quality[-1]
     long = whole.segments[0]
     for one in kept.segments:
@@ -78,11 +77,11 @@ def test_windows_of_a_long_table_are_what_it_holds(
     whole = read_table(minute[0])
     columns = {name: values[::thinned] for name, values in whole.columns.items()}
     table = RawTable("long", whole.time[::thinned], None, columns, ("read by hand",))
-    monkeypatch.setattr(survey, "STRETCH", 5_000)
-    monkeypatch.setattr(survey, "WHOLE", 2)
-    monkeypatch.setattr(survey, "WINDOW", 2.0)
-    kept = survey.table_within(table, BENCH)
-    assert len(kept.segments) == survey.FITTED + survey.HELD
+    monkeypatch.setattr(streaming, "STRETCH", 5_000)
+    monkeypatch.setattr(streaming, "WHOLE", 2)
+    monkeypatch.setattr(streaming, "WINDOW", 2.0)
+    kept = streaming.table_within(table, BENCH)
+    assert len(kept.segments) == streaming.FITTED + streaming.HELD
     assert any("read by hand" in note for note in kept.quality)
     assert all(one.channels["pressure_a"].base is None for one in kept.segments)
 
@@ -95,8 +94,8 @@ def test_long_bag_in_which_nothing_moves_is_refused(tmp_path: Path, monkeypatch:
     (tmp_path / "t.yaml").write_text(yaml.safe_dump({"profile": "nominal"}))
     command += ["--schedule", str(tmp_path / "s.yaml"), "--truth", str(tmp_path / "t.yaml")]
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    monkeypatch.setattr(survey, "STRETCH", 2_000)
-    monkeypatch.setattr(survey, "WHOLE", 3)
+    monkeypatch.setattr(streaming, "STRETCH", 2_000)
+    monkeypatch.setattr(streaming, "WHOLE", 3)
     with pytest.raises(UnusableRecordingError, match="too short to be diagnosed"):
         read_bag_within(tmp_path / "bag", BENCH)
 
@@ -108,18 +107,18 @@ def test_windows_that_visit_other_places_are_preferred(minute: tuple[Path, Recor
     for start in range(0, 60, 5):
         visits.add(whole.segments[0].cut(1000 * start + 500, 1000 * start + 4500))
         kinds.append(("fast", "still", "steps", "slow")[start // 5 % 4])
-    assert "still" not in {kinds[k] for k in telling(visits, 3)}
-    assert telling(visits, 100) == list(range(12))
-    assert telling(visits, 1, [1, 5]) in ([1], [5])
+    assert "still" not in {kinds[k] for k in select_informative_windows(visits, 3)}
+    assert select_informative_windows(visits, 100) == list(range(12))
+    assert select_informative_windows(visits, 1, [1, 5]) in ([1], [5])
 
 
 def test_last_third_is_held_out_over_gaps(minute: tuple[Path, Recording]) -> None:
     segment = minute[1].segments[0]
     pieces = [segment.cut(0, 20_000), segment.cut(21_000, 31_000), segment.cut(32_000, 47_000)]
-    first, last = intake._parted(pieces)
+    first, last = loading._parted(pieces)
     assert [len(one) for one in first] == [20_000, 10_000]
     assert [len(one) for one in last] == [15_000]
-    first, last = intake._parted([segment.cut(0, 30_000)])
+    first, last = loading._parted([segment.cut(0, 30_000)])
     assert [len(one) for one in (*first, *last)] == [20_000, 10_000]
     assert last[0].start == pytest.approx(first[0].start + 20.0)
 
@@ -129,7 +128,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
     """15 min are 113 MB of numbers; held are a stretch, its check and the windows."""
     path = bag(tmp_path, 900.0)
     tracemalloc.start()
-    fitted, held, notes = intake.taken([path], [], BENCH)
+    fitted, held, notes = loading.taken([path], [], BENCH)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 90e6

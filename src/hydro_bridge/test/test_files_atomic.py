@@ -35,8 +35,9 @@ def test_a_file_is_replaced_whole(tmp_path: Path) -> None:
 
 def test_where_there_is_no_room_the_old_file_stays_and_nothing_is_left_beside_it(tmp_path: Path) -> None:
     write_whole(tmp_path / "file", b"whole")
-    with files_of_at_most(1000), pytest.raises(OSError, match="too large"):
+    with files_of_at_most(1000), pytest.raises(OSError, match="too large") as refused:
         write_whole(tmp_path / "file", bytes(2000))
+    assert refused.value.filename == str(tmp_path / "file"), "the system does not say which"
     assert (tmp_path / "file").read_bytes() == b"whole"
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 

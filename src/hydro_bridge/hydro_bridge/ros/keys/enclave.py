@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which keys this process takes: the enclave of its executable, whichever way it was started (network.md).
+
+Security is switched on by ROS's own variables, for a process and for those that it starts. ROS takes exactly `true` for
+on, and runs open without a word where a key is missing, unless the strategy is exactly `Enforce`: here a value that it
+would not understand is refused, and Enforce is what holds if nothing is said.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from pathlib import Path
+
+import rclpy
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+
+from hydro_bridge.ros.keys.rights import RIGHTS, enclave_of
+from hydro_bridge.settings import SettingsError
+
+ENABLE = "ROS_SECURITY_ENABLE"
+STRATEGY = "ROS_SECURITY_STRATEGY"
+KEYSTORE = "ROS_SECURITY_KEYSTORE"
+ENFORCE = "Enforce"
+_MEANT = {ENABLE: ("true", "false"), STRATEGY: (ENFORCE, "Permissive")}
+
+
+def enclave_arguments() -> list[str]:
+    """What names this process' enclave to ROS, if it runs one of our executables. Behind it the user's own word wins.
+
+    They are named with keys and without, so that one way of starting is tried by all that starts.
+    """
+    executable = Path(sys.argv[0]).stem
+    return ["--ros-args", "--enclave", enclave_of(executable)] if executable in RIGHTS else []
+
+
+def secured() -> bool:
+    """Whether security is on; if so a missing key stops this process and those it starts, unless the user says else.
+
+    Raises
+    ------
+    SettingsError
+        A variable has a value that ROS would take for off.
+    """
+    for variable, meant in _MEANT.items():
+        if (value := os.environ.get(variable, "")) and value not in meant:
+            raise SettingsError(f"{variable}={value}: ROS knows {' and '.join(meant)} only, to the letter")
+    if os.environ.get(ENABLE) != "true":
+        return False
+    os.environ.setdefault(STRATEGY, ENFORCE)
+    return True
+
+
+def try_keys() -> None:
+    """Join the graph and leave it: with keys that are missing or refused that fails, and should before all else.
+
+    Raises
+    ------
+    SettingsError
+        There are none for this enclave, or the middleware has no security.
+    """
+    no_services = Parameter("start_type_description_service", value=False)
+    try:
+        Node(
+            "_hydro_keys",
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[no_services],
+        ).destroy_node()
+    except RuntimeError as error:
+        rclpy.try_shutdown()
+        raise no_keys(error) from None
+
+
+def no_keys(error: RuntimeError) -> SettingsError:
+    """What ROS says when it does not start with the keys it was given, in a sentence."""
+    said = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
+    keystore = os.environ.get(KEYSTORE) or "not set"
+    return SettingsError(
+        f"ROS does not start with keys ({KEYSTORE}: {keystore}): {said}; "
+        "`ros2 run hydro_bridge secure KEYSTORE` makes them, and docs/manual/explanation/network.md says what else they "
+        "need"
+    )

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each executable of the graph does on it, and so may do: the one table behind policies and keys.
+
+A graph test holds the running nodes to it, endpoint by endpoint (tests/test_graph_rights.py): whoever adds a topic to a
+node adds it here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from hydro_bridge.ros.topics import (
+    ARM_SERVICE,
+    BOX,
+    CLOCK,
+    CORRECTION,
+    DIAGNOSTICS,
+    GAINS,
+    GRAPH,
+    OVERRIDE_SERVICE,
+    REFERENCE,
+    STATE,
+    TRAINING,
+)
+
+LOG = "/rosout"
+PARAMETER_EVENTS = "/parameter_events"
+DESCRIPTION_SERVICE = "get_type_description"
+PARAMETER_SERVICES = (
+    "describe_parameters",
+    "get_parameter_types",
+    "get_parameters",
+    "list_parameters",
+    "set_parameters",
+    "set_parameters_atomically",
+)
+"""Of each node, behind its name. They answer; nobody has the right to ask, for our parameters are read-only."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Rights:
+    """What a node does; each name is one of the graph, beginning with a slash."""
+
+    publishes: tuple[str, ...] = ()
+    subscribes: tuple[str, ...] = ()
+    answers: tuple[str, ...] = ()
+    """Services that it offers."""
+    calls: tuple[str, ...] = ()
+    """Services that it asks."""
+
+
+def enclave_of(executable: str) -> str:
+    """Name of an executable's enclave."""
+    return f"/hydro/{executable}"
+
+
+def node(name: str, rights: Rights) -> Rights:
+    """The rights with those that rclpy takes for every ordinary node of that name."""
+    return Rights(
+        publishes=(*rights.publishes, LOG, PARAMETER_EVENTS),
+        subscribes=rights.subscribes,
+        answers=(*rights.answers, *(f"/{name}/{service}" for service in (*PARAMETER_SERVICES, DESCRIPTION_SERVICE))),
+        calls=rights.calls,
+    )
+
+
+def ear(name: str, *heard: str) -> Rights:
+    """Of a node that only hears: without a log and without parameters."""
+    return Rights(publishes=(PARAMETER_EVENTS,), subscribes=heard, answers=(f"/{name}/{DESCRIPTION_SERVICE}",))
+
+
+_COMMANDS = (GAINS, CORRECTION, REFERENCE)
+_PLANT = Rights(publishes=(STATE, BOX, DIAGNOSTICS), subscribes=_COMMANDS, answers=(ARM_SERVICE,))
+
+RIGHTS: Mapping[str, Mapping[str, Rights]] = {
+    "bridge": {"bridge": node("bridge", _PLANT), "_bridge_ear": ear("_bridge_ear", GAINS)},
+    "sim": {
+        "sim": node(
+            "sim",
+            Rights(publishes=(*_PLANT.publishes, CLOCK), subscribes=_PLANT.subscribes, answers=_PLANT.answers),
+        ),
+        "_sim_ear": ear("_sim_ear", GAINS),
+    },
+    "replayer": {"replayer": node("replayer", Rights(publishes=_PLANT.publishes, answers=_PLANT.answers))},
+    "filter": {
+        "filter": node("filter", Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, BOX, CLOCK))),
+    },
+    "trainer": {
+        "trainer": node(
+            "trainer",
+            Rights(
+                publishes=(GAINS, REFERENCE, TRAINING, DIAGNOSTICS),
+                subscribes=(STATE, BOX, CORRECTION, DIAGNOSTICS),
+                answers=(OVERRIDE_SERVICE,),
+                calls=(ARM_SERVICE,),
+            ),
+        ),
+    },
+    "evaluate": {
+        "evaluate": node(
+            "evaluate",
+            Rights(
+                publishes=(GAINS, REFERENCE),
+                subscribes=(STATE, BOX, DIAGNOSTICS),
+                answers=(OVERRIDE_SERVICE,),
+                calls=(ARM_SERVICE,),
+            ),
+        ),
+    },
+    "collect": {
+        "collect": node(
+            "collect",
+            Rights(publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, DIAGNOSTICS), calls=(ARM_SERVICE,)),
+        ),
+    },
+    "recorder": {"recorder": node("recorder", Rights(publishes=(DIAGNOSTICS,), subscribes=tuple(GRAPH)))},
+    "arm": {"arm": node("arm", Rights(calls=(ARM_SERVICE,)))},
+    "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},
+    "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK, LOG)))},
+}
+"""By executable, and by its nodes. `watch` is no executable of ours but a person's `ros2 topic echo`: it only reads."""
