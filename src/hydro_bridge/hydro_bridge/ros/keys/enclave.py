@@ -81,6 +81,6 @@ def no_keys(error: RuntimeError) -> SettingsError:
     keystore = os.environ.get(KEYSTORE) or "not set"
     return SettingsError(
         f"ROS does not start with keys ({KEYSTORE}: {keystore}): {said}; "
-        "`ros2 run hydro_bridge secure KEYSTORE` makes them, and docs/manual/explanation/network.md says what else they "
-        "need"
+        "`ros2 run hydro_bridge secure KEYSTORE` makes them, docs/manual/explanation/network.md says "
+        "what else they need"
     )
