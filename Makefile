@@ -20,7 +20,7 @@ test test-slow graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN
 test test-slow graph-repeat fast-tests colcon-test bench: export ROS_SECURITY_ENABLE := false
 
 .PHONY: help setup environment build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
-.PHONY: bench bench-peers fuzz format clean
+.PHONY: bench bench-peers fuzz format reference docs coverage clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -36,7 +36,7 @@ build: setup  ## the same: rebuilds and compiles after a change of messages, exe
 train: setup  ## a short training on the emulated bench over the serial line, recorded and evaluated
 	@$(SOURCED) ros2 run hydro_policy trainer --demo $(ARGS)
 
-prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261120" repeats docs/proof.md)
+prove: setup  ## the diagnosis on 20 sealed cases (ARGS="--cases 224 --seed 20261124" repeats docs/reports/proof.md)
 	@$(SOURCED) ros2 run hydro_diagnosis prove $(if $(ARGS),$(ARGS),--cases 20 --seed 1)
 
 test: lint setup  ## all checks and all tests but the studies: those of the graph alone, the others on two cores
@@ -78,6 +78,18 @@ bench-peers: setup  ## peers of the learner in an environment of their own (.ven
 
 fuzz: setup  ## a million hostile frames to the decoder
 	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)
+
+reference: setup  ## write the reference pages that follow from the code: commands, parameters, messages
+	@$(SOURCED) .venv/bin/python docs/generate_reference.py
+
+docs:  ## the manual as a site in site/, in an environment of its own (.venv-docs); every warning is an error
+	@[ -x .venv-docs/bin/python ] || $(PYTHON) -m venv .venv-docs
+	@.venv-docs/bin/python -m pip install -q -r requirements-docs.txt
+	@.venv-docs/bin/mkdocs build --strict --quiet && echo "site/index.html"
+
+coverage: setup  ## the fast tests with the share of lines that they reach, by package (ARGS="-k bag")
+	@$(SOURCED) .venv/bin/python -m coverage run -m pytest -m "not slow and not graph and not study" $(ARGS)
+	@.venv/bin/python -m coverage report
 
 format: environment  ## rewrite the sources in the house format
 	@.venv/bin/ruff format . && .venv/bin/ruff check --fix .

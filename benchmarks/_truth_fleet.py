@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The emulated bench as a plant of `envs.vector_env`: many truth plants in one compiled loop. Import registers it.
 
-Benchmarks alone may do this: no package may import the truth (docs/emulator.md).
+Benchmarks alone may do this: no package may import the truth (emulator.md).
 """
 
 from __future__ import annotations

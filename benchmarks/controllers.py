@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Controllers I to IV on the emulated bench and on benches that changed: docs/results.md's tables of many seeds.
+"""Controllers I to IV on the emulated bench and on benches that changed: results.md's tables of many seeds.
 
 Everything runs on the emulator's plant without clock or serial line: the same samples to the bit, many times as fast.
 
@@ -9,7 +9,7 @@ III  fixed (90, 15), the paper's
 IV   the best fixed gains of a grid on the nominal (default) bench; IV* of a grid on the bench at hand
 
 Each is measured with every noise seed on every reference; a cell is mean and standard deviation over training seeds
-(I) or noise seeds. The filter is not in the loop: where it matters is said in docs/safety.md.
+(I) or noise seeds. The filter is not in the loop: where it matters is said in safety.md.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ BENCHES: Mapping[str, Mapping[str, Any]] = {
     "valve gain -25 %": {"valve_gain": {"ratio": 0.75}},
     "cell 18 Hz": {"sensor_lag": {"bandwidth": 18.0, "damping": 0.55}},
 }
-"""What is changed in the emulator's default truth; keys of docs/emulator.md's effects."""
+"""What is changed in the emulator's default truth; keys of truth.md's effects."""
 
 Controllers = dict[str, Callable[[], Chooser]]
 

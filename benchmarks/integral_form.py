@@ -48,7 +48,7 @@ from hydro_sim.model.bench import Bench
 EVALUATION = EvaluationSettings()
 PAPER_III = (90.0, 15.0)
 BEST_FIXED = {"none": (105.0, 45.0), "constant": (105.0, 45.0), "learned": (300.0, 30.0)}
-"""K_p, K_i [1/s], [1/s^2]: the best of the grid behind each filter (docs/results.md)."""
+"""K_p, K_i [1/s], [1/s^2]: the best of the grid behind each filter (results.md)."""
 FIRST = 3.0
 """s that are looked at after the wait."""
 PARTS = ("tracking", "interrupted", "waited", "fresh")

@@ -45,7 +45,7 @@ def parser() -> argparse.ArgumentParser:
     )
     options.add_argument("--out", type=writable_folder, default="runs/demo", metavar="DIR", help="default runs/demo")
     options.add_argument("--truth", type=Path, default=Path(__file__).parent / "truth.yaml", metavar="FILE",
-                         help="the bench, a truth.yaml of the emulator (docs/emulator.md)")  # fmt: skip
+                         help="the bench, a truth.yaml of the emulator (docs/manual/reference/truth.md)")  # fmt: skip
     options.add_argument("--seeds", type=int, default=Plan.seeds, help="policies trained in either simulation")
     options.add_argument("--episodes", type=int, default=Plan.episodes, help="of each training")
     options.add_argument("--configuration", choices=("wide", "paper"), default=Plan.configuration,

@@ -38,7 +38,7 @@ class Plan:
     episodes: int = 64
     """Of each training."""
     configuration: str = "wide"
-    """What policies may do: `wide`, K_p up to 300, or `paper`, K_p up to 90 (docs/training.md)."""
+    """What policies may do: `wide`, K_p up to 300, or `paper`, K_p up to 90 (training.md)."""
     jobs: int = 2
     """Trainings side by side."""
 

@@ -29,7 +29,7 @@ def sense(bench, state, noise, quantum, row):
 def command(box, row, integral):
     """Write the force law's current into a row of readings and gains, and return the integral of K_i e [N/s].
 
-    The bumpless form of docs/protocol.md; with gains that stay as they are the paper's is the same.
+    The bumpless form of protocol.md; with gains that stay as they are the paper's is the same.
     """
     a, b, position, velocity = row[4], row[5], row[6], row[7]
     area, ratio, modulus = box.piston_area, box.area_ratio, box.bulk_modulus

@@ -3,7 +3,7 @@
 
 A step is half a step of dry friction, a step of Runge-Kutta of fourth order for all the rest, half a step of friction
 (Strang): the set-valued force is never differentiated. A mass that is held creeps by half a step's push, um/s, so that
-with dry friction the error falls with the step, not with its square (docs/proof.md has figures).
+with dry friction the error falls with the step, not with its square (proof.md has figures).
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The outcome of a diagnosis as typed values, and as report.json (docs/diagnosis.md, "report.json": a contract)."""
+"""The outcome of a diagnosis as typed values, and as report.json (report_json.md: a contract)."""
 
 from __future__ import annotations
 

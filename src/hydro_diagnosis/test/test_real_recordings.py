@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""EMPS, a real linear drive. Its recordings are not for redistribution: see docs/diagnosis.md, "Real recordings"."""
+"""EMPS, a real linear drive. Its recordings are not for redistribution: see diagnosis.md, "Real recordings"."""
 
 from __future__ import annotations
 

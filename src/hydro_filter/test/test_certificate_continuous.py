@@ -59,7 +59,7 @@ def test_half_line_is_the_papers_formula(certificate: Certificate, states: Float
 
 
 def test_constant_metric_bounds_the_proportional_gain_from_below(certificate: Certificate, states: FloatArray) -> None:
-    """docs/safety.md: M_c = 2 M_31 (kappa - K_p) (e / 300 N)^2, whatever the state."""
+    """safety.md: M_c = 2 M_31 (kappa - K_p) (e / 300 N)^2, whatever the state."""
     matrix = certificate.metric.matrix(states[0])
     floor = gain_floor(matrix, 0.1)
     for state in states:

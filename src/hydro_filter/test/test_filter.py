@@ -116,7 +116,7 @@ def closed_loop(bench: Bench, contraction_filter: ContractionFilter, gains: Floa
 
 
 def test_the_printed_sign_of_v_drives_the_force_away(bench: Bench) -> None:
-    """Erratum of docs/safety.md: constant destabilizing gains, three ways."""
+    """Erratum of safety.md: constant destabilizing gains, three ways."""
     gains = np.full((200, 2), (-5.0, 0.0))
     certificate = Reversed(**{name: getattr(FILTER.certificate, name) for name in Certificate.__dataclass_fields__})
     kept = closed_loop(bench, FILTER, gains)
@@ -167,7 +167,7 @@ def random_gains(seed: int, hold: int) -> FloatArray:
 def test_random_gains_stay_bounded_under_the_filter(
     bench: Bench, cell: float | None, hold: int, rate: float, seeds: int
 ) -> None:
-    """Table of docs/safety.md, fewer seeds. Without the filter most runs trip; with it none does."""
+    """Table of safety.md, fewer seeds. Without the filter most runs trip; with it none does."""
     plant = replace(bench, load_cell_bandwidth=cell)
     kept, lost = 0, 0
     for seed in range(seeds):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What docs/safety.md claims of the constant metric."""
+"""What safety.md claims of the constant metric."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The failure table of docs/architecture.md, row by row, and arming."""
+"""The failure table of failures.md, row by row, and arming."""
 
 from __future__ import annotations
 

@@ -199,7 +199,7 @@ EXAMPLES: dict[str, Any] = {
 
 @pytest.mark.parametrize("section", [Effects, Outside])
 def test_documentation_names_every_effect_and_every_setting(section: type) -> None:
-    page = Path(__file__).parents[3] / "docs" / "emulator.md"
+    page = Path(__file__).parents[3] / "docs" / "manual" / "reference" / "truth.md"
     rows = {line.split("|")[1].strip(" +"): line for line in page.read_text().splitlines() if line.count("|") > 3}
     for field in fields(section):
         settings = fields(get_type_hints(section)[field.name].__args__[0])

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Writes recordings: a rosbag2 folder with metadata.yaml (version 9) and one .mcap, without ROS.
 
-What the readers insist on, and what `kill -9` leaves: docs/recordings.md.
+What the readers insist on, and what `kill -9` leaves: recordings.md.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge's end of the serial line: the state machine of docs/protocol.md, without ROS.
+"""The bridge's end of the serial line: the state machine of protocol.md, without ROS.
 
 One thread runs `run`: it opens the port, negotiates, hands each new sample on and sees to it that a command follows
 each sample. Other threads tell the guard what is wanted (under `lock`) and may `send` at once. CLOSED -> OPEN ->

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far nodes look for one another, and how soon they find each other (docs/network.md).
+"""How far nodes look for one another, and how soon they find each other (network.md).
 
 On this machine only, unless the user says otherwise. The one place for it is ROS's own variable, `RANGE`. LOCALHOST
 stops Fast DDS from multicasting, but not from listening on all addresses: `PROFILES` does. Whatever the range, nodes

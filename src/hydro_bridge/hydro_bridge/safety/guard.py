@@ -5,7 +5,7 @@ The guard believes nobody. A value that is not finite is dropped, one out of ran
 by the safe one (base gains, no correction); each is counted, and each change is told once in a sentence
 (`take_events`). On the word of a filter whose model is not this bench's (MISMATCH) no correction passes, and gains
 within the narrow range alone. If nobody chooses gains any more it gives the plant up: reference 0 N, disarmed. Source:
-failure table of docs/architecture.md.
+failure table of failures.md.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ _LINE_MAX = 3.4028234e38
 
 @dataclass(frozen=True, kw_only=True)
 class GuardSettings:
-    """Limits and ages. Defaults: the paper's Table training_agent and the failure table of docs/architecture.md."""
+    """Limits and ages. Defaults: the paper's Table training_agent and the failure table of failures.md."""
 
     delta_kp_min: float = 0.0
     """1/s, smallest change of the proportional gain, [-200, 0]."""

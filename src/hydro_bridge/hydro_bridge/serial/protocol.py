@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of the serial line: bytes <-> values. docs/protocol.md has the byte tables and the reasons.
+"""Frames of the serial line: bytes <-> values. protocol.md has the byte tables and the reasons.
 
 A frame on the wire, all little endian::
 

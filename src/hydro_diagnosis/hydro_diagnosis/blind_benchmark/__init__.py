@@ -4,5 +4,5 @@
 `magnitudes`, `cases`: what is concealed; `seal`: the answers, digest first; `recording`, `bench_graph`: the emulator as
 a process; `access_guard`, `blind`: the diagnosis in a process that sees recordings and bench.yaml alone; `oracle_fit`:
 the fit of the true structure, after opening; `names`, `facts`, `standards`: scores; `pictures`, `page`: what is shown.
-`prove` puts them together. docs/proof.md.
+`prove` puts them together. proof.md.
 """

@@ -4,7 +4,7 @@
 Draws benches with nothing, one, two or three causes concealed (effects, wrong bench values, other forms, causes that
 have no name), seals the answers and prints their SHA-256, records each bench through the emulator, has the diagnosis
 look at recordings and bench.yaml in a process of its own, opens the seal, checks the digest, and scores. After Ctrl-C
-the same command goes on where it was. docs/proof.md.
+the same command goes on where it was. proof.md.
 """
 
 from __future__ import annotations

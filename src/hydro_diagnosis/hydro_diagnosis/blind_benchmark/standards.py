@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The standards that the diagnosis is held to (docs/diagnosis.md), each with its goal and what was reached."""
+"""The standards that the diagnosis is held to (diagnosis.md), each with its goal and what was reached."""
 
 from __future__ import annotations
 

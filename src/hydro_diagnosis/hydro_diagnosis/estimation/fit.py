@@ -2,7 +2,7 @@
 """Least squares over the parameters of some claims, with each channel weighed by what it leaves unexplained.
 
 A channel's deviation is never taken below the measured noise, and above it where the claims leave a remainder: so a
-channel that nobody can explain does not drown the evidence of the others (docs/diagnosis.md, "Evidence").
+channel that nobody can explain does not drown the evidence of the others (diagnosis.md, "Evidence").
 """
 
 from __future__ import annotations

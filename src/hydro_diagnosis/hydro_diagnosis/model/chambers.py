@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Valve and oil: how much pressure and hydraulic force a sample of recorded valve current and motion must have built.
 
-The two chamber equations (paper eq. q13, docs/physics.md) are integrated from sample to sample. Displacement is the
+The two chamber equations (paper eq. q13, physics.md) are integrated from sample to sample. Displacement is the
 difference
 of recorded positions, exactly; flow is the mean opening of the valve within the sample times the root of the pressure
 drop at its middle.

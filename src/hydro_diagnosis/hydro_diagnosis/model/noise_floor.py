@@ -52,7 +52,7 @@ _SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_
 
 
 FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
-"""Pa, N: the residuals' own discretization is not better than this (docs/diagnosis.md, "Noise floor")."""
+"""Pa, N: the residuals' own discretization is not better than this (diagnosis.md, "Noise floor")."""
 
 
 def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:

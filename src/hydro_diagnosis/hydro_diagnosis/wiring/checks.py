@@ -3,7 +3,7 @@
 
 A force goes with the pressures that make it, a spring's with its travel, the piston runs where the valve sends it,
 numbers are of the size of the bench's, and no sensor copies another. The margins are several times what any effect of
-the table does to a recording (docs/diagnosis.md, "Mistakes of wiring and units").
+the table does to a recording (column_maps.md, "Mistakes of wiring and units").
 """
 
 from __future__ import annotations

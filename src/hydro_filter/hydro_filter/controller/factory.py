@@ -9,7 +9,7 @@ displacement    of the whole loop from its reference          of the load force 
 settings        `LoopFilterSettings`                          `FilterSettings`
 =============== ============================================= ==========================================
 
-What each holds and does not: docs/safety.md.
+What each holds and does not: safety.md.
 """
 
 from __future__ import annotations

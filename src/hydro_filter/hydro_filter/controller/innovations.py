@@ -19,7 +19,7 @@ is for the first, the clip for the second. The sensors' noise is far below both:
 alarm 0.1 N of load, 0.3 N of motion, 0.2 N of hydraulic force, 85 Pa of a chamber. So no alarm is chance.
 
 What was told stays told until the equations have held for `RETURN` samples that moved the bench at least half as hard
-as when it was told: neither a gap nor a new arming ends it. Measured: docs/safety.md.
+as when it was told: neither a gap nor a new arming ends it. Measured: safety.md.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@
     loop_decision.decide(parts, memory[i], x, ...)         the same call for a compiled loop
 
 Samples must follow one another, each once. A correction acts one sample after its own. Which gains are held, and what
-is not: docs/safety.md.
+is not: safety.md.
 
 `LoopFilter` also watches whether the model is still the bench's (`innovations`); where it is not, every answer is
 MISMATCH and corrects nothing. A `VectorLoopFilter` does not: its benches are simulated, by that model or on purpose by

@@ -16,7 +16,7 @@ R(x_p) = -(dh/dx_p') / k_s, w = k_s / m::
 Without the delay (tau = 0) this loop is unstable from K_p = b/m = 50 on: cancelling h takes away the oil's own
 damping, and the delay gives some of it back. P solves the Lyapunov equation (A_c + lambda I)' P + P (A_c + lambda I) =
 -Q at mid-stroke, and M = T' P T + eps I. A_c is affine in (K_p, R), so what holds at the corners of a range of gains
-and positions holds inside; which range that is, `contraction_rate` says and the tests check. Source: docs/safety.md.
+and positions holds inside; which range that is, `contraction_rate` says and the tests check. Source: safety.md.
 """
 
 from __future__ import annotations
@@ -152,6 +152,6 @@ def gain_floor(matrix: FloatArray, contraction_rate: float) -> float:
     """The proportional gain [1/s] below which the certificate of a constant M = T'PT + eps I is violated.
 
     kappa = lambda M_33 / M_31: with v along f_l alone, eq. cont_require_6 reads K_p >= kappa (derivation:
-    docs/safety.md).
+    safety.md).
     """
     return float(contraction_rate * matrix[LOAD_FORCE, LOAD_FORCE] / matrix[LOAD_FORCE, HYDRAULIC_FORCE])

@@ -10,7 +10,7 @@
 M is symmetric and positive definite whatever the weights are. L' is the network's derivative along x', exact where no
 ReLU changes sides. K_p is an input because no one metric holds for all stable gains: the loop is about s^2 + d s +
 w^2 with w^2 proportional to K_p, and one quadratic form decays for all of w^2 in [p, q] only if sqrt(q) - sqrt(p) < d
-(docs/safety.md). `foreign` is 1 for gains outside of the certified range: those are corrected by one metric of their
+(safety.md). `foreign` is 1 for gains outside of the certified range: those are corrected by one metric of their
 own, the table's last factor, and their K_p is not shown to the network.
 
 The table holds solutions of Riccati and Lyapunov equations (`metric.design`): with the network's weights at zero they

@@ -12,7 +12,7 @@ unique off the consistent states. The choice here, row by row::
 
 The spring's force on the mass is taken from the position, not from the load cell: then f_l enters the motion by the
 feedback alone, as it does on a bench whose load cell lags, and a displacement along f_l asks what the feedback does to
-it. Source: paper eq. q13-q15 with docs/physics.md's erratum; the derivation is checked against `hydraulics` in the
+it. Source: paper eq. q13-q15 with physics.md's erratum; the derivation is checked against `hydraulics` in the
 tests.
 """
 

@@ -13,7 +13,7 @@ the law divides by g, and so the loop is nearly the same everywhere. One sample 
     q_{k+1} = F q_k + G u_k        F, G: exact, of the full learned state; a nudge of f_h is spread over the pressures
     u_k     = K q_k                as the chambers' stiffnesses do         K: exact, of the force law that the box runs
 
-Dry friction is a bounded disturbance, no part of the loop, and is left out of F (docs/safety.md). K is taken on the
+Dry friction is a bounded disturbance, no part of the loop, and is left out of F (safety.md). K is taken on the
 side of zero on which the spool stands, as F is: the two part for the few milliseconds in which the spool follows a
 current through zero.
 """

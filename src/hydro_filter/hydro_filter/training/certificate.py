@@ -2,7 +2,7 @@
 """The empirical certificate: how the contraction matrix stands on windows that were not trained on.
 
 Empirical means: samples of rollouts of the learned model, not a proof over a set of states. What that is worth:
-docs/safety.md.
+safety.md.
 """
 
 from __future__ import annotations

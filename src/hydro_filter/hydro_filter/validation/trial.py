@@ -113,7 +113,7 @@ def roomy(box: BoxConfig) -> GuardSettings:
 
 
 class Gammas(NamedTuple):
-    """The paper's Table val_cont, with the shares named by what they count (docs/physics.md, decisions)."""
+    """The paper's Table val_cont, with the shares named by what they count (physics.md, decisions)."""
 
     correction: float
     """gamma_1: mean |delta_u| over u_max."""

@@ -54,7 +54,7 @@ def relied_on(words: Sequence[str]) -> str:
 
 
 def uncovered(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
-    """Why this filter does not protect from the whole range of gains; empty where it does (docs/safety.md)."""
+    """Why this filter does not protect from the whole range of gains; empty where it does (safety.md)."""
     choice, settings = asked_filter(words, bench)
     if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
         return ""

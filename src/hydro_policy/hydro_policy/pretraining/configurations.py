@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The named configurations: `paper` is Table training_agent, `wide` what the better filter allows.
 
-docs/training.md says what each value of `wide` was measured to do.
+training_figures.md says what each value of `wide` was measured to do.
 """
 
 from __future__ import annotations

@@ -79,7 +79,9 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument(
         "--base-gains", nargs=2, type=float, metavar=("KP", "KI"), help="of the box (default: 15 5, the paper's)"
     )
-    what.add_argument("--randomise", action="store_true", help="another bench every episode: see docs/training.md")
+    what.add_argument(
+        "--randomise", action="store_true", help="another bench every episode: docs/manual/how-to/pretrain.md"
+    )
     what.add_argument(
         "--filter", choices=FILTERS, default="none", help="the filter between policy and box (default: none)"
     )
@@ -87,7 +89,9 @@ def parser() -> argparse.ArgumentParser:
         "--integral", choices=get_args(Integral), default="bumpless", help="of the box's force law (default: bumpless)"
     )
     how = result.add_argument_group("how")
-    how.add_argument("--configuration", choices=CONFIGURATIONS, default="paper", help="see docs/training.md")
+    how.add_argument(
+        "--configuration", choices=CONFIGURATIONS, default="paper", help="see docs/manual/how-to/pretrain.md"
+    )
     how.add_argument("--episodes", type=int, metavar="N", help="default 160")
     how.add_argument("--hidden", type=int, metavar="N", help="units in each of the two hidden layers, default 32")
     how.add_argument("--steps", type=int, metavar="N", help="policy steps of 10 ms in an episode, default 1800")

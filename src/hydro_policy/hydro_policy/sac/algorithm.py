@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Soft Actor-Critic (Haarnoja et al. 2018) with the paper's Table training_agent as defaults.
 
-docs/training.md gives the equations line by line. The gradients of the two losses are written out (`mlp` says why), and
+training.md gives the equations line by line. The gradients of the two losses are written out (`mlp` says why), and
 that shows how little there is to the algorithm. Nothing here knows of hydraulics, ROS or processes.
 """
 

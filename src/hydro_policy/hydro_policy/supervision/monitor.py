@@ -30,7 +30,7 @@ _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorSettings:
-    """Limits; docs/training.md gives the measurements on good and bad runs that the defaults stand between."""
+    """Limits; training_figures.md gives the measurements on good and bad runs that the defaults stand between."""
 
     peak_error: float = 300.0
     """N, |e| in the mean over a policy step. [1, 1e5]."""

@@ -87,7 +87,7 @@ class GainRange:
 
 @dataclass(frozen=True, kw_only=True)
 class TaskSettings:
-    """Reward, gains, episodes (paper eq. reward, Table training_agent; units from docs/physics.md)."""
+    """Reward, gains, episodes (paper eq. reward, Table training_agent; units from physics.md)."""
 
     error_weight: float = 100.0
     """Q_1, on the square of e / force_scale. [0, 1e6]."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 run hydro_sim emulator`: the emulated bench on a serial line, or recorded offline. docs/emulator.md."""
+"""`ros2 run hydro_sim emulator`: the emulated bench on a serial line, or recorded offline. emulator.md."""
 
 from __future__ import annotations
 

@@ -37,7 +37,8 @@ DEVICE_HELP = (
 
 STRUCTURE_HELP = (
     "structured: equations with learned constants, and a network for the rest; residual: a network on top of the bench "
-    "file's equations; network: the paper's, x' by a network alone (default structured; docs/learned_model.md compares)"
+    "file's equations; network: the paper's, x' by a network alone (default structured; "
+    "docs/reports/learned_bench.md compares)"
 )
 RESUME_HELP = (
     "go on from WEIGHTS' checkpoint, if there is one, with what it was begun with; --epochs, --patience, --device and "

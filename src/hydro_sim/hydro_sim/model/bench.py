@@ -2,7 +2,7 @@
 """What the bench is believed to be: `bench.yaml` as a checked, immutable value.
 
 Names, units and ranges stand once, in the fields of `Bench`; everything else (loading, checking, the record that
-compiled code reads) is derived from them. Values: docs/physics.md, "The nominal bench".
+compiled code reads) is derived from them. Values: physics.md, "The nominal bench".
 """
 
 from __future__ import annotations

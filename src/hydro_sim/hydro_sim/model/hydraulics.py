@@ -11,7 +11,7 @@ Everywhere here `bench` is one record of `model.bench.BENCH_DTYPE` (`Bench.const
     p_b' = beta/V_b (alpha A_p x_p' - q_b)     V_b = V_dead_b + alpha A_p (L_c - x_p)
     m x_p'' = f_h - b x_p' - f_l - f_stop      f_h = A_p p_a - alpha A_p p_b,  f_l = k_s (x_p - x_rest)
 
-Source: paper eq. q13-q15 and q4, docs/physics.md; `input_gain` carries the erratum's plus sign.
+Source: paper eq. q13-q15 and q4, physics.md; `input_gain` carries the erratum's plus sign.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def velocity_term(bench, position, velocity):
 
 @njit(cache=True)
 def input_gain(bench, position, pressure_a, pressure_b, opening):
-    """g [N/s/A] (eq. q15 with a plus, see the erratum in docs/physics.md), for currents with the sign of `opening`."""
+    """g [N/s/A] (eq. q15 with a plus, see the erratum in physics.md), for currents with the sign of `opening`."""
     volume_a, volume_b = volumes(bench, position)
     gain_a, gain_b = flow_gains(bench, pressure_a, pressure_b, opening)
     return bench.bulk_modulus * bench.piston_area * (gain_a / volume_a + bench.area_ratio * gain_b / volume_b)

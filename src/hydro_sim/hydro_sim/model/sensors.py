@@ -9,7 +9,7 @@
     x        f_h  f_h'  f_l  f_l'  p_a  p_b  x_p  x_p'            PLANT_FIELDS, 8 (eq. state_def)
 
 A rate is r_k = a r_{k-1} + (1 - a) (z_k - z_{k-1}) / T. At low frequency it lags by T/2 + T a/(1 - a): its *age*, the
-setting. The velocity's is 1 ms because the force law cancels the velocity term with it (docs/physics.md).
+setting. The velocity's is 1 ms because the force law cancels the velocity term with it (physics.md).
 """
 
 from __future__ import annotations

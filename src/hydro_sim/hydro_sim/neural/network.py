@@ -9,7 +9,7 @@
     loss   mean over windows, horizon and states of (z - measured)^2                       form "squared", the default
            mean over windows and states of (sum over the horizon of (z - measured))^2      form "printed", eq. loss
 
-Source: paper eq. state, eq. loss, Table training; docs/physics.md says why the printed form is not the default.
+Source: paper eq. state, eq. loss, Table training; learned_model.md says why the printed form is not the default.
 """
 
 from __future__ import annotations

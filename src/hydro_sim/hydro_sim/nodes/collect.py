@@ -150,7 +150,7 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument("--seconds", type=float, default=600.0, help="length of the schedule")
     parser.add_argument("--seed", type=int, default=1, help="of the schedule")
     parser.add_argument(
-        "--schedule", metavar="FILE", help="play this one instead of drawing one (docs/emulator.md, Schedule)"
+        "--schedule", metavar="FILE", help="play this one instead of drawing one (docs/manual/reference/schedule.md)"
     )
     parser.add_argument(
         "--write-schedule", type=writable, metavar="FILE", help="write the schedule, for instance for the emulator"

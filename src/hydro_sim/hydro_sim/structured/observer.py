@@ -29,7 +29,7 @@ SPREAD: FloatArray = np.array([2e4, 2e4, 2e-6, 2e-3, 2e-3, 1.0, 2.0, 200.0, 1e-5
 
 
 READING_NOISE: FloatArray = np.array([0.6, 0.6, 6e3, 6e3, 3e-7])
-"""Standard deviation of f_h, f_l [N], p_a, p_b [Pa], x_p [m] in one sample (docs/physics.md; 1 um / sqrt(12) for
+"""Standard deviation of f_h, f_l [N], p_a, p_b [Pa], x_p [m] in one sample (physics.md; 1 um / sqrt(12) for
 x_p).
 """
 

@@ -15,7 +15,7 @@
     friction = sigma_0 z + sigma_1 exp(-(x_p'/v_d)^2) slip   slip = z' = x_p' - sigma_0 |x_p'| / level z
     level    = F_c + F_s exp(-(x_p'/v_s)^2)
 
-Source: paper eq. q13-q15 (with docs/physics.md's erratum); Merritt, Hydraulic Control Systems, 1967 (spool, leakage);
+Source: paper eq. q13-q15 (with physics.md's erratum); Merritt, Hydraulic Control Systems, 1967 (spool, leakage);
 Canudas de Wit et al., IEEE TAC 40(3), 1995 (LuGre friction). All numbers in `c` are learned; `constants` says what
 they are.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which keys this process takes: the enclave of its executable, whichever way it was started (docs/network.md).
+"""Which keys this process takes: the enclave of its executable, whichever way it was started (network.md).
 
 Security is switched on by ROS's own variables, for a process and for those that it starts. ROS takes exactly `true` for
 on, and runs open without a word where a key is missing, unless the strategy is exactly `Enforce`: here a value that it
@@ -81,5 +81,6 @@ def no_keys(error: RuntimeError) -> SettingsError:
     keystore = os.environ.get(KEYSTORE) or "not set"
     return SettingsError(
         f"ROS does not start with keys ({KEYSTORE}: {keystore}): {said}; "
-        "`ros2 run hydro_bridge secure KEYSTORE` makes them, docs/network.md says what else they need"
+        "`ros2 run hydro_bridge secure KEYSTORE` makes them, docs/manual/explanation/network.md says "
+        "what else they need"
     )

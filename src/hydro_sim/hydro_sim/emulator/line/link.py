@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box's end of the serial line: states up, commands down, through a line that may be faulty. docs/protocol.md."""
+"""The box's end of the serial line: states up, commands down, through a line that may be faulty. protocol.md."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LinkReport:
 
 
 class CommandOrder:
-    """Takes the commands of one conversation each once and in order; docs/protocol.md, Order of commands."""
+    """Takes the commands of one conversation each once and in order; protocol.md, Order of commands."""
 
     def __init__(self) -> None:
         self._newest: int | None = None

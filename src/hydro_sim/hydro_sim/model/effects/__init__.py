@@ -8,5 +8,5 @@
     current ─ valve: delay, spool, overlap ─ edges ─ oil: supply, leaks, stiffness ─ motion: friction, load ─ sensing
 
 `integration` puts them together; `model.plant.AnalyticPlant` runs it for a bench that has effects. Definitions are
-those of the diagnosis' library (docs/physics.md, "Effects"); the code is not, and the emulator's neither.
+those of the diagnosis' library (physics.md, "Effects"); the code is not, and the emulator's neither.
 """

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pages say what is there: links, commands, options, modules and generated pages. (`make docs` checks the site.)"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import importlib
+import re
+import shlex
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+
+import pytest
+import yaml
+
+from docs import generate_reference
+
+ROOT = Path(__file__).resolve().parent.parent
+DOCS = ROOT / "docs"
+FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
+PAGES = [*FRONT, *sorted(DOCS.rglob("*.md"))]
+MANUAL = [path for path in PAGES if path in FRONT or DOCS / "manual" in path.parents]
+SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") for path in (ROOT / folder).rglob("*.py")]
+CI = ".github/workflows/ci.yml"
+TO_BE_REWRITTEN = {"safety.md", "network.md", "recordings.md"}
+"""Pages of the manual that are not in its form yet."""
+
+FENCE = re.compile(r"^\s*```")
+LINK = re.compile(r"\]\(([^)\s]+)\)")
+RUN = re.compile(r"ros2 run (\w+) (\w+)")
+MAKE = re.compile(r"(?:^|`)\s*make ([a-z][a-z-]*)", re.MULTILINE)
+MODULE = re.compile(r"python -m ((?:benchmarks|demo|tests)[\w.]*)(?: (\w+))?")
+PAGE_NAME = re.compile(r"(?<![\w./-])((?:docs/[\w/-]+/)?[a-z][\w-]*)\.md\b")
+
+page = pytest.mark.parametrize("path", PAGES, ids=lambda path: str(path.relative_to(ROOT)))
+
+
+def slug(title: str) -> str:
+    """Return a heading's anchor, as GitHub and the site make it."""
+    words = re.sub(r"[`*]|\[([^\]]*)\]\([^)]*\)", lambda found: found[1] or "", title).strip().lower()
+    return re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
+
+
+@lru_cache
+def prose(path: Path) -> tuple[str, ...]:
+    """Return a page's lines outside of fenced blocks."""
+    lines, inside = [], False
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if FENCE.match(line):
+            inside = not inside
+        elif not inside:
+            lines.append(line)
+    return tuple(lines)
+
+
+def anchors(path: Path) -> set[str]:
+    return {slug(line.lstrip("#")) for line in prose(path) if re.match(r"#+ ", line)}
+
+
+@lru_cache
+def targets() -> frozenset[str]:
+    makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
+    return frozenset(re.findall(r"^([a-z-]+):", makefile, re.MULTILINE))
+
+
+def command_lines(path: Path) -> Iterator[str]:
+    """Yield each `ros2 run` line of a page's blocks, continued lines joined, comments taken off."""
+    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+    for line in text.splitlines():
+        if re.match(r"\s*ros2 run \w+ \w+(\s|$)", line):
+            yield re.split(r"\s#\s|\s{3,}", line.strip())[0]
+
+
+@lru_cache
+def parser_of(package: str, name: str) -> argparse.ArgumentParser:
+    return generate_reference.parser_of(generate_reference.executables(package)[name])
+
+
+@page
+def test_links_lead_somewhere(path: Path) -> None:
+    lost = []
+    for link in LINK.findall("\n".join(prose(path))):
+        name, _, anchor = link.partition("#")
+        target = (path.parent / name).resolve() if name else path
+        if "://" in link:
+            continue
+        if not target.exists() or (anchor and target.suffix == ".md" and anchor not in anchors(target)):
+            lost.append(link)
+    assert lost == []
+
+
+@page
+def test_commands_exist(path: Path) -> None:
+    text = path.read_text(encoding="utf-8")
+    unknown = [
+        f"{package} {name}"
+        for package, name in RUN.findall(text)
+        if name not in generate_reference.executables(package)
+    ]
+    unknown += [f"make {target}" for target in MAKE.findall(text) if target not in targets()]
+    for module, argument in MODULE.findall(text):
+        name = f"{module}.{argument}" if module == "benchmarks" and argument else module
+        place = ROOT / name.replace(".", "/")
+        if not place.with_suffix(".py").exists() and not (place / "__main__.py").exists():
+            unknown.append(name)
+    assert unknown == []
+
+
+@page
+def test_options_are_known_to_their_commands(path: Path) -> None:
+    unknown = []
+    for line in command_lines(path):
+        words = shlex.split(line.split("--ros-args")[0].split(" > ")[0].split(" && ")[0])
+        known = parser_of(words[2], words[3])._option_string_actions if len(words) > 3 else {}
+        unknown += [word for word in words[4:] if word.startswith("--") and word.split("=")[0] not in known]
+    assert unknown == []
+
+
+@page
+def test_python_blocks_import_what_is_there(path: Path) -> None:
+    lost = []
+    for block in re.findall(r"^```python\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+        if path.name == "architecture.md":  # signatures, no program
+            continue
+        for node in ast.walk(ast.parse(block)):
+            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("hydro_"):
+                module = importlib.import_module(node.module)
+                lost += [f"{node.module}.{name.name}" for name in node.names if not hasattr(module, name.name)]
+    assert lost == []
+
+
+def test_yaml_blocks_can_be_read() -> None:
+    for path in PAGES:
+        for block in re.findall(r"^```yaml\n(.*?)^```", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL):
+            assert yaml.safe_load(block), path
+
+
+def test_ci_and_pre_commit_call_targets_that_exist() -> None:
+    text = "".join((ROOT / name).read_text(encoding="utf-8") for name in (".pre-commit-config.yaml", CI))
+    called = set(re.findall(r"(?:run|entry): make (?:--no-print-directory )?([a-z-]+)", text))
+    assert called >= {"lint", "test", "docs", "coverage"}
+    assert called <= targets()
+
+
+def test_ci_runs_the_pythons_that_are_claimed() -> None:
+    matrix = yaml.safe_load((ROOT / CI).read_text(encoding="utf-8"))["jobs"]["test"]["strategy"]["matrix"]["python"]
+    first, last = re.search(r"3\.(\d+) to 3\.(\d+)", (ROOT / "README.md").read_text(encoding="utf-8")).groups()
+    assert matrix == [f"3.{minor}" for minor in range(int(first), int(last) + 1)]
+
+
+def test_generated_pages_are_current() -> None:
+    pages = generate_reference.pages()
+    stale = [str(path.relative_to(ROOT)) for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
+    assert stale == [], "make reference"
+
+
+def test_every_page_has_a_name_of_its_own() -> None:
+    names = [path.name for path in DOCS.rglob("*.md") if path.name != "index.md" and path.parent.name != "commands"]
+    assert sorted(names) == sorted(set(names))
+
+
+def test_pages_that_the_sources_name_are_there() -> None:
+    """Sources name a page by its file's name alone; what a user reads has the whole path."""
+    names = {path.name for path in PAGES}
+    lost = []
+    for source in SOURCES:
+        for name in PAGE_NAME.findall(source.read_text(encoding="utf-8")):
+            if not ((ROOT / f"{name}.md").exists() if "/" in name else f"{name}.md" in names):
+                lost.append(f"{source.relative_to(ROOT)}: {name}.md")
+    assert lost == []
+
+
+@pytest.mark.parametrize("path", MANUAL, ids=lambda path: str(path.relative_to(ROOT)))
+def test_lines_of_the_manual_are_at_most_120_characters(path: Path) -> None:
+    if path.name in TO_BE_REWRITTEN:
+        pytest.skip("not rewritten yet")
+    long = [line for line in prose(path) if len(line) > 120 and not line.lstrip().startswith(("|", "<!--"))]
+    assert long == []
