@@ -131,15 +131,15 @@ PEEKS = {
 
 PEEKING = """
 import importlib, json, os, pathlib, subprocess, sys
-from hydro_diagnosis.blind_benchmark import blindfold
+from hydro_diagnosis.blind_benchmark import access_guard
 hidden = pathlib.Path(sys.argv[1])
-blindfold.put_on(hidden, hidden / "blind")
+access_guard.put_on(hidden, hidden / "blind")
 seen = {}
 for peek in json.loads(sys.argv[2]):
     try:
         eval(peek)
         seen[peek] = True
-    except blindfold.SealedError:
+    except access_guard.SealedError:
         seen[peek] = False
 print(json.dumps(seen))
 """

@@ -128,7 +128,7 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
     """15 min are 113 MB of numbers; held are a stretch, its check and the windows."""
     path = bag(tmp_path, 900.0)
     tracemalloc.start()
-    fitted, held, notes = loading.taken([path], [], BENCH)
+    fitted, held, notes = loading.load_dataset([path], [], BENCH)
     _, peak = tracemalloc.get_traced_memory()
     tracemalloc.stop()
     assert peak < 90e6

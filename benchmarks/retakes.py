@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Benches that the force law cannot drive: after how many attempts a run can be used, and what is then named.
 
-    python src/hydro_diagnosis/benchmarks/retakes.py --folder runs/retakes --json runs/retakes.json
+    python -m benchmarks.retakes --folder runs/retakes --json runs/retakes.json
 
 Drawn are benches whose valve passes more than bench.yaml says, in one way or another, and references as in a proof.
 Each run is recorded anew, attempt after attempt, until an operator would take it (`blind_benchmark.retake`).

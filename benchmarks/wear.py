@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The wear story: a model was learned on the healthy bench, the bench wears, and the diagnosis says what has changed.
 
-    python src/hydro_diagnosis/benchmarks/wear.py --folder runs/wear --json runs/wear.json
+    python -m benchmarks.wear --folder runs/wear --json runs/wear.json
 
 The healthy bench is the emulator's default profile; the model, the weights that come with hydro_sim, learned on it.
 Each case is recorded anew by the emulator's command: two runs of 20 s are fitted, a third is held out.
