@@ -22,24 +22,16 @@ import numpy as np
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
-from std_srvs.srv import SetBool
 
 from hydro_bridge.bags.recording import continuity, read_bag
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command
 from hydro_bridge.ros import (
-    ARM_SERVICE,
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
-    GAINS,
-    GAINS_QOS,
-    REFERENCE,
-    REFERENCE_QOS,
+    Commander,
     Companion,
-    reference_to_message,
 )
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_msgs.msg import Gains
-from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 
@@ -54,11 +46,10 @@ class Driver:
         self.executor.add_node(self.node)
         self.told: dict[str, dict[str, str]] = {}
         self.node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
-        self.node.create_publisher(ReferenceMessage, REFERENCE, REFERENCE_QOS).publish(reference_to_message(SINE))
-        self._gains = self.node.create_publisher(Gains, GAINS, GAINS_QOS)
+        self._commander = Commander(self.node)
+        self._commander.reference(SINE)
         self._rng = np.random.default_rng(0)
         self._step = 0
-        self._arm = self.node.create_client(SetBool, ARM_SERVICE)
 
     def await_node(self, name: str, timeout: float = 30.0) -> None:
         """Wait until a node tells its diagnostics."""
@@ -80,8 +71,8 @@ class Driver:
         deadline = time.monotonic() + timeout
         answer = ""
         while time.monotonic() < deadline:
-            if self._arm.wait_for_service(timeout_sec=0.5):
-                future = self._arm.call_async(SetBool.Request(data=True))
+            future = self._commander.arm(True)
+            if future is not None:
                 self.executor.spin_until_future_complete(future, timeout_sec=2.0)
                 if future.done() and future.result().success:
                     return
@@ -98,10 +89,9 @@ class Driver:
                 self.executor.spin_once(timeout_sec=due)
                 continue
             steps, self._step = steps + 1, self._step + 1
+            self._commander.seek(time.monotonic())
             delta_kp, delta_ki = self._rng.uniform((0.0, 0.0), (75.0, 10.0))
-            message = Gains(delta_kp=delta_kp, delta_ki=delta_ki, step=self._step)
-            message.header.stamp = self.node.get_clock().now().to_msg()
-            self._gains.publish(message)
+            self._commander.gains(delta_kp, delta_ki, self._step)
 
     def close(self) -> None:
         """End."""

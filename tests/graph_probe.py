@@ -17,17 +17,15 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from std_srvs.srv import SetBool
 
-from hydro_bridge.ros import ARM_SERVICE, GAINS, GRAPH, REFERENCE, STATE, TRAINING, executable_path
+from hydro_bridge.ros import ARM_SERVICE, CLAIM_SERVICE, GAINS, GRAPH, STATE, TRAINING, Commander, executable_path
 from hydro_bridge.signals import Flag
+from hydro_msgs.srv import Claim
 
 
 class Probe:
-    """Hears states, gains and training status; arms, and publishes what it is told.
+    """Hears states, gains and training status; arms as a person does, and commands the plant when told to."""
 
-    `gains`: publish these, too. A plant beside a trainer is not armed while another node does.
-    """
-
-    def __init__(self, *, gains: bool = False) -> None:
+    def __init__(self) -> None:
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node("probe", context=self.context)
@@ -37,9 +35,11 @@ class Probe:
             self.node.create_subscription(
                 kind, topic, lambda m, heard=messages: heard.append((time.monotonic(), m)), qos
             )
-        sent = (GAINS, REFERENCE) if gains else (REFERENCE,)
-        self.senders = {t: self.node.create_publisher(GRAPH[t][0], t, GRAPH[t][1]) for t in sent}
-        self.arming = self.node.create_client(SetBool, ARM_SERVICE)
+        self.commander = Commander(self.node)
+        self.commands = False
+        """Whether it keeps the authority."""
+        self.arming = self.node.create_client(Claim, CLAIM_SERVICE)
+        self.disarming = self.node.create_client(SetBool, ARM_SERVICE)
         self._executor = SingleThreadedExecutor(context=self.context)
         self._executor.add_node(self.node)
 
@@ -55,6 +55,13 @@ class Probe:
                 assert not required, "waited in vain"
                 return
             self._executor.spin_once(timeout_sec=0.02)
+            if self.commands:
+                self.commander.seek(time.monotonic())
+
+    def take(self, timeout: float = 30.0) -> None:
+        """Take the authority over the plant, and keep it."""
+        self.commands = True
+        self.wait(lambda: self.commander.held, timeout)
 
     def wait_for(self, topic: str, wanted: Callable[[Any], object], timeout: float = 30.0) -> Any:
         """Let messages come in until one of a topic is `wanted`; returns the first that is."""
@@ -64,8 +71,10 @@ class Probe:
 
     def arm(self, arm: bool) -> None:
         """Ask the plant, and wait until it confirms."""
-        self.wait(self.arming.service_is_ready)
-        answer = self.arming.call_async(SetBool.Request(data=arm))
+        client = self.arming if arm else self.disarming
+        self.wait(client.service_is_ready)
+        request = Claim.Request(act=Claim.Request.ARM, name="probe") if arm else SetBool.Request(data=False)
+        answer = client.call_async(request)
         self.wait(answer.done)
         assert answer.result().success, answer.result().message
         self.wait(lambda: bool(self.flags() & Flag.ARMED) == arm)

@@ -24,11 +24,9 @@ from hydro_bridge.ros import (
     GRAPH,
     REFERENCE,
     STATE,
-    reference_to_message,
     seconds,
 )
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
-from hydro_msgs.msg import Gains
 from hydro_policy.nodes.companions import PlantOptions, start_companions
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import Probe, own_domain
@@ -42,10 +40,11 @@ def probe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         stack.enter_context(own_domain())
         folder = Path(tmp_path_factory.mktemp("graph"))
         start_companions(stack, PlantOptions(plant=request.param), GainRange(), folder, print)
-        watcher = Probe(gains=True)
+        watcher = Probe()
         stack.callback(watcher.close)
         watcher.wait(lambda: len(watcher.heard[STATE]) > 100)
         watcher.wait(lambda: watcher.node.count_publishers(CORRECTION) == 1)  # the filter compiles first
+        watcher.take()
         watcher.wait(lambda: all(watcher.node.count_subscribers(topic) for topic in (GAINS, CORRECTION, REFERENCE)))
         watcher.spin(1.0)
         yield watcher
@@ -84,7 +83,7 @@ def test_disarmed_the_valve_is_still_and_armed_it_follows_the_reference_with_the
     assert probe.last(STATE).valve_current == 0.0
     probe.arm(False)
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
-    probe.senders[REFERENCE].publish(reference_to_message(signal))
+    probe.commander.reference(signal)
     probe.arm(True)
     _drive(probe, 75.0, 10.0, 2.5)
     probe.forget()
@@ -106,7 +105,7 @@ def _drive(probe: Probe, delta_kp: float, delta_ki: float, duration: float) -> N
     """Publish gains at 100 Hz for so many seconds."""
     end = time.monotonic() + duration
     while time.monotonic() < end:
-        probe.senders[GAINS].publish(Gains(delta_kp=delta_kp, delta_ki=delta_ki))
+        probe.commander.gains(delta_kp, delta_ki)
         probe.spin(0.01)
 
 

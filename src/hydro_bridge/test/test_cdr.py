@@ -59,7 +59,7 @@ def test_big_endian_and_mixed_frames_are_read(typestore, make_states):
 
 def test_a_type_without_header_takes_the_log_time(typestore):
     name = "hydro_msgs/msg/ReferenceSignal"
-    message = typestore.types[name](waveform=2, amplitude=300.0, offset=1.0, frequency=0.5, phase=0.1)
+    message = typestore.types[name](waveform=2, amplitude=300.0, offset=1.0, frequency=0.5, phase=0.1, epoch=3)
     rows = np.frombuffer(bytes(typestore.serialize_cdr(message, name)), np.uint8)[None]
     (row,) = layout_of(name).decode(rows, np.array([2_500_000_000]))
     assert (row["time"], row["waveform"], row["amplitude"], row["frequency"]) == (2.5, 2, 300.0, 0.5)

@@ -184,10 +184,10 @@ def test_a_reference_that_is_unfit_as_float32_is_refused_as_the_box_would(change
 
 
 def test_the_box_narrows_the_limits_and_never_widens_them():
-    box = BoxInfo(delta_kp_min=-5.0, delta_kp_max=10.0, delta_ki_max=99.0, delta_u_max=0.0625)
+    box = BoxInfo(delta_kp_min=-5.0, delta_kp_max=10.0, delta_ki_max=99.0, delta_u_max=0.015625)
     limits = narrowed(GuardSettings(), box)
     assert (limits.delta_kp_min, limits.delta_kp_max) == (0.0, 10.0)
-    assert (limits.delta_ki_max, limits.delta_u_max) == (10.0, 0.0625)
+    assert (limits.delta_ki_max, limits.delta_u_max) == (10.0, 0.015625)
 
 
 def opened() -> CommandGuard:
@@ -212,14 +212,15 @@ def test_a_filter_whose_model_is_not_this_benchs_leaves_narrow_gains_and_no_corr
 
 def test_gains_are_wide_again_only_once_a_correction_was_decided():
     guard = opened()
-    guard.set_correction(0.0, CorrectionStatus.MISMATCH, 50, 0.001)
+    guard.set_correction(0.0, CorrectionStatus.MISMATCH, 49, 0.001)
     for status in (CorrectionStatus.STALE, CorrectionStatus.NAN, CorrectionStatus.BYPASSED):
         guard.set_correction(0.0, status, 50, 0.002)
         assert guard.command(0.002).delta_kp == 75.0
     guard.set_correction(0.02, CorrectionStatus.PASS, 0, 0.003)
     assert guard.command(0.003).delta_kp == 75.0, "a decision about a sample of long ago is none"
-    guard.set_correction(0.02, CorrectionStatus.MODIFIED, 50, 0.004)
-    assert guard.command(0.004) == Command(delta_kp=235.0, delta_ki=50.0, delta_u=0.02, corrects=50, filter_fresh=True)
+    guard.note_sample(51)
+    guard.set_correction(0.02, CorrectionStatus.MODIFIED, 51, 0.004)
+    assert guard.command(0.004) == Command(delta_kp=235.0, delta_ki=50.0, delta_u=0.02, corrects=51, filter_fresh=True)
 
 
 def test_an_outdated_mismatch_narrows_all_the_same_and_silence_after_it_gives_base_gains():
@@ -231,3 +232,32 @@ def test_an_outdated_mismatch_narrows_all_the_same_and_silence_after_it_gives_ba
     unrequired.settings = GuardSettings(delta_kp_max=285.0, require_filter=False)
     unrequired.set_correction(0.0, CorrectionStatus.MISMATCH, 50, 0.001)
     assert unrequired.command(0.1).delta_kp == 75.0, "nor does a guard that needs no filter open up"
+
+
+def test_a_correction_answers_one_sample_once_and_in_order():
+    guard = CommandGuard()
+    for sequence in (2**32 - 1, 0, 1):
+        guard.note_sample(sequence)
+    for sequence, delta_u in ((0, 0.01), (0, 0.02), (2**32 - 1, 0.02), (2, 0.02), (1, 0.015)):
+        guard.set_correction(delta_u, CorrectionStatus.MODIFIED, sequence, 0.0)
+    command = guard.command(0.0)
+    assert (command.delta_u, command.corrects) == (0.015, 1)
+    assert (guard.counts.repeated, guard.counts.outdated) == (2, 1), "two were answered before, one never was"
+    guard.note_sample(None)
+    guard.note_sample(1)
+    guard.set_correction(0.01, CorrectionStatus.MODIFIED, 1, 0.0)
+    assert guard.command(0.0).delta_u == 0.01, "a box that starts anew counts anew"
+
+
+def test_no_correction_asks_for_more_than_the_valves_current():
+    guard = CommandGuard(valve_current_max=0.05)
+    for sequence, nominal, asked, goes_down in (
+        (1, 0.04, 0.015, 0.01),
+        (2, 0.04, -0.015, -0.015),
+        (3, -0.045, -0.01, -0.005),
+        (4, 0.2, -0.02, -0.02),
+        (5, 0.0, 0.1, LIMITS.delta_u_max),
+    ):
+        guard.note_sample(sequence, nominal)
+        guard.set_correction(asked, CorrectionStatus.MODIFIED, sequence, 0.0)
+        assert guard.command(0.0).delta_u == pytest.approx(goes_down)

@@ -217,7 +217,7 @@ def test_another_protocol_version_is_told_once_and_never_commanded(bench):
 
 
 def test_limits_are_those_of_the_box_where_they_are_narrower(bench):
-    it = bench(info=BoxInfo(name="weak", delta_kp_max=10.0, delta_u_max=0.0625)).connected()
+    it = bench(info=BoxInfo(name="weak", delta_kp_max=10.0, delta_u_max=0.015625)).connected()
     assert it.link.guard.settings.delta_kp_max == 10.0
-    assert it.link.guard.settings.delta_u_max == 0.0625
+    assert it.link.guard.settings.delta_u_max == 0.015625
     assert it.link.guard.settings.delta_ki_max == 10.0

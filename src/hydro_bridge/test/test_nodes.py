@@ -22,7 +22,6 @@ import yaml
 rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
-from rclpy.publisher import Publisher  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 
@@ -33,6 +32,7 @@ from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
 from hydro_bridge.ros import (  # noqa: E402
     ARM_SERVICE,
     BOX,
+    CLAIM_SERVICE,
     CORRECTION,
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
@@ -40,15 +40,16 @@ from hydro_bridge.ros import (  # noqa: E402
     GRAPH,
     REFERENCE,
     STATE,
+    Commander,
     Companion,
     CompanionError,
     executable_path,
-    reference_to_message,
 )
 from hydro_bridge.serial.port import PortSettings  # noqa: E402
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame  # noqa: E402
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform  # noqa: E402
 from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains  # noqa: E402
+from hydro_msgs.srv import Claim  # noqa: E402
 
 pytestmark = pytest.mark.graph
 
@@ -62,11 +63,9 @@ class Probe:
         self.node = rclpy.create_node("probe", context=self.context)
         self.states: list[BenchState] = []
         self.node.create_subscription(BenchState, STATE, self.states.append, GRAPH[STATE][1])
-        self.senders = {
-            topic: self.node.create_publisher(GRAPH[topic][0], topic, GRAPH[topic][1])
-            for topic in (GAINS, CORRECTION, REFERENCE)
-        }
-        self.arming = self.node.create_client(SetBool, ARM_SERVICE)
+        self.commander, self.commands = Commander(self.node), False
+        self.arming = self.node.create_client(Claim, CLAIM_SERVICE)
+        self.disarming = self.node.create_client(SetBool, ARM_SERVICE)
         self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
 
@@ -75,14 +74,23 @@ class Probe:
         while not condition():
             assert time.monotonic() < end, "it did not happen"
             self.executor.spin_once(timeout_sec=0.02)
+            if self.commands:
+                self.commander.seek(time.monotonic())
+
+    def take(self) -> None:
+        """Take the authority over the plant, and keep it."""
+        self.commands = True
+        self.wait(lambda: self.commander.held)
 
     def listen(self, seconds: float) -> None:
         end = time.monotonic() + seconds
         self.wait(lambda: time.monotonic() > end, seconds + 20.0)
 
-    def arm(self, arm: bool) -> SetBool.Response:
-        self.wait(self.arming.service_is_ready)
-        answer = self.arming.call_async(SetBool.Request(data=arm))
+    def arm(self, arm: bool) -> SetBool.Response | Claim.Response:
+        client = self.arming if arm else self.disarming
+        self.wait(client.service_is_ready)
+        request = Claim.Request(act=Claim.Request.ARM, name="probe") if arm else SetBool.Request(data=False)
+        answer = client.call_async(request)
         self.wait(answer.done)
         return answer.result()
 
@@ -119,13 +127,16 @@ def test_bridge_carries_states_up_and_commands_down(cable, small_box, probe, sta
     probe.wait(lambda: len(probe.states) > 100)
     assert probe.states[-1].flags & Flag.FILTER_STALE and probe.states[-1].header.frame_id == "bench"
     signal_ = ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5)
-    probe.senders[REFERENCE].publish(reference_to_message(signal_))
+    probe.take()
+    corrections = probe.node.create_publisher(Correction, CORRECTION, GRAPH[CORRECTION][1])
+    probe.commander.reference(signal_)
     probe.wait(lambda: box.commands[-1].command.reference == signal_)
 
     def steered() -> bool:
-        probe.senders[GAINS].publish(Gains(delta_kp=32.0, delta_ki=2.0))
+        probe.commander.gains(32.0, 2.0)
+        epoch = probe.commander.epoch
         sequence, passed = probe.states[-1].sequence, int(CorrectionStatus.PASS)
-        probe.senders[CORRECTION].publish(Correction(sequence=sequence, delta_u=0.015625, status=passed))
+        corrections.publish(Correction(sequence=sequence, delta_u=0.015625, status=passed, epoch=epoch))
         command = box.commands[-1].command
         return (command.delta_kp, command.delta_ki, command.delta_u) == (32.0, 2.0, 0.015625) and command.filter_fresh
 
@@ -138,7 +149,7 @@ def test_bridge_arms_disarms_and_is_disarmed_after_replugging(cable, small_box, 
     start("bridge", "--port", cable.path)
     probe.wait(lambda: len(probe.states) > 20)
     answer = probe.arm(True)
-    assert answer.success and answer.message == "armed" and box.flags & Flag.ARMED
+    assert answer.success and answer.message == "armed for nobody: base gains" and box.flags & Flag.ARMED
     cable.unplug()
     probe.wait(lambda: "there is no box" in (refused := probe.arm(True)).message and not refused.success)
     cable.plug_in()
@@ -157,6 +168,7 @@ def test_gains_from_two_nodes_are_an_error_and_nothing_is_armed(cable, small_box
     listen = lambda array: told.extend(status for status in array.status if status.name == "bridge")  # noqa: E731
     probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
     probe.wait(lambda: len(probe.states) > 20)
+    probe.take()
     rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
     probe.wait(lambda: told and "2 nodes publish /hydro/gains (probe, probe)" in told[-1].message)
     assert told[-1].level == DiagnosticStatus.ERROR
@@ -181,11 +193,10 @@ def steered(cable, small_box, probe, start):
         bridge = start("bridge", "--port", cable.path, "--ros-args", "-p", "guard.abandoned_after:=2.0", output=output)
         told: ClassVar[list[DiagnosticStatus]] = []
 
-        def gain(self, seconds: float, *senders: Publisher) -> None:
+        def gain(self, seconds: float) -> None:
             end = time.monotonic() + seconds
             while time.monotonic() < end:
-                for sender in senders:
-                    sender.publish(Gains(delta_kp=32.0))
+                probe.commander.gains(32.0, 0.0)
                 probe.listen(0.01)
 
         def armed(self) -> bool:
@@ -194,14 +205,15 @@ def steered(cable, small_box, probe, start):
     listen = lambda array: Steered.told.extend(s for s in array.status if s.name == "bridge")  # noqa: E731
     probe.node.create_subscription(DiagnosticArray, DIAGNOSTICS, listen, DIAGNOSTICS_QOS)
     probe.wait(lambda: len(probe.states) > 20)
+    probe.take()
     assert probe.arm(True).success
     return Steered()
 
 
 def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_says_so(steered, probe):
     sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5)
-    probe.senders[REFERENCE].publish(reference_to_message(sine))
-    steered.gain(2.5, probe.senders[GAINS])
+    probe.commander.reference(sine)
+    steered.gain(2.5)
     assert steered.armed() and steered.box.commands[-1].command.reference == sine
     probe.wait(lambda: not steered.armed(), 10.0)
     assert steered.box.commands[-1].command.reference == ReferenceSignal()
@@ -216,25 +228,86 @@ def test_a_plant_whose_driver_is_gone_is_disarmed_its_reference_is_zero_and_it_s
     probe.wait(lambda: steered.told and steered.told[-1].message == "armed")
 
 
-def test_a_second_node_whose_gains_come_in_disarms_the_plant_and_is_named(steered, probe):
-    rival = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
-    probe.wait(lambda: steered.told and "2 nodes publish /hydro/gains" in steered.told[-1].message)
-    steered.gain(2.5, probe.senders[GAINS])
-    assert steered.armed(), "it is there, but it waits until it is alone"
-    steered.gain(0.2, rival)
-    steered.gain(2.5, probe.senders[GAINS])
-    assert not steered.armed(), "the second took the gains, and the first took them back"
-    assert "2 nodes publish /hydro/gains (probe, probe): end all but one; reference 0 N" in steered.output.getvalue()
+@pytest.mark.parametrize("topic", [GAINS, REFERENCE, CORRECTION])
+def test_a_second_publisher_of_a_command_disarms_the_plant_and_is_named(topic, steered, probe):
+    steered.gain(0.2)
+    kind, qos = GRAPH[topic]
+    own = [probe.node.create_publisher(kind, topic, qos) for _ in range(2 if topic == CORRECTION else 1)]
+    assert own
+    probe.wait(lambda: not steered.armed(), 5.0)
+    sentence = f"2 nodes publish {topic} (probe, probe): end all but one; reference 0 N, disarmed"
+    probe.wait(lambda: sentence in steered.output.getvalue())
     assert not probe.arm(True).success
 
 
-def test_a_handover_of_the_gains_disarms_nothing(steered, probe):
-    steered.gain(0.2, probe.senders[GAINS])
-    heir = probe.node.create_publisher(Gains, GAINS, GRAPH[GAINS][1])
-    probe.wait(lambda: probe.node.count_publishers(GAINS) == 2)
-    steered.gain(2.0, probe.senders[GAINS])
-    steered.gain(2.0, heir)
-    assert steered.armed() and "2 nodes" not in steered.output.getvalue()
+@pytest.mark.parametrize("old", [False, True])
+def test_commands_without_the_epoch_or_with_an_old_one_are_refused_and_counted(old, steered, probe):
+    before = probe.commander.epoch
+    probe.arm(False)
+    probe.wait(lambda: probe.commander.epoch != before)
+    assert probe.arm(True).success
+    probe.listen(0.6)  # until then they are late ones of the session before
+    commander = probe.commander
+    commander._epoch = before if old else 0
+    probe.commands = False
+    for _ in range(5):
+        commander.gains(32.0, 0.0)
+        commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5))
+        probe.listen(0.02)
+    said = lambda: {pair.key: pair.value for status in steered.told[-1:] for pair in status.values}  # noqa: E731
+    probe.wait(lambda: (said().get(f"refused {GAINS}"), said().get(f"refused {REFERENCE}")) == ("5", "5"))
+    assert steered.armed() and steered.box.commands[-1].command.reference == ReferenceSignal()
+    sentence = "of /hydro/gains without the authority over this plant (from probe)"
+    probe.wait(lambda: sentence in steered.output.getvalue())
+    assert steered.output.getvalue().count("refused: ") <= 4, "each topic once a second at most"
+
+
+def test_another_node_is_told_who_commands_and_gets_its_turn(steered, probe):
+    other = Probe()
+
+    def both(condition: Callable[[], object]) -> None:
+        def look() -> object:
+            other.executor.spin_once(timeout_sec=0.0)
+            other.commander.seek(time.monotonic())
+            return condition()
+
+        probe.wait(look)
+
+    try:
+        both(lambda: other.commander.refusal and other.node.count_publishers(GAINS))
+        assert "probe commands this plant: end it" in other.commander.refusal and not other.commander.held
+        assert other.node.count_publishers(GAINS) == 1, "it has made none of its own"
+        steered.gain(0.2)
+        assert steered.armed()
+        probe.commands = False
+        answer = probe.commander.give()
+        probe.wait(answer.done)
+        assert answer.result().success and not steered.armed()
+        both(lambda: other.commander.held)
+        assert other.commander.epoch != 0
+    finally:
+        other.close()
+
+
+def test_who_succeeds_a_holder_that_has_fallen_silent_finds_the_plant_disarmed(steered, probe):
+    other = Probe()
+    try:
+        other.take()  # nobody spins the first one meanwhile
+        assert not steered.armed() and not steered.box.commands[-1].command.arm
+    finally:
+        other.close()
+
+
+def test_anybody_disarms_and_nobody_arms_without_a_name(steered, probe):
+    other = Probe()
+    try:
+        assert other.arm(False).success and not steered.armed()
+        refused = other.disarming.call_async(SetBool.Request(data=True))
+        other.wait(refused.done)
+        assert not refused.result().success and "ros2 run hydro_bridge arm" in refused.result().message
+        assert other.arm(True).message == "armed for probe"
+    finally:
+        other.close()
 
 
 def test_a_second_plant_disarms_the_first(steered, probe):

@@ -17,7 +17,18 @@ pytest.importorskip("rclpy")
 
 from hydro_bridge.errors import UserError
 from hydro_bridge.nodes import secure
-from hydro_bridge.ros import ARM_SERVICE, CORRECTION, GAINS, GRAPH, OVERRIDE_SERVICE, REFERENCE, STATE, executable_path
+from hydro_bridge.ros import (
+    ARM_SERVICE,
+    AUTHORITY,
+    CLAIM_SERVICE,
+    CORRECTION,
+    GAINS,
+    GRAPH,
+    OVERRIDE_SERVICE,
+    REFERENCE,
+    STATE,
+    executable_path,
+)
 from hydro_bridge.ros.keys.enclave import ENABLE, KEYSTORE, STRATEGY, enclave_arguments, secured
 from hydro_bridge.ros.keys.keystore import domain, make_keystore
 from hydro_bridge.ros.keys.policy import policy_xml
@@ -25,6 +36,7 @@ from hydro_bridge.ros.keys.rights import RIGHTS, enclave_of
 from hydro_bridge.settings import SettingsError
 
 ENCLAVES = [enclave_of(executable) for executable in RIGHTS]
+SERVICES = (ARM_SERVICE, CLAIM_SERVICE, OVERRIDE_SERVICE)
 needs_sros2 = pytest.mark.skipif(
     find_spec("sros2") is None or shutil.which("openssl") is None, reason="sros2 or openssl is not here"
 )
@@ -46,14 +58,16 @@ def test_only_who_has_to_may_command_the_plant() -> None:
     assert allowed("topic", "publish", REFERENCE) == drivers
     assert allowed("topic", "publish", CORRECTION) == {"filter"}
     assert allowed("topic", "publish", STATE) == {"bridge", "sim", "replayer"}
+    assert allowed("topic", "publish", AUTHORITY) == {"bridge", "sim"}
     assert allowed("service", "request", ARM_SERVICE) == drivers | {"arm"}
+    assert allowed("service", "request", CLAIM_SERVICE) == drivers | {"arm"}
     assert allowed("service", "request", OVERRIDE_SERVICE) == {"override"}
 
 
 def test_a_person_who_watches_reads_all_of_the_graph_and_commands_nothing() -> None:
     assert all("watch" in allowed("topic", "subscribe", topic) for topic in GRAPH)
     assert not any("watch" in allowed("topic", "publish", topic) for topic in GRAPH)
-    assert not any("watch" in allowed("service", "request", name) for name in (ARM_SERVICE, OVERRIDE_SERVICE))
+    assert not any("watch" in allowed("service", "request", name) for name in SERVICES)
 
 
 def test_nothing_is_allowed_by_a_pattern_but_the_name_of_a_persons_tool() -> None:

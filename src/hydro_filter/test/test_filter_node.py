@@ -93,6 +93,10 @@ class Source:
         numbers = [float(values.get(name, 0.0)) for name in STATE_FIELDS]
         self.states.publish(self._message.fill(time.time_ns() - round(1e9 * age), sequence, numbers, 1))
 
+    def no_plant(self) -> None:
+        """Leave the states to another: those of two are not answered."""
+        self.node.destroy_publisher(self.states)
+
     def close(self) -> None:
         self.executor.shutdown()
         self.node.destroy_node()
@@ -209,6 +213,7 @@ def test_the_learned_metric_is_not_asked_to_hold_a_correction_for_ten_samples() 
 def test_a_simulation_in_lock_step_is_answered_by_its_own_clock(started: Callable[..., Source]) -> None:
     """Its stamps are /clock's; nobody told the filter, and it finds out within a second or two."""
     source = started()
+    source.no_plant()
     simulation = Companion("hydro_sim", "sim", ["--speed", "0"])
     try:
         source.wait(lambda: any(message.status == CorrectionStatus.PASS for message in source.corrections))
@@ -301,6 +306,7 @@ def test_a_filter_beside_a_simulation_of_another_bench_corrects_nothing(
     own = replace(Bench.nominal(), spring_stiffness=4e4)
     (tmp_path / "own.yaml").write_text(yaml.safe_dump(own.to_mapping()))
     source = started(*CONSTANT)
+    source.no_plant()
     simulation = Companion("hydro_sim", "sim", ["--bench", str(tmp_path / "own.yaml")])
     try:
         source.wait(lambda: any(own.digest in status.message for status in source.diagnostics))
@@ -334,11 +340,16 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     assert "the model's load (the spring or its load cell) is off by" in told["fits"]
 
 
-def test_two_plants_are_an_error(started: Callable[..., Source]) -> None:
+def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source], still: FloatArray) -> None:
     source = started(*CONSTANT)
     rival = source.node.create_publisher(StateMessage().message.__class__, STATE, STATE_QOS)
     source.wait(lambda: "2 nodes publish /hydro/state" in source.diagnostics[-1].message)
     assert source.diagnostics[-1].level == DiagnosticStatus.ERROR
+    heard = len(source.corrections)
+    source.publish(1, samples(still, 1)[0])
+    told = len(source.diagnostics)
+    source.wait(lambda: len(source.diagnostics) > told + 1)
+    assert len(source.corrections) == heard, "which of them is the plant's?"
     source.node.destroy_publisher(rival)
 
 

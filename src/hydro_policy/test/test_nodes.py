@@ -26,8 +26,8 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros import (
     BOX,
     BOX_QOS,
+    CLAIM_SERVICE,
     GAINS,
-    GAINS_QOS,
     OVERRIDE_SERVICE,
     STATE,
     STATE_QOS,
@@ -37,8 +37,8 @@ from hydro_bridge.ros import (
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
 from hydro_filter.controller.factory import DEFAULT
-from hydro_msgs.msg import BenchState, BoxInfo, Gains
-from hydro_msgs.srv import OverrideGains
+from hydro_msgs.msg import BenchState, BoxInfo
+from hydro_msgs.srv import Claim, OverrideGains
 from hydro_policy.nodes.companions import PlantOptions, commands
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import uncovered
@@ -207,32 +207,81 @@ def test_an_override_that_the_full_disk_keeps_no_record_of_is_answered_and_ends_
         rclpy.shutdown()
 
 
-def test_a_newcomer_waits_until_nobody_else_publishes_gains() -> None:
-    rclpy.init()
-    other, node, session = rclpy.create_node("the_first"), GraphNode("newcomer", realtime=False), Counted()
-    try:
-        gains = other.create_publisher(Gains, GAINS, GAINS_QOS)
-        state = other.create_publisher(BenchState, STATE, STATE_QOS)
-        asked: list[bool] = []
-        node.arm = asked.append  # type: ignore[method-assign, assignment]
-        began = time.monotonic()
+class SmallPlant:
+    """Publishes samples, and gives the authority from when it is told to."""
 
-        def each_tick() -> None:
+    def __init__(self) -> None:
+        self.node, self.gives, self.asked = rclpy.create_node("plant"), False, 0
+        self.states = [self.node.create_publisher(BenchState, STATE, STATE_QOS)]
+        self.node.create_service(Claim, CLAIM_SERVICE, self._answer)
+        self.executor = rclpy.executors.SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+
+    def _answer(self, request: Claim.Request, response: Claim.Response) -> Claim.Response:
+        self.asked += 1
+        response.success, response.claim, response.epoch = self.gives, 5 * self.gives, 7 * self.gives
+        response.message = "" if self.gives else "the_first commands this plant"
+        return response
+
+    def tick(self) -> None:
+        for state in self.states:
             state.publish(BenchState())
-            now = time.monotonic() - began
-            if now > 2.0 and not seen:
-                seen.append(session.samples)
-                other.destroy_publisher(gains)
-            session.finished = session.samples > 5 or now > 10.0
+        self.executor.spin_once(timeout_sec=0.0)
 
-        seen: list[int] = []
-        node.drive(session, each_tick)  # type: ignore[arg-type]
-        assert seen == [0], "nothing reached the session while the first one was there"
-        assert session.samples > 5 and asked == []
-    finally:
-        for each in (node, other):  # or they go on publishing gains as far as the graph knows
-            each.destroy_node()
-        rclpy.try_shutdown()
+    def close(self) -> None:
+        self.executor.shutdown()
+        self.node.destroy_node()
+
+
+@pytest.fixture
+def newcomer() -> Iterator[tuple[SmallPlant, GraphNode]]:
+    rclpy.init()
+    plant, node = SmallPlant(), GraphNode("newcomer", realtime=False)
+    yield plant, node
+    for each in (node, plant.node):  # or they go on publishing as far as the graph knows
+        each.destroy_node()
+    rclpy.try_shutdown()
+
+
+def test_a_newcomer_waits_until_the_plant_gives_it_the_authority(
+    newcomer: tuple[SmallPlant, GraphNode], capfd: pytest.CaptureFixture[str]
+) -> None:
+    plant, node = newcomer
+    session, seen, began = Counted(), list[tuple[int, int]](), time.monotonic()
+
+    def each_tick() -> None:
+        plant.tick()
+        now = time.monotonic() - began
+        if now > 3.0 and not seen:
+            seen.append((session.samples, plant.node.count_publishers(GAINS)))
+            plant.gives = True
+        session.finished = session.samples > 5 or now > 20.0
+
+    node.drive(session, each_tick)  # type: ignore[arg-type]
+    assert seen == [(0, 0)], "nothing reached the session, and nothing could leave, while another commanded"
+    assert plant.asked > 2 and session.samples > 5
+    assert capfd.readouterr().err.count("the_first commands this plant; newcomer waits") == 1
+
+
+def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(
+    newcomer: tuple[SmallPlant, GraphNode], capfd: pytest.CaptureFixture[str]
+) -> None:
+    plant, node = newcomer
+    plant.gives, session, before, began = True, Counted(), list[int](), time.monotonic()
+
+    def each_tick() -> None:
+        plant.tick()
+        now = time.monotonic() - began
+        if len(plant.states) == 1 and session.samples > 5:
+            plant.states.append(plant.node.create_publisher(BenchState, STATE, STATE_QOS))
+            before.append(session.samples)
+        for _ in range(20 if before else 0):
+            plant.states[-1].publish(BenchState(flags=int(Flag.TRIPPED)))
+        session.finished = now > 6.0
+
+    node.drive(session, each_tick)  # type: ignore[arg-type]
+    assert before and session.samples <= before[0] + 3, "those that came before the second was found"
+    assert capfd.readouterr().err.count("nodes publish /hydro/state") == 1
 
 
 def test_companions_of_each_plant() -> None:

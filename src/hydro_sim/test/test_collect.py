@@ -20,7 +20,7 @@ import yaml
 rclpy = pytest.importorskip("rclpy")
 
 from hydro_bridge.bags.recording import read_bag  # noqa: E402
-from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Companion, executable_path  # noqa: E402
+from hydro_bridge.ros import GAINS, GRAPH, REFERENCE, STATE, Commander, Companion, executable_path  # noqa: E402
 from hydro_bridge.signals import Flag  # noqa: E402
 from hydro_sim.excitation.playback import Playback  # noqa: E402
 from hydro_sim.excitation.schedules import Segment  # noqa: E402
@@ -124,12 +124,13 @@ def plant() -> Iterator[Callable[..., None]]:
 
 
 class Listener:
-    """Hears states and references; publishes gains if asked to."""
+    """Hears states and references; commands the plant if it has a commander."""
 
     def __init__(self) -> None:
         self.context = rclpy.Context()
         rclpy.init(context=self.context)
         self.node = rclpy.create_node("listener", context=self.context)
+        self.commander: Commander | None = None
         self.flags: list[int] = []
         self.references: list[float] = []
         self.node.create_subscription(GRAPH[STATE][0], STATE, lambda m: self.flags.append(m.flags), GRAPH[STATE][1])
@@ -144,6 +145,8 @@ class Listener:
         while not condition():
             assert time.monotonic() < end, "waited in vain"
             self._executor.spin_once(timeout_sec=0.02)
+            if self.commander is not None:
+                self.commander.seek(time.monotonic())
 
     def fresh(self) -> int:
         """Flags of a sample that is yet to come."""
@@ -195,12 +198,12 @@ def test_the_recording_says_how_it_was_made_and_the_plant_is_left_disarmed_at_0_
 def test_a_crash_leaves_the_plant_disarmed(plant: Callable[..., None], listener: Listener, tmp_path: Path) -> None:
     plant()
     crash = (
-        "import hydro_sim.nodes.collecting as node; from hydro_sim.nodes.collect import main\n"
+        "import hydro_bridge.ros.commander as node; from hydro_sim.nodes.collect import main\n"
         "send, sent = node.reference_to_message, []\n"
-        "def second(signal):\n"
+        "def second(signal, epoch):\n"
         "    sent.append(signal)\n"
         "    if len(sent) == 2: raise KeyError('FOO')\n"
-        "    return send(signal)\n"
+        "    return send(signal, epoch)\n"
         "node.reference_to_message = second\n"
         "main()\n"
     )
@@ -277,19 +280,24 @@ def test_three_trips_in_a_row_are_the_end(plant: Callable[..., None], listener: 
 
 
 @pytest.mark.graph
-def test_beside_another_source_of_gains_it_refuses_to_start(
-    plant: Callable[..., None], listener: Listener, tmp_path: Path
+@pytest.mark.parametrize(
+    ("claims", "sentence"),
+    [(True, "error: listener commands this plant: end it"), (False, f"error: 2 nodes publish {GAINS} (")],
+)
+def test_beside_another_who_commands_it_refuses_to_start(
+    claims: bool, sentence: str, plant: Callable[..., None], listener: Listener, tmp_path: Path
 ) -> None:
     plant()
-    listener.node.create_publisher(GRAPH[GAINS][0], GAINS, GRAPH[GAINS][1])
-    ended = subprocess.run(
-        [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])],
-        timeout=60, check=False, capture_output=True, text=True,
-    )  # fmt: skip
-    assert ended.returncode == 2
-    said = ended.stderr.splitlines()[-1]
-    assert said.startswith(f"error: 2 nodes publish {GAINS} (")
-    assert "): end all but one" in said
+    collect = [str(executable_path("hydro_sim", "collect")), *_collect(tmp_path, [HOLD])]
+    if claims:
+        listener.commander = Commander(listener.node)
+        listener.wait(lambda: listener.commander.held)
+    else:
+        listener.node.create_publisher(GRAPH[GAINS][0], GAINS, GRAPH[GAINS][1])
+    with subprocess.Popen(collect, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        listener.wait(lambda: process.poll() is not None, 60.0)
+        assert process.returncode == 2 and process.stderr is not None
+        assert process.stderr.read().splitlines()[-1].startswith(sentence)
     assert not (tmp_path / "bag").exists()
 
 

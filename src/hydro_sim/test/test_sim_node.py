@@ -17,8 +17,8 @@ rclpy = pytest.importorskip("rclpy")
 from rclpy.experimental import EventsExecutor  # noqa: E402
 from rosgraph_msgs.msg import Clock  # noqa: E402
 
-from hydro_bridge.ros import CORRECTION, GRAPH, STATE, Companion, executable_path, seconds  # noqa: E402
-from hydro_msgs.msg import BenchState, Correction  # noqa: E402
+from hydro_bridge.ros import AUTHORITY, CORRECTION, GRAPH, STATE, Companion, executable_path, seconds  # noqa: E402
+from hydro_msgs.msg import Authority, BenchState, Correction  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 
 pytestmark = pytest.mark.graph
@@ -72,7 +72,7 @@ def test_lock_step_waits_for_the_filter_and_publishes_the_clock(lock_step: None)
     enough = rclpy.task.Future()
 
     def on_state(message: BenchState) -> None:
-        answer.publish(Correction(header=message.header, sequence=message.sequence))
+        answer.publish(Correction(header=message.header, sequence=message.sequence, epoch=epochs[-1] if epochs else 0))
         if not states or message.sequence != states[-1][0]:  # sent again where this process was kept waiting
             states.append((message.sequence, seconds(message.header.stamp)))
 
@@ -81,6 +81,8 @@ def test_lock_step_waits_for_the_filter_and_publishes_the_clock(lock_step: None)
         if len(states) >= 1500 and times[-1] >= states[1499][1] and not enough.done():
             enough.set_result(None)
 
+    epochs: list[int] = []
+    node.create_subscription(Authority, AUTHORITY, lambda m: epochs.append(m.epoch), GRAPH[AUTHORITY][1])
     node.create_subscription(BenchState, STATE, on_state, GRAPH[STATE][1])
     node.create_subscription(Clock, "/clock", on_clock, 1000)
     executor = EventsExecutor(context=context)

@@ -16,6 +16,7 @@ from importlib.resources import files
 from pathlib import Path
 
 PACKAGED = (
+    "hydro_msgs/msg/Authority",
     "hydro_msgs/msg/BenchState",
     "hydro_msgs/msg/BoxInfo",
     "hydro_msgs/msg/Correction",

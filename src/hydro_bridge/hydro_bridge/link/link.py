@@ -30,8 +30,9 @@ from hydro_bridge.serial.protocol import (
     negotiate,
 )
 from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker
-from hydro_bridge.signals import Flag, flag_names
+from hydro_bridge.signals import STATE_FIELDS, Flag, flag_names
 
+_NOMINAL = STATE_FIELDS.index("nominal_valve_current")
 _HELLO_PERIOD = 0.1
 _READ_TIMEOUT = 0.02
 
@@ -199,7 +200,7 @@ class Link:
         missed, self._corrected = not self._corrected, False
         with self.lock:
             self.report.times.state_arrived(frame.sequence, frame.last_command, now)
-            self.guard.note_sample(frame.sequence)
+            self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
         stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
         self._note_flags(Flag(frame.flags | stale))
         self._on_state(frame, self._stamp(frame), int(self.flags))
@@ -227,6 +228,7 @@ class Link:
         with self.lock:
             self.box, self.state = info, LinkState.CONNECTED
             self.guard.settings = narrowed(self._wanted_limits, info)
+            self.guard.valve_current_max = info.valve_current_max
             self.guard.set_arm(False)
         self.report.reconnects += self._connected_before
         self._connected_before, self._corrected, self._complaint = True, False, ""

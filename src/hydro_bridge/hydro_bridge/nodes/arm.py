@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms the plant that runs, or disarms it, and says what the plant answered.
+"""Arms the plant that runs, for whoever has the authority over it, or disarms it, and says what the plant answered.
 
 ros2 run hydro_bridge arm            # exit status 0 once the box confirms, 2 with the plant's reason if it refuses
 ros2 run hydro_bridge arm --off
@@ -16,7 +16,8 @@ from rclpy.node import Node
 from std_srvs.srv import SetBool
 
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.ros import ARM_SERVICE, ros_arguments, start_ros
+from hydro_bridge.ros import ARM_SERVICE, CLAIM_SERVICE, ros_arguments, start_ros
+from hydro_msgs.srv import Claim
 
 
 def parser() -> argparse.ArgumentParser:
@@ -56,10 +57,11 @@ def ask(node: Node, *, arm: bool, timeout: float) -> str:
     UserError
         There is no plant, or none that answers within `timeout` [s], or it refuses.
     """
-    client = node.create_client(SetBool, ARM_SERVICE)
+    client = node.create_client(Claim, CLAIM_SERVICE) if arm else node.create_client(SetBool, ARM_SERVICE)
+    request = Claim.Request(act=Claim.Request.ARM, name=node.get_name()) if arm else SetBool.Request(data=False)
     if not client.wait_for_service(timeout_sec=timeout):
         raise UserError("no plant runs here: start a bridge or a simulation first")
-    answer = client.call_async(SetBool.Request(data=arm))
+    answer = client.call_async(request)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=timeout)
     if not answer.done():
         raise UserError(f"the plant did not answer within {timeout:g} s")

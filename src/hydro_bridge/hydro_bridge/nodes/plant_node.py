@@ -4,11 +4,11 @@
 ::
 
     /hydro/gains, /hydro/correction, /hydro/reference ──> guard ─┐
-    /hydro/arm ───────────────────────────────────────> arm      ├─ PlantSide (a serial line, a simulation)
+    /hydro/claim, /hydro/arm ─────────────────────────> gate     ├─ PlantSide (a serial line, a simulation)
     /hydro/state, /hydro/box <────── publish_state, publish_box ──┘
 
-Gains from two nodes would alternate, and so would states of two plants: neither is armed, both are an ERROR, and what
-was armed already is disarmed.
+Whose commands are taken is the gate's to say. Where two nodes publish one of these topics nothing is armed, it is an
+ERROR, and what was armed already is disarmed.
 """
 
 from __future__ import annotations
@@ -21,10 +21,9 @@ from typing import Any, Protocol
 
 from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
-from std_srvs.srv import SetBool
 
+from hydro_bridge.nodes.gate import Gate
 from hydro_bridge.ros import (
-    ARM_SERVICE,
     BOX,
     BOX_QOS,
     CORRECTION,
@@ -37,11 +36,9 @@ from hydro_bridge.ros import (
     STATE_QOS,
     DiagnosticsPublisher,
     Level,
-    PublisherConflictWatch,
     StateMessage,
     Status,
     box_to_message,
-    publisher_conflicts,
     reference_from_message,
     with_publisher_conflicts,
 )
@@ -81,7 +78,7 @@ class PlantNode(Node):
         self._publisher = self.create_publisher(BenchState, STATE, STATE_QOS)
         self._state = StateMessage()
         self._box_publisher = self.create_publisher(BoxInfo, BOX, BOX_QOS)
-        self._flags, self._tripped, self._refusal = 0, False, ""
+        self._flags, self._tripped = 0, False
 
     def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
         """Take commands for `side`, and report on it; `clock` is the guard's [s]."""
@@ -91,20 +88,14 @@ class PlantNode(Node):
             f"guard: delta_kp within [{limits.delta_kp_min:g}, {limits.delta_kp_max:g}] 1/s, delta_ki within "
             f"[{limits.delta_ki_min:g}, {limits.delta_ki_max:g}] 1/s^2, relying on {limits.relies_on}"
         )
-        self.create_subscription(Gains, GAINS, self._on_gains, GAINS_QOS)
-        self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
-        self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)
-        self.create_service(SetBool, ARM_SERVICE, self._on_arm)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.1, self._tell_events, clock=steady)
-        self._rival_watch = PublisherConflictWatch(self)
-        self.create_timer(1.0, self._look_for_rivals, clock=steady)
+        self.gate = Gate(self, side, lambda: bool(self._flags & Flag.TRIPPED))
+        gains = self.create_subscription(Gains, GAINS, self._on_gains, GAINS_QOS)
+        correction = self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
+        reference = self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)
+        for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference)):
+            self.gate.listen(topic, heard)  # nothing is called before the node is spun
+        self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = DiagnosticsPublisher(self, self._status)
-
-    def destroy_node(self) -> None:
-        """End the watch for publisher_conflicts, too."""
-        self._rival_watch.close()
-        super().destroy_node()
 
     def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
         """Publish one sample; `values` in STATE_FIELDS order. Called from one thread only, the plant's."""
@@ -115,16 +106,26 @@ class PlantNode(Node):
         """Say which box this is and what it believes: at the start, and anew when another may have come."""
         self._box_publisher.publish(box_to_message(box, self.get_clock().now().to_msg()))
 
+    def gained(self) -> None:
+        """Called when gains have been taken."""
+
     def _on_gains(self, message: Gains) -> None:
+        if not self.gate.admits(GAINS, message.epoch):
+            return
         with self.side.lock:
             self.side.guard.set_gains(message.delta_kp, message.delta_ki, self._now())
+        self.gained()
 
     def _on_correction(self, message: Correction) -> None:
+        if not self.gate.admits(CORRECTION, message.epoch):
+            return
         with self.side.lock:
             self.side.guard.set_correction(message.delta_u, message.status, message.sequence, self._now())
         self.side.send(message.sequence)
 
     def _on_reference(self, message: ReferenceSignal) -> None:
+        if not self.gate.admits(REFERENCE, message.epoch):
+            return
         signal = reference_from_message(message)
         if signal is None:
             self.get_logger().warning(f"reference refused, the last one stays: unknown waveform {message.waveform}")
@@ -132,29 +133,13 @@ class PlantNode(Node):
         with self.side.lock:
             self.side.guard.set_reference(signal)
 
-    def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        trouble = publisher_conflicts(self, GAINS, STATE) if request.data else ""
-        trouble = trouble or self.side.arm(request.data)
-        response.success, response.message = not trouble, trouble or ("armed" if request.data else "disarmed")
-        if not trouble or trouble != self._refusal:  # some ask again and again
-            self.get_logger().info(response.message)
-        self._refusal = trouble
-        return response
-
-    def _look_for_rivals(self) -> None:
-        trouble = self._rival_watch.look()
-        with self.side.lock:
-            if not trouble or not self.side.guard.armed:
-                return
-            self.side.guard.give_up(trouble)
-        self.side.send()
-
     def _status(self) -> Status:
         status, given_up = self.side.status(), self.side.guard.given_up
         if given_up:
             message = f"{status.message}: {given_up}"
             status = replace(status, level=max(status.level, Level.WARN), message=message)
-        return with_publisher_conflicts(status, publisher_conflicts(self, GAINS, STATE))
+        status = replace(status, values={**status.values, **self.gate.values()})
+        return with_publisher_conflicts(status, self.gate.crowd())
 
     def _tell_events(self) -> None:
         with self.side.lock:

@@ -23,6 +23,7 @@ from hydro_bridge.cli.console import command
 from hydro_bridge.ros import (
     ARM_SERVICE,
     BOX,
+    CLAIM_SERVICE,
     GRAPH,
     STATE,
     DiagnosticsPublisher,
@@ -31,6 +32,7 @@ from hydro_bridge.ros import (
     ros_arguments,
     run_node,
 )
+from hydro_msgs.srv import Claim
 
 
 class ReplayerNode(Node):
@@ -40,6 +42,7 @@ class ReplayerNode(Node):
         super().__init__("replayer")
         self._publishers_by_topic = {topic: self.create_publisher(*_kind(topic)) for topic in options.topics}
         self.create_service(SetBool, ARM_SERVICE, self._refuse_to_arm)
+        self.create_service(Claim, CLAIM_SERVICE, self._refuse_authority)
         self.replay = Replay(
             options.bag,
             options.topics,
@@ -73,6 +76,10 @@ class ReplayerNode(Node):
     def _refuse_to_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = not request.data
         response.message = "a recording cannot be armed" if request.data else "disarmed"
+        return response
+
+    def _refuse_authority(self, request: Claim.Request, response: Claim.Response) -> Claim.Response:
+        response.message = "a recording cannot be armed"
         return response
 
     def _status(self) -> Status:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from hydro_bridge.process.realtime import drop_realtime
 from hydro_bridge.ros.box_info import listen_to_box
+from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
 from hydro_bridge.ros.messages import (
@@ -17,15 +18,19 @@ from hydro_bridge.ros.messages import (
     state_from_message,
 )
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
-from hydro_bridge.ros.publisher_conflict import PublisherConflictWatch, publisher_conflicts, with_publisher_conflicts
+from hydro_bridge.ros.publisher_conflict import publisher_conflicts, with_publisher_conflicts
 from hydro_bridge.ros.recorder_watch import RecorderWatch
 from hydro_bridge.ros.scheduling import request_realtime
 from hydro_bridge.ros.spinning import ros_arguments, run_node, spin, start_ros
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
+    AUTHORITY,
+    AUTHORITY_QOS,
     BOX,
     BOX_QOS,
+    CLAIM_SERVICE,
     CLOCK,
+    COMMANDS,
     CORRECTION,
     CORRECTION_QOS,
     DIAGNOSTICS,
@@ -44,9 +49,13 @@ from hydro_bridge.ros.topics import (
 
 __all__ = [
     "ARM_SERVICE",
+    "AUTHORITY",
+    "AUTHORITY_QOS",
     "BOX",
     "BOX_QOS",
     "CLOCK",
+    "CLAIM_SERVICE",
+    "COMMANDS",
     "CORRECTION",
     "CORRECTION_QOS",
     "DIAGNOSTICS",
@@ -61,12 +70,12 @@ __all__ = [
     "STATE_QOS",
     "TRAINING",
     "TRAINING_QOS",
+    "Commander",
     "Companion",
     "CompanionError",
     "DiagnosticsPublisher",
     "Level",
     "RecorderWatch",
-    "PublisherConflictWatch",
     "StateMessage",
     "Status",
     "drop_realtime",

@@ -60,14 +60,15 @@ def reference_from_message(message: ReferenceMessage) -> ReferenceSignal | None:
     )
 
 
-def reference_to_message(signal: ReferenceSignal) -> ReferenceMessage:
-    """Message of a plain reference."""
+def reference_to_message(signal: ReferenceSignal, epoch: int = 0) -> ReferenceMessage:
+    """Message of a plain reference; `epoch` is that of the session."""
     return ReferenceMessage(
         waveform=int(signal.waveform),
         amplitude=float(signal.amplitude),
         offset=float(signal.offset),
         frequency=float(signal.frequency),
         phase=float(signal.phase),
+        epoch=epoch,
     )
 
 

@@ -8,11 +8,12 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, ReferenceSignal, TrainingStatus
+from hydro_msgs.msg import Authority, BenchState, BoxInfo, Correction, Gains, ReferenceSignal, TrainingStatus
 
 STATE = "/hydro/state"
 GAINS = "/hydro/gains"
 BOX = "/hydro/box"
+AUTHORITY = "/hydro/authority"
 CORRECTION = "/hydro/correction"
 REFERENCE = "/hydro/reference"
 TRAINING = "/hydro/training"
@@ -20,6 +21,7 @@ DIAGNOSTICS = "/diagnostics"
 CLOCK = "/clock"
 """ROS's own, of a simulation off real time; not in GRAPH, for nobody records it."""
 ARM_SERVICE = "/hydro/arm"
+CLAIM_SERVICE = "/hydro/claim"
 OVERRIDE_SERVICE = "/hydro/override"
 
 
@@ -37,6 +39,7 @@ STATE_QOS = _qos(200, reliable=False)
 CORRECTION_QOS = _qos(50, reliable=False)
 GAINS_QOS = _qos(10, reliable=True)
 BOX_QOS = _qos(1, reliable=True, latched=True)
+AUTHORITY_QOS = _qos(1, reliable=True, latched=True)
 REFERENCE_QOS = _qos(1, reliable=True, latched=True)
 TRAINING_QOS = _qos(10, reliable=True)
 DIAGNOSTICS_QOS = _qos(10, reliable=True)
@@ -44,6 +47,7 @@ DIAGNOSTICS_QOS = _qos(10, reliable=True)
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     STATE: (BenchState, STATE_QOS),
     BOX: (BoxInfo, BOX_QOS),
+    AUTHORITY: (Authority, AUTHORITY_QOS),
     CORRECTION: (Correction, CORRECTION_QOS),
     GAINS: (Gains, GAINS_QOS),
     REFERENCE: (ReferenceSignal, REFERENCE_QOS),
@@ -51,3 +55,6 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     DIAGNOSTICS: (DiagnosticArray, DIAGNOSTICS_QOS),
 }
 """Type and quality of service of every topic."""
+
+COMMANDS = (GAINS, REFERENCE, CORRECTION)
+"""Topics by which a plant is commanded: one publisher each, or nothing is armed."""

@@ -24,6 +24,9 @@ DECIDED = frozenset(
 """Statuses with which the filter did decide. NAN and STALE say that it could not, BYPASSED that it was told not to;
 MISMATCH that nothing should rest on it."""
 
+_KEPT = 256
+"""Samples whose nominal current is kept: more than `correction_age_max` can be."""
+
 MISMATCHED = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
 
 
@@ -38,6 +41,8 @@ class GuardCounts:
     """Corrections with status NAN, STALE or BYPASSED."""
     outdated: int = 0
     """Corrections of a sample that was too old when they came, or of one that never was."""
+    repeated: int = 0
+    """Corrections of a sample that was answered already, or of one before it."""
     mismatched: int = 0
     """Corrections with status MISMATCH: the filter's model is not this bench's."""
     narrowed: int = 0
@@ -60,6 +65,8 @@ class CommandGuard:
 
     settings: GuardSettings = field(default_factory=GuardSettings)
     counts: GuardCounts = field(default_factory=GuardCounts)
+    valve_current_max: float = inf
+    """A, of the box: no correction asks for more, as no certificate does."""
     _gains: tuple[float, float] = (0.0, 0.0)
     _gains_at: float = -inf
     _delta_u: float = 0.0
@@ -68,6 +75,10 @@ class CommandGuard:
     _mismatched: bool = False
     """Whether the filter's last word was MISMATCH; only a decision takes it back."""
     _newest: int | None = None
+    _answered_last: int | None = None
+    """The sample that was corrected last, as far as samples are told of."""
+    _nominal: dict[int, tuple[int, float]] = field(default_factory=dict)
+    """The last samples and their nominal currents [A], by sequence modulo `_KEPT`."""
     _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
     _arm: bool = False
     _gained: bool = False
@@ -126,11 +137,8 @@ class CommandGuard:
             self.counts.not_finite += 1
         elif status not in DECIDED:
             self.counts.undecided += 1
-        elif self._outdated(sequence):
-            self.counts.outdated += 1
-        else:
-            limit = self.settings.delta_u_max
-            self._delta_u = self._clamp("delta_u", delta_u, -limit, limit)
+        elif self._fits(sequence):
+            self._delta_u = self._clamp("delta_u", delta_u, *self._admissible(sequence))
             self._corrects = sequence & 0xFFFFFFFF
             self._correction_at, self._mismatched = now, False
 
@@ -138,17 +146,41 @@ class CommandGuard:
         """Nothing rests on the filter from now on; that it answers keeps the narrow gains in force."""
         self.counts.mismatched += 1
         self._mismatched, self._delta_u = True, 0.0
-        if self._outdated(sequence):
-            self.counts.outdated += 1
-        else:
+        if self._fits(sequence):
             self._corrects, self._correction_at = sequence & 0xFFFFFFFF, now
 
-    def _outdated(self, sequence: int) -> bool:
-        return self._newest is not None and (self._newest - sequence) & 0xFFFFFFFF > self._samples_back
+    def _fits(self, sequence: int) -> bool:
+        """Whether a correction is of a young sample that is not answered yet; others are counted."""
+        if self._newest is None:
+            return True
+        if (self._newest - sequence) & 0xFFFFFFFF > self._samples_back:
+            self.counts.outdated += 1
+            return False
+        if self._answered_last is not None and not 0 < (sequence - self._answered_last) & 0xFFFFFFFF < 1 << 31:
+            self.counts.repeated += 1
+            return False
+        self._answered_last = sequence & 0xFFFFFFFF
+        return True
 
-    def note_sample(self, sequence: int | None) -> None:
-        """Say which sample is the newest; None for a new start. Without it corrections age by their arrival alone."""
+    def _admissible(self, sequence: int) -> tuple[float, float]:
+        """Corrections [A] of a sample that a certificate can ask for: they leave the valve within its current."""
+        limit, valve = self.settings.delta_u_max, self.valve_current_max
+        known, nominal = self._nominal.get(sequence % _KEPT, (sequence, 0.0))
+        if known != sequence or abs(nominal) > valve:  # saturated: back to the valve's limit is much of the correction
+            return -limit, limit
+        return max(-limit, -valve - nominal), min(limit, valve - nominal)
+
+    def note_sample(self, sequence: int | None, nominal: float = 0.0) -> None:
+        """Say which sample is the newest, and its nominal current [A]; None for a new start.
+
+        Without it corrections age by their arrival alone.
+        """
         self._newest = sequence
+        if sequence is None:
+            self._answered_last = None
+            self._nominal.clear()
+        else:
+            self._nominal[sequence % _KEPT] = (sequence, nominal)
 
     @property
     def _samples_back(self) -> int:

@@ -26,8 +26,8 @@ class GuardSettings:
     """1/s^2, smallest change of the integral gain, [-50, 0]."""
     delta_ki_max: float = 10.0
     """1/s^2, largest change of the integral gain, [0, 100]."""
-    delta_u_max: float = 0.1
-    """A, largest magnitude of the correction, [0, 0.2]; twice the valve's current gets from end to end."""
+    delta_u_max: float = 0.02
+    """A, largest magnitude of the correction, [0, 0.2]; the learned metric's filter needs 0.0045 (docs/safety.md)."""
     reference_force_max: float = 1000.0
     """N, largest |offset| + amplitude of the reference, [0, 5000]."""
     reference_frequency_max: float = 20.0

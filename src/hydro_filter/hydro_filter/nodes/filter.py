@@ -3,7 +3,8 @@
 
 ros2 run hydro_filter filter [--metric learned|constant|FILE] [--model FILE] [--bench FILE] [--every N] [--bypass]
 
-States are answered in order, each once. After a hold-up those older than `state_age_max` are answered STALE without
+States are answered in order, each once, with the epoch of the session (/hydro/authority). States of two plants are not
+answered, and beside another filter none. After a hold-up those older than `state_age_max` are answered STALE without
 being acted upon. The filter with the learned metric follows the valve's spool from sample to sample: where samples are
 missing it begins anew.
 
@@ -25,12 +26,16 @@ from math import nan
 from pathlib import Path
 
 import numpy as np
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.publisher import Publisher
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.process import endings
 from hydro_bridge.ros import (
+    AUTHORITY,
+    AUTHORITY_QOS,
     CLOCK,
     CORRECTION,
     CORRECTION_QOS,
@@ -56,7 +61,7 @@ from hydro_filter.controller.filter import FilterSettings, Result
 from hydro_filter.controller.loop_filter import LoopFilterSettings
 from hydro_filter.controller.statistics import TROUBLE, FilterStatistics, sentence
 from hydro_filter.model.sample import Sample
-from hydro_msgs.msg import BenchState, Correction
+from hydro_msgs.msg import Authority, BenchState, Correction
 from hydro_sim.files.pairing import refuse
 from hydro_sim.model.bench import Bench
 
@@ -65,6 +70,9 @@ NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit"
 
 PATIENCE = 2.0
 """s after which somebody who waits is told why."""
+
+DISCOVERY = 0.5
+"""s after the start in which another filter is found, if there is one."""
 
 FOREIGN = 1.0
 """s between a stamp and now that no hold-up explains: the states are stamped by another clock."""
@@ -92,6 +100,7 @@ class FilterNode(Node):
 
     def __init__(self, choice: Choice, settings: Settings, *, every: int = 1, realtime: bool = False) -> None:
         super().__init__("filter")
+        begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
         self.filter = self._compiled(choice)
         self.tally = FilterStatistics()
@@ -101,7 +110,7 @@ class FilterNode(Node):
         self._every, self._age = every, 0.0
         self._choice = choice
         self._message = Correction()
-        self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
+        self._publisher: Publisher | None = None  # as long as another filter answers
         self._told = choice.describe()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         scheduling = request_realtime(realtime=realtime)
@@ -110,7 +119,29 @@ class FilterNode(Node):
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
         listen_to_box(self, self._on_box)
-        self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)  # last: states wait from now on
+        self._words = self.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
+        time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
+        self._come_forward()
+        self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        # last: states wait from now on
+        self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+
+    def _come_forward(self) -> None:
+        """Answer from now on, if no other filter does."""
+        if self._publisher is not None:
+            return
+        others = self.get_publishers_info_by_topic(CORRECTION)
+        if others:
+            self.get_logger().warning(
+                f"{others[0].node_name} answers already: this filter waits until it is alone",
+                throttle_duration_sec=10.0,
+            )
+        else:
+            self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
+
+    def _on_authority(self, message: Authority) -> None:
+        if self._words.get_publisher_count() < 2:  # else the plant says it again when it is alone
+            self._message.epoch = message.epoch
 
     def _compiled(self, choice: Choice) -> Filter:
         """Compile now, not at the first sample, and say so if it takes its time: numba keeps it for the next start."""
@@ -131,6 +162,8 @@ class FilterNode(Node):
         return made
 
     def _on_state(self, message: BenchState) -> None:
+        if self._states.get_publisher_count() > 1:
+            return  # which of them is the plant's? The plant holds its base gains, and disarms
         begin = time.perf_counter()
         if not self.tally.expect(message.sequence):
             self.filter.skip()
@@ -163,6 +196,8 @@ class FilterNode(Node):
         self._mismatch = reason
 
     def _publish(self, state: BenchState, result: Result) -> None:
+        if self._publisher is None:
+            return
         message = self._message
         message.header = state.header
         message.sequence = state.sequence
@@ -199,8 +234,10 @@ class FilterNode(Node):
             level, told = Level.ERROR, f"MISMATCH, nothing is corrected: {self._mismatch}; {told}"
         values = {**self._told, **self.tally.values(self.filter.qp.counts)}
         values["fits"] = f"no: {self._mismatch}" if self._mismatch else "yes"
-        status = Status(level=level, message=told, values=values)
-        return with_publisher_conflicts(status, publisher_conflicts(self, STATE))
+        crowd = publisher_conflicts(self, STATE) or (
+            "" if self._publisher else "another filter answers: this one waits"
+        )
+        return with_publisher_conflicts(Status(level=level, message=told, values=values), crowd)
 
 
 def sample_of(message: BenchState) -> Sample:

@@ -108,7 +108,7 @@ def roomy(box: BoxConfig) -> GuardSettings:
     """A guard that lets through what the box takes, with a filter or without: what the filter holds is to be seen."""
     return GuardSettings(
         delta_kp_min=box.delta_kp_min, delta_kp_max=box.delta_kp_max, delta_ki_min=box.delta_ki_min,
-        delta_ki_max=box.delta_ki_max, require_filter=False,
+        delta_ki_max=box.delta_ki_max, delta_u_max=box.delta_u_max, require_filter=False,
     )  # fmt: skip
 
 

@@ -16,28 +16,23 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
+from rclpy.service import Service
 from rclpy.task import Future
-from std_srvs.srv import SetBool
 
 from hydro_bridge.process.latency import Latency
 from hydro_bridge.ros import (
-    ARM_SERVICE,
     CORRECTION,
     CORRECTION_QOS,
-    GAINS,
-    GAINS_QOS,
     OVERRIDE_SERVICE,
-    REFERENCE,
-    REFERENCE_QOS,
     STATE,
     STATE_QOS,
+    Commander,
     Companion,
     CompanionError,
     RecorderWatch,
     drop_realtime,
     listen_to_box,
     publisher_conflicts,
-    reference_to_message,
     request_realtime,
     seconds,
     spin,
@@ -47,7 +42,6 @@ from hydro_bridge.safety.box_info import KnownBox, told
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import BenchState, Correction, Gains
-from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.nodes.sayings import Sayings
@@ -60,14 +54,16 @@ PRIORITY = 10
 """Of SCHED_FIFO: below bridge and filter, which have a millisecond where gains have ten."""
 DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 _PERIOD = 0.01  # s, of a policy step
-_LOOK = 0.5  # s from the first sample on, in which others who publish gains are found
-_ALONE_WITHIN = 600.0  # s that a newcomer waits for the others to go
+_ANSWER_WITHIN = 30.0  # s, of the plant
+UNANSWERED = "the plant does not say who may command it (/hydro/claim)"
+_ALONE_WITHIN = 600.0  # s that a newcomer waits for who commands the plant
 
 
 class GraphNode(Node):
     """Moves messages between the graph and one session at a time; implements `supervision.outputs.Outputs`.
 
-    A newcomer waits, and sends nothing, as long as somebody else publishes gains: the two would alternate unnoticed.
+    It commands the plant only while it has the authority over it: a newcomer waits, and sends nothing, as long as the
+    plant says that somebody else has it. States of two plants are not believed.
 
     Parameters
     ----------
@@ -96,19 +92,18 @@ class GraphNode(Node):
         self._meeting: Readiness | None = None  # while a plant is waited for that says what its box is
         self._session: Session | None = None
         self._failure: Exception | None = None  # in a callback; raised there rclpy would print it, too
-        self._alone, self._heard = False, math.inf  # nobody else publishes gains; when the first sample came, s
         self._each_tick: Callable[[], None] = lambda: None
-        self._crowded, self._crowded_since = False, math.inf
+        self._unarmed_since = math.inf  # since when the plant refuses to be armed, s
+        self._waiting_since = math.inf  # for whoever has the authority over the plant, s
+        self._two_plants, self._crowd, self._refusal = False, "", ""  # seen since the last tick; what was told of it
         self._done = Future()
         self._gains_out = self._published = 0.0
         self._gains = Gains()
-        self._gains_publisher = self.create_publisher(Gains, GAINS, GAINS_QOS)
-        self._reference_publisher = self.create_publisher(ReferenceMessage, REFERENCE, REFERENCE_QOS)
-        self._arm_client = self.create_client(SetBool, ARM_SERVICE)
+        self._commander = Commander(self, self._on_authority)
+        self._override_service: Service | None = None  # while this node commands the plant
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
+        self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
         listen_to_box(self, self._on_box)
-        self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def follow(self, companions: list[Companion], recording: Path | None) -> None:
@@ -164,11 +159,11 @@ class GraphNode(Node):
             drop_realtime()
 
     def disarm(self) -> None:
-        """Ask the plant to disarm and wait for its answer, at most 2 s."""
+        """Give the authority back, which disarms the plant, and wait for its answer, at most 2 s."""
         self._session = None
-        if not self._alone or not self._arm_client.service_is_ready():
+        answer = self._commander.give()
+        if answer is None:
             return
-        answer = self._arm_client.call_async(SetBool.Request(data=False))
         executor = EventsExecutor()
         executor.add_node(self)
         executor.spin_until_future_complete(answer, timeout_sec=DISARM_TIMEOUT)
@@ -188,20 +183,18 @@ class GraphNode(Node):
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""
-        message = self._gains
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.delta_kp, message.delta_ki, message.step = delta_kp, delta_ki, step
-        self._gains_publisher.publish(message)
+        self._gains = self._commander.gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
 
     def reference(self, signal: ReferenceSignal) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""
-        self._reference_publisher.publish(reference_to_message(signal))
+        self._commander.reference(signal)
 
     def arm(self, arm: bool) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""
-        if self._arm_client.service_is_ready():
-            self._arm_client.call_async(SetBool.Request(data=arm)).add_done_callback(self._on_arm_answer)
+        answer = self._commander.arm(arm)
+        if answer is not None:
+            answer.add_done_callback(self._on_arm_answer)
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""
@@ -227,11 +220,11 @@ class GraphNode(Node):
 
     def _on_state(self, message: BenchState) -> None:
         begin = time.monotonic()
-        self._sampled = min(self._sampled, begin)
-        if self._session is None:
+        if self._states.get_publisher_count() > 1:
+            self._two_plants = True  # which of them is the plant's?
             return
-        if not self._alone:
-            self._heard = min(self._heard, begin)
+        self._sampled = min(self._sampled, begin)
+        if self._session is None or not self._commander.held:
             return
         sample = np.array(state_from_message(message))
         try:
@@ -281,28 +274,44 @@ class GraphNode(Node):
             self._meeting.look(now)
 
     def _carry_on(self, session: Session, now: float) -> None:
-        if not self._alone:
-            self._look_around(now)
+        self._commander.seek(now)
+        self._wait_for_authority(now)
         with suppress(queue.Empty):
             self._keys.get_nowait()
             session.watch.arm_now(now)
-        if self._alone or self._heard == math.inf:
+        if self._commander.held or self._sampled == math.inf:
             session.on_tick(now)
         self._each_tick()
         if session.finished:
             self._finish()
 
-    def _look_around(self, now: float) -> None:
-        trouble = publisher_conflicts(self, GAINS)
-        looked = now - self._heard > _LOOK
-        if trouble and looked and not self._crowded:
-            how = f"{self.get_name()} waits until it is alone, {_ALONE_WITHIN:g} s at most"
-            self.say(f"{trouble}; {how}", warning=True)
-            self._crowded_since = now
-        self._crowded = bool(trouble) and looked
-        if self._crowded and now - self._crowded_since > _ALONE_WITHIN:
-            raise NotReadyError(f"{trouble}, still after {_ALONE_WITHIN:g} s")
-        self._alone = looked and not trouble
+    def _wait_for_authority(self, now: float) -> None:
+        """Say what the samples and the plant's answers do not let it do; the end of waiting is NotReadyError."""
+        crowd = publisher_conflicts(self, STATE) if self._two_plants else ""
+        if crowd and not self._crowd:
+            self.say(f"{crowd}; until then no sample is believed", warning=True)
+        self._two_plants, self._crowd = False, crowd
+        if self._commander.held or self._sampled == math.inf:
+            self._waiting_since, self._refusal = math.inf, ""
+            return
+        self._waiting_since = min(self._waiting_since, now)
+        refusal, within = self._commander.refusal or UNANSWERED, _ALONE_WITHIN
+        if not self._commander.refusal:
+            within = _ANSWER_WITHIN
+        elif refusal != self._refusal:
+            self.say(f"{refusal}; {self.get_name()} waits, {within:g} s at most", warning=True)
+        self._refusal = refusal
+        if now - self._waiting_since > within:
+            raise NotReadyError(f"{refusal}, still after {within:g} s")
+
+    def _on_authority(self, lost: str) -> None:
+        if lost:
+            self.say(f"the authority over the plant is lost: {lost}", warning=True)
+            if self._override_service is not None:
+                self.destroy_service(self._override_service)
+            self._override_service = None
+        elif self._override_service is None:
+            self._override_service = self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or error
@@ -322,8 +331,13 @@ class GraphNode(Node):
 
     def _on_arm_answer(self, answer: Future) -> None:
         response = answer.result()
-        if response is not None and not response.success:
-            self.say(f"arming: {response.message}", warning=True)
+        if response is None or response.success:
+            self._unarmed_since = math.inf
+            return
+        self._unarmed_since = min(self._unarmed_since, now := time.monotonic())
+        self.say(f"arming: {response.message}", warning=True)
+        if now - self._unarmed_since > _ALONE_WITHIN:
+            self._fail(NotReadyError(f"the plant was not armed for {_ALONE_WITHIN:g} s: {response.message}"))
 
     def _read_keys(self) -> None:
         with suppress(OSError, ValueError):  # the terminal has gone

@@ -12,10 +12,9 @@ from contextlib import suppress
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
 from rclpy.task import Future
-from std_srvs.srv import SetBool
 from tqdm import tqdm
 
-from hydro_bridge.ros import ARM_SERVICE
+from hydro_bridge.ros import Commander
 
 NOT_YET = "not armed, still waiting for {}: you are asked once all is ready"
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
@@ -35,11 +34,10 @@ def tell(sentence: str) -> None:
 
 
 class Arming:
-    """Seeks an armed plant. A plant that has tripped is disarmed first."""
+    """Seeks an armed plant, for a commander. A plant that has tripped is disarmed first."""
 
-    def __init__(self, node: Node) -> None:
-        self._node = node
-        self._client = node.create_client(SetBool, ARM_SERVICE)
+    def __init__(self, node: Node, commander: Commander) -> None:
+        self._node, self._commander = node, commander
         self._rearm, self._granted = False, False
         self._answer: Future | None = None
         self._ask_after, self._told, self._refusal = 0.0, "", ""
@@ -75,11 +73,11 @@ class Arming:
             self._told = TOO_EARLY
             self._request(arm=False, now=now)
 
-    def disarm(self) -> bool:
-        """Ask for it with nobody else spinning the node, and wait; whether the plant confirms."""
-        if not self._client.service_is_ready():
+    def give_back(self) -> bool:
+        """Give the authority back, which disarms, with nobody else spinning the node; whether the plant confirms."""
+        answer, executor = self._commander.give(), EventsExecutor()
+        if answer is None:
             return False
-        answer, executor = self._client.call_async(SetBool.Request(data=False)), EventsExecutor()
         executor.add_node(self._node)
         executor.spin_until_future_complete(answer, timeout_sec=_DISARM_TIMEOUT)
         executor.remove_node(self._node)
@@ -88,8 +86,8 @@ class Arming:
 
     def _request(self, *, arm: bool, now: float) -> None:
         self._ask_after = now + _SETTLE
-        if self._client.service_is_ready():
-            self._answer = self._client.call_async(SetBool.Request(data=arm))
+        self._answer = self._commander.arm(arm)
+        if self._answer is not None:
             self._answer.add_done_callback(self._on_answer)
 
     def _may_arm(self, tripped: bool) -> bool:

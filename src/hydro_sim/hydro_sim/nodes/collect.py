@@ -48,6 +48,7 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
                 raise UserError("broken off before anything was recorded")
             lost, broken = _record(node, schedule, _bench_of(node, bench), options)
         finally:
+            node.leave()
             node.destroy_node()
     finally:
         rclpy.try_shutdown()

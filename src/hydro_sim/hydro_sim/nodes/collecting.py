@@ -3,7 +3,7 @@
 
 ::
 
-    meet     nobody else publishes gains; which box is it, and may it be armed without a person (simulation, emulator)?
+    meet     which box is it, may this node command it, and arm it without a person (simulation, emulator)?
     drive    wait for the recorder, record the still bench, arm, play, arm anew after a trip; too many trips are the end
     leave    reference 0 N, and a disarm that the plant confirms
 """
@@ -23,24 +23,21 @@ from rclpy.task import Future
 from hydro_bridge.cli.console import UserError, progress
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros import (
-    GAINS,
-    GAINS_QOS,
-    REFERENCE,
-    REFERENCE_QOS,
+    COMMANDS,
     STATE,
     STATE_QOS,
+    Commander,
     Companion,
     RecorderWatch,
     listen_to_box,
     publisher_conflicts,
-    reference_to_message,
     spin,
 )
 from hydro_bridge.safety.box_info import KnownBox, told
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag
 from hydro_bridge.signals import ReferenceSignal as Signal
-from hydro_msgs.msg import BenchState, Gains, ReferenceSignal
+from hydro_msgs.msg import BenchState
 from hydro_sim.box.box import EMULATED_BOX
 from hydro_sim.excitation.playback import Playback
 from hydro_sim.excitation.schedules import Segment
@@ -49,7 +46,7 @@ from hydro_sim.nodes.arming import Arming, tell
 TRIPS_IN_A_ROW = 3
 _PERIOD = 0.01  # s, of gains
 _REST = 1.0  # s recorded before arming: the still bench
-_LOOK = 1.0  # s from the first sample on, in which others who publish gains are found
+_AUTHORITY_WITHIN = 5.0  # s for the plant to give the authority: longer than it keeps that of one who was killed
 _PLANT_WITHIN = 600.0  # s without a sample
 
 
@@ -74,16 +71,15 @@ class CollectNode(Node):
         self._rearm = rearm
         self.box: KnownBox | None = None
         """What the plant says of its box: schedules ask for gains in all, and a box takes changes to its own."""
-        self._heard = inf
+        self._heard = self._asked = inf  # when the first sample came; when the authority was first asked for, s
         self._readiness = Readiness([self._plant_needed(), told(lambda: self.box is not None)], _warn)
         self._met, self._finished, self._driving = Future(), Future(), False
         self._recorder: Companion | None = None
         self._begun, self._still_since = False, inf  # whether it may be armed; since when it is not, s
-        self._gains = Gains()
+        self._changes = (0.0, 0.0)  # to K_p [1/s] and K_i [1/s^2] of the box
         self._bar: Any = None
-        self._gains_publisher = self.create_publisher(Gains, GAINS, GAINS_QOS)
-        self._reference_publisher = self.create_publisher(ReferenceSignal, REFERENCE, REFERENCE_QOS)
-        self._arming = Arming(self)
+        self._commander = Commander(self, self._on_authority)
+        self._arming = Arming(self, self._commander)
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
         listen_to_box(self, self._on_box)
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
@@ -94,7 +90,7 @@ class CollectNode(Node):
         Raises
         ------
         UserError
-            Another node publishes gains, no plant comes, or nobody says what the box is.
+            Somebody else commands the plant, no plant comes, or nobody says what the box is.
         """
         broken = spin(self, self._met)
         if not broken and self.ended:
@@ -110,12 +106,11 @@ class CollectNode(Node):
         return spin(self, self._finished)
 
     def leave(self) -> None:
-        """Leave the plant disarmed, with a reference of 0 N for who arms it next; not one that was never driven."""
+        """Leave the plant disarmed, with a reference of 0 N for who arms it next, and give back the authority."""
         with undisturbed():  # a second Ctrl-C waits
-            driven, self._driving = self._driving, False
-            if driven:
-                self._reference_publisher.publish(reference_to_message(Signal()))
-            if driven and not self._arming.disarm():
+            self._driving = False
+            self._commander.reference(Signal())
+            if self._commander.held and not self._arming.give_back():
                 tell("! the plant did not confirm that it is disarmed; its own watchdog remains")
             if self._bar is not None:  # after the plant: there may be no terminal any more
                 self._bar.close()
@@ -131,9 +126,16 @@ class CollectNode(Node):
             self._look_around(time.monotonic())
 
     def _look_around(self, now: float) -> None:
-        if not self._ready(now) or now - self._heard < _LOOK:
+        if not self._ready(now):
             return
-        self.ended = publisher_conflicts(self, GAINS)
+        self._commander.seek(now)
+        self._asked = min(self._asked, now)
+        if not self._commander.held and now - self._asked < _AUTHORITY_WITHIN:
+            return
+        if not self._commander.held:
+            self.ended = self._commander.refusal or "the plant does not say who may command it (/hydro/claim)"
+        elif crowd := publisher_conflicts(self, *COMMANDS):
+            self.ended = crowd
         if self._rearm is None:
             self._rearm = self.plant in ("sim", EMULATED_BOX)
         self._met.set_result(None)
@@ -147,6 +149,7 @@ class CollectNode(Node):
         now = time.monotonic()
         if self._finished.done():
             return
+        self._commander.seek(now)
         if self._recorder is None or not self._recorder.running:  # nothing moves unrecorded
             self._end("")
             return
@@ -155,8 +158,7 @@ class CollectNode(Node):
             return
         self._follow_schedule()
         self._follow_arming(now)
-        self._gains.header.stamp = self.get_clock().now().to_msg()
-        self._gains_publisher.publish(self._gains)
+        self._commander.gains(*self._changes)
 
     def _wait_to_begin(self, now: float, *, armed: bool) -> None:
         """Wait until the recorder has a second of the bench at rest; if somebody arms it meanwhile, it is disarmed."""
@@ -189,19 +191,22 @@ class CollectNode(Node):
         elif playback.finished:
             self._end("")
         if segment is not None and self.box is not None:
-            self._reference_publisher.publish(reference_to_message(segment.signal))
-            self._gains.delta_kp = segment.kp - self.box.info.base_kp
-            self._gains.delta_ki = segment.ki - self.box.info.base_ki
+            self._commander.reference(segment.signal)
+            self._changes = segment.kp - self.box.info.base_kp, segment.ki - self.box.info.base_ki
         if self._bar is not None:
             self._bar.update(int(playback.elapsed) - self._bar.n)
 
     def _follow_arming(self, now: float) -> None:
         if self._finished.done() or self.playback.flags & Flag.ARMED:
             self._arming.rest()
-        elif trouble := publisher_conflicts(self, GAINS):
+        elif trouble := publisher_conflicts(self, *COMMANDS):
             self._end(f"{trouble}; the plant is left disarmed")
         else:
             self._arming.seek(tripped=bool(self.playback.flags & Flag.TRIPPED), now=now)
+
+    def _on_authority(self, lost: str) -> None:
+        if lost:
+            self._end(f"{lost}; it goes on without this node")
 
     def _end(self, why: str) -> None:
         over = self._finished if self._driving else self._met

@@ -23,7 +23,6 @@ from hydro_bridge.safety.box_info import known_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.settings import describe
 from hydro_bridge.signals import Flag
-from hydro_msgs.msg import Gains
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import Believed, refuse, unfit
@@ -97,6 +96,7 @@ class SimNode(PlantNode):
         self.simulation.effects = effects
         self.connect(self.simulation, self.simulation.clock)
         info = box_info(believed, config, SIMULATED_BOX)
+        guard.valve_current_max = info.valve_current_max
         self._known = known_box(info, believed.to_mapping(), self.get_name())
         self.simulation.warm_up()  # not by SCHED_FIFO: compiling takes seconds on end
         self.get_logger().info(request_realtime(realtime=realtime and self.simulation.real_time))
@@ -120,8 +120,8 @@ class SimNode(PlantNode):
         _, sequence, *values, flags = fields
         self.publish_state(stamp_ns, sequence, values, flags)
 
-    def _on_gains(self, message: Gains) -> None:
-        super()._on_gains(message)
+    def gained(self) -> None:
+        """Gains have been taken: in lock-step the next samples may follow."""
         self.simulation.gained()
 
 

@@ -26,11 +26,13 @@ from typing import Any
 from hydro_bridge.link.clock import set_by
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.settings import check
-from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray
 from hydro_sim.box.box import Box
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.lockstep import LockStep
 from hydro_sim.simulation.pacing import Pacer, exact_timers
+
+_NOMINAL = (STATE_DTYPE.names or ()).index("nominal_valve_current")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +131,8 @@ class Simulation:
                 sample["flags"] |= Flag.EXTRAPOLATING
             stamp = self._stamp()
             fields: tuple[Any, ...] = sample.item()  # type: ignore[assignment]
+            with self.lock:
+                self.guard.note_sample(fields[1], fields[_NOMINAL])
             self._on_state(stamp, fields)
             measurement = self._plant.step(fields[10])
             self._note_flags(Flag(fields[-1]))

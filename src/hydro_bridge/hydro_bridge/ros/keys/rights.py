@@ -12,8 +12,11 @@ from dataclasses import dataclass
 
 from hydro_bridge.ros.topics import (
     ARM_SERVICE,
+    AUTHORITY,
     BOX,
+    CLAIM_SERVICE,
     CLOCK,
+    COMMANDS,
     CORRECTION,
     DIAGNOSTICS,
     GAINS,
@@ -65,35 +68,31 @@ def node(name: str, rights: Rights) -> Rights:
     )
 
 
-def ear(name: str, *heard: str) -> Rights:
-    """Of a node that only hears: without a log and without parameters."""
-    return Rights(publishes=(PARAMETER_EVENTS,), subscribes=heard, answers=(f"/{name}/{DESCRIPTION_SERVICE}",))
-
-
-_COMMANDS = (GAINS, CORRECTION, REFERENCE)
-_PLANT = Rights(publishes=(STATE, BOX, DIAGNOSTICS), subscribes=_COMMANDS, answers=(ARM_SERVICE,))
+_ARMING = (ARM_SERVICE, CLAIM_SERVICE)
+_PLANT = Rights(publishes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING)
 
 RIGHTS: Mapping[str, Mapping[str, Rights]] = {
-    "bridge": {"bridge": node("bridge", _PLANT), "_bridge_ear": ear("_bridge_ear", GAINS)},
+    "bridge": {"bridge": node("bridge", _PLANT)},
     "sim": {
         "sim": node(
             "sim",
             Rights(publishes=(*_PLANT.publishes, CLOCK), subscribes=_PLANT.subscribes, answers=_PLANT.answers),
         ),
-        "_sim_ear": ear("_sim_ear", GAINS),
     },
-    "replayer": {"replayer": node("replayer", Rights(publishes=_PLANT.publishes, answers=_PLANT.answers))},
+    "replayer": {"replayer": node("replayer", Rights(publishes=(STATE, BOX, DIAGNOSTICS), answers=_ARMING))},
     "filter": {
-        "filter": node("filter", Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, BOX, CLOCK))),
+        "filter": node(
+            "filter", Rights(publishes=(CORRECTION, DIAGNOSTICS), subscribes=(STATE, BOX, AUTHORITY, CLOCK))
+        ),
     },
     "trainer": {
         "trainer": node(
             "trainer",
             Rights(
                 publishes=(GAINS, REFERENCE, TRAINING, DIAGNOSTICS),
-                subscribes=(STATE, BOX, CORRECTION, DIAGNOSTICS),
+                subscribes=(STATE, BOX, AUTHORITY, CORRECTION, DIAGNOSTICS),
                 answers=(OVERRIDE_SERVICE,),
-                calls=(ARM_SERVICE,),
+                calls=_ARMING,
             ),
         ),
     },
@@ -102,20 +101,20 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
             "evaluate",
             Rights(
                 publishes=(GAINS, REFERENCE),
-                subscribes=(STATE, BOX, DIAGNOSTICS),
+                subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS),
                 answers=(OVERRIDE_SERVICE,),
-                calls=(ARM_SERVICE,),
+                calls=_ARMING,
             ),
         ),
     },
     "collect": {
         "collect": node(
             "collect",
-            Rights(publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, DIAGNOSTICS), calls=(ARM_SERVICE,)),
+            Rights(publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), calls=_ARMING),
         ),
     },
     "recorder": {"recorder": node("recorder", Rights(publishes=(DIAGNOSTICS,), subscribes=tuple(GRAPH)))},
-    "arm": {"arm": node("arm", Rights(calls=(ARM_SERVICE,)))},
+    "arm": {"arm": node("arm", Rights(calls=_ARMING))},
     "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},
     "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK, LOG)))},
 }

@@ -1,0 +1,159 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How a node commands a plant: it asks for the authority, keeps it, and publishes gains and references under it.
+
+Nothing is published, not even a publisher is there, before the plant has given the authority; nor after it is lost.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import inf
+
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+from rclpy.task import Future
+from std_srvs.srv import SetBool
+
+from hydro_bridge.ros.messages import reference_to_message
+from hydro_bridge.ros.topics import (
+    ARM_SERVICE,
+    AUTHORITY,
+    AUTHORITY_QOS,
+    CLAIM_SERVICE,
+    GAINS,
+    GAINS_QOS,
+    REFERENCE,
+    REFERENCE_QOS,
+)
+from hydro_bridge.signals import ReferenceSignal
+from hydro_msgs.msg import Authority, Gains
+from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
+from hydro_msgs.srv import Claim
+
+_AGAIN = 0.5  # s between two requests; the plant gives the authority to others after 3 s of silence
+_ANSWER_WITHIN = 3.0  # s; a plant that has gone does not answer any more
+
+
+class Commander:
+    """A node's authority over the plant that runs. Everything happens in the thread that spins the node.
+
+    Parameters
+    ----------
+    node
+        Who commands; its name is the holder's.
+    changed
+        Called when the authority has come (with an empty sentence) or has been lost (with the reason).
+    """
+
+    def __init__(self, node: Node, changed: Callable[[str], None] = lambda why: None) -> None:
+        self._node, self._changed = node, changed
+        self._claims = node.create_client(Claim, CLAIM_SERVICE)
+        self._arming = node.create_client(SetBool, ARM_SERVICE)
+        self._said = Authority()  # the plant's last word on who commands
+        self._claim = self._epoch = self._known = 0  # the last: the epoch when the plant was asked last
+        self._answer: Future | None = None
+        self._asked, self._refusal = -inf, ""
+        self._reference: ReferenceSignal | None = None
+        self._gains = Gains()
+        self._gains_publisher: Publisher | None = None
+        self._reference_publisher: Publisher | None = None
+        self._words = node.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
+
+    @property
+    def held(self) -> bool:
+        """Whether this node commands the plant."""
+        return bool(self._claim)
+
+    @property
+    def epoch(self) -> int:
+        """Of the session, if this node commands the plant; else 0."""
+        return self._epoch
+
+    @property
+    def refusal(self) -> str:
+        """Why the plant did not give the authority when it was asked last; empty: it has, or has not answered yet."""
+        return self._refusal
+
+    def seek(self, now: float) -> None:
+        """Take the authority, or keep it; call some times a second, `now` by the monotonic clock [s]."""
+        waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_WITHIN
+        if waiting or now < self._asked + _AGAIN or not self._claims.service_is_ready():
+            return
+        self._asked, self._known = now, self._epoch
+        self._answer = self._ask(Claim.Request.TAKE)
+        self._answer.add_done_callback(self._on_taken)
+
+    def gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> Gains:
+        """Publish gains [1/s], [1/s^2] if this node may; the message, with its stamp."""
+        message = self._gains
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        message.delta_kp, message.delta_ki, message.step, message.epoch = delta_kp, delta_ki, step, self._epoch
+        if self._gains_publisher is not None:
+            self._gains_publisher.publish(message)
+        return message
+
+    def reference(self, signal: ReferenceSignal) -> None:
+        """Publish the force to track; before the authority is there, as soon as it comes."""
+        self._reference = signal
+        if self._reference_publisher is not None:
+            self._reference_publisher.publish(reference_to_message(signal, self._epoch))
+
+    def arm(self, arm: bool) -> Future | None:
+        """Ask for arming or disarming if this node may and the plant is there; the plant's answer."""
+        if not (self.held and self._claims.service_is_ready() and self._arming.service_is_ready()):
+            return None
+        return self._ask(Claim.Request.ARM) if arm else self._arming.call_async(SetBool.Request(data=False))
+
+    def give(self) -> Future | None:
+        """Give the authority back, which disarms; the plant's answer, or None if there is nothing to give."""
+        if not (self.held and self._claims.service_is_ready()):
+            return None
+        answer = self._ask(Claim.Request.GIVE)
+        self._lose("")
+        return answer
+
+    def _ask(self, act: int) -> Future:
+        request = Claim.Request(act=act, name=self._node.get_name(), claim=self._claim)
+        return self._claims.call_async(request)
+
+    def _on_taken(self, answer: Future) -> None:
+        response = answer.result()
+        if response is None or answer is not self._answer:
+            return
+        self._refusal = "" if response.success else response.message
+        if not response.success:
+            if self.held:
+                self._lose(response.message)
+        elif response.claim != self._claim:
+            self._claim, self._epoch = response.claim, response.epoch
+            self._on_authority(self._said)  # its word on this claim may have come before its answer
+            self._begin()
+        elif self._epoch == self._known:  # not told of another meanwhile; a word of the plant's may have been lost
+            self._epoch = response.epoch
+
+    def _begin(self) -> None:
+        first = self._gains_publisher is None
+        if first:
+            self._gains_publisher = self._node.create_publisher(Gains, GAINS, GAINS_QOS)
+            self._reference_publisher = self._node.create_publisher(ReferenceMessage, REFERENCE, REFERENCE_QOS)
+        if self._reference is not None:
+            self.reference(self._reference)
+        if first:
+            self._changed("")
+
+    def _lose(self, why: str) -> None:
+        self._claim = self._epoch = 0
+        self._answer = self._reference = None
+        for publisher in (self._gains_publisher, self._reference_publisher):
+            if publisher is not None:
+                self._node.destroy_publisher(publisher)
+        self._gains_publisher = self._reference_publisher = None
+        if why:
+            self._changed(why)
+
+    def _on_authority(self, message: Authority) -> None:
+        if self._words.get_publisher_count() > 1:
+            return  # the plant says it again when it is alone
+        self._said = message
+        if self._claim and message.claim == self._claim:
+            self._epoch = message.epoch

@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What strangers do to an armed plant, and what it does then: the table of docs/safety.md.
+
+python -m tests.attacks [--repeats N] [--json FILE]
+
+Emulator, bridge and filter run; a commander tracks 200 N at 1 Hz with (90, 15). A stranger, a participant of its own,
+then publishes two hundred messages a second, without the epoch of the session or with it copied from the graph.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from std_srvs.srv import SetBool
+
+from hydro_bridge.cli.console import Table, add_json_argument, command
+from hydro_bridge.ros import (
+    ARM_SERVICE,
+    AUTHORITY,
+    CLAIM_SERVICE,
+    CORRECTION,
+    GAINS,
+    GRAPH,
+    REFERENCE,
+    STATE,
+    reference_to_message,
+    seconds,
+)
+from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
+from hydro_msgs.msg import Authority, BenchState, Correction, Gains
+from hydro_msgs.srv import Claim
+from hydro_policy.nodes.companions import PlantOptions, start_companions
+from hydro_policy.task.mdp import GainRange
+from tests.graph_probe import Probe, own_domain
+
+SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+SHAKE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=8.0)
+_LASTS = 4.0  # s that an attack lasts, if the plant stays armed
+_AFTER = 0.1  # s from the disarm in which the force error still counts
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What one attack came to."""
+
+    attack: str
+    safe_after: float | None
+    """s from when the stranger's messages can arrive to the first sample that is not armed; None: it stayed armed."""
+    error: float
+    """N, largest |f_r - f_l| of the armed plant's own reference from then until 0.1 s after the disarm."""
+    before: float
+    """N, largest |f_r - f_l| in the second before."""
+    current: float
+    """A, largest change of the valve's current by corrections meanwhile."""
+    tripped: bool
+    """Whether the box's own watchdog disarmed, not the plant node."""
+    foreign: int
+    """Armed samples with gains that are neither the holder's nor the box's base gains."""
+
+
+Strike = Callable[[Any, "Defended"], Callable[[], bool]]
+"""What a stranger's node does: once more, each time; whether it arrives."""
+
+
+class Defended:
+    """The graph under attack."""
+
+    def __init__(self, folder: Path, stack: ExitStack, say: Callable[[str], None] = lambda line: None) -> None:
+        self.text: list[str] = []
+        keep = lambda line: (self.text.append(line), say(line))[0]  # noqa: E731
+        start_companions(stack, PlantOptions(plant="emulator"), GainRange(), folder, keep)
+        self.probe = Probe()
+        stack.callback(self.probe.close)
+        self.probe.take(60.0)
+        self.probe.wait(
+            lambda: not self.probe.flags() & Flag.FILTER_STALE and len(self.probe.heard[STATE]) > 100, 120.0
+        )
+
+    def arm(self) -> None:
+        """Arm, and track until the force has come to its reference."""
+        self.probe.arm(False)
+        self.probe.wait(lambda: not self.probe.flags() & Flag.ARMED, 5.0)
+        self.probe.commander.reference(SINE)
+        deadline = time.monotonic() + 60.0
+        while not self._armed():  # a stranger that has just left is forgotten soon
+            assert time.monotonic() < deadline, "it cannot be armed"
+            self.drive(0.3)
+        self.drive(2.0)
+        assert self.probe.flags() & Flag.ARMED
+
+    def own_flags(self) -> int:
+        """Flags of the plant's latest sample."""
+        own = [state for _, state in self.probe.heard[STATE][-50:] if state.header.frame_id == "bench"]
+        return int(own[-1].flags) if own else int(Flag.ARMED)
+
+    def _armed(self) -> bool:
+        answer = self.probe.commander.arm(True)
+        if answer is None:
+            return False
+        self.probe.wait(answer.done, 5.0)
+        return bool(answer.result().success)
+
+    def drive(
+        self, seconds: float, besides: Callable[[], None] = lambda: None, until: Callable[[], bool] = lambda: False
+    ) -> None:
+        """Publish gains at 100 Hz, and do `besides` at 200 Hz."""
+        end, due, next_one = time.monotonic() + seconds, 0.0, 0.0
+        while (now := time.monotonic()) < end and not until():
+            if now >= due:
+                due = now + 0.01
+                self.probe.commander.gains(75.0, 10.0)
+                self.probe.commander.seek(now)
+            if now >= next_one:
+                next_one = now + 0.005
+                besides()
+            self.probe._executor.spin_once(timeout_sec=0.001)
+
+    def attack(self, name: str, strike: Strike) -> Outcome:
+        """Arm, track, let a stranger strike, and see what comes of it."""
+        self.arm()
+        probe = self.probe
+        before = _error([state for _, state in probe.heard[STATE][-1000:]])
+        probe.forget()
+        began: list[float] = []
+        with stranger() as node:
+            arrives = strike(node, self)
+
+            def besides() -> None:
+                if arrives() and not began:
+                    began.append(time.time())
+
+            self.drive(_LASTS, besides, lambda: not self.own_flags() & Flag.ARMED)
+            self.drive(2 * _AFTER, besides)
+        begin = began[0] if began else time.time()
+        states = [state for _, state in probe.heard[STATE] if state.header.frame_id == "bench"]
+        own = [(seconds(state.header.stamp), state) for state in states]
+        safe = next((when for when, state in own if not state.flags & Flag.ARMED), None)
+        meant = [state for when, state in own if safe is None or when <= safe + _AFTER]
+        moved = max((abs(state.valve_current - state.nominal_valve_current) for state in meant), default=0.0)
+        gains = [(round(state.proportional_gain, 3), round(state.integral_gain, 3)) for state in meant]
+        return Outcome(
+            attack=name,
+            safe_after=None if safe is None else max(safe - begin, 0.0),
+            error=_error(meant),
+            before=before,
+            current=moved,
+            tripped=any(state.flags & Flag.TRIPPED for state in meant),
+            foreign=sum(pair not in ((90.0, 15.0), (15.0, 5.0)) for pair in gains),
+        )
+
+
+def _error(states: list[BenchState]) -> float:
+    """Largest |f_r - f_l| [N] of the reference that the holder has chosen."""
+    return max((abs(state.reference_force - state.load_force) for state in states), default=0.0)
+
+
+@contextmanager
+def stranger() -> Iterator[Any]:
+    """A node of a participant of its own."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("stranger", context=context)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def _publishing(topic: str, message: Callable[[Defended], Any]) -> Strike:
+    """A stranger that publishes on a topic."""
+
+    def strike(node: Any, graph: Defended) -> Callable[[], bool]:
+        kind, qos = GRAPH[topic]
+        publisher = node.create_publisher(kind, topic, qos)
+
+        def once() -> bool:
+            publisher.publish(message(graph))
+            return bool(publisher.get_subscription_count() >= graph.probe.node.count_subscribers(topic))
+
+        return once
+
+    return strike
+
+
+def _calling(kind: Any, service: str, request: Any) -> Strike:
+    """A stranger that calls a service, once."""
+
+    def strike(node: Any, graph: Defended) -> Callable[[], bool]:
+        client = node.create_client(kind, service)
+        called: list[Any] = []
+
+        def once() -> bool:
+            if not called and client.service_is_ready():
+                called.append(client.call_async(request))
+            return bool(called)
+
+        return once
+
+    return strike
+
+
+def _pushing(graph: Defended, epoch: int) -> Correction:
+    sequence = graph.probe.last(STATE).sequence if graph.probe.heard[STATE] else 0
+    return Correction(sequence=sequence, delta_u=0.05, status=int(CorrectionStatus.MODIFIED), epoch=epoch)
+
+
+def _copied(graph: Defended) -> int:
+    return graph.probe.commander.epoch
+
+
+def _false_state(graph: Defended) -> BenchState:
+    state = BenchState(sequence=7, load_force=600.0, reference_force=-600.0, flags=int(Flag.TRIPPED))
+    state.header.frame_id = "false"
+    return state
+
+
+ATTACKS: dict[str, Strike] = {
+    "gains, no epoch": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0)),
+    "gains, epoch copied": _publishing(GAINS, lambda graph: Gains(delta_kp=50.0, epoch=_copied(graph))),
+    "reference, no epoch": _publishing(REFERENCE, lambda graph: reference_to_message(SHAKE)),
+    "reference, epoch copied": _publishing(REFERENCE, lambda graph: reference_to_message(SHAKE, _copied(graph))),
+    "correction 50 mA, no epoch": _publishing(CORRECTION, lambda graph: _pushing(graph, 0)),
+    "correction 50 mA, epoch copied": _publishing(CORRECTION, lambda graph: _pushing(graph, _copied(graph))),
+    "states": _publishing(STATE, _false_state),
+    "authority": _publishing(AUTHORITY, lambda graph: Authority(holder="stranger", claim=1, epoch=1)),
+    "/hydro/arm true": _calling(SetBool, ARM_SERVICE, SetBool.Request(data=True)),
+    "/hydro/arm false": _calling(SetBool, ARM_SERVICE, SetBool.Request(data=False)),
+    "/hydro/claim take": _calling(Claim, CLAIM_SERVICE, Claim.Request(act=Claim.Request.TAKE, name="stranger")),
+    "/hydro/claim give, wrong claim": _calling(
+        Claim, CLAIM_SERVICE, Claim.Request(act=Claim.Request.GIVE, name="stranger", claim=5)
+    ),
+}
+"""What strangers do, by name."""
+
+STAYS_ARMED = frozenset({"/hydro/arm true", "/hydro/claim take", "/hydro/claim give, wrong claim"})
+"""What is refused, and changes nothing."""
+
+
+@contextmanager
+def defended(folder: Path, say: Callable[[str], None] = lambda line: None) -> Iterator[Defended]:
+    """A graph that can be attacked, in a domain of its own."""
+    with ExitStack() as stack:
+        stack.enter_context(own_domain())
+        yield Defended(folder, stack, say)
+
+
+@command()
+def main() -> None:
+    """Every attack, so many times; the worst of each."""
+    parser = argparse.ArgumentParser(prog="python -m tests.attacks", description=__doc__)
+    parser.add_argument("--repeats", type=int, default=1, metavar="N", help="of each attack (default 1)")
+    add_json_argument(parser)
+    asked = parser.parse_args()
+    columns = {
+        "attack": "",
+        "disarmed": "",
+        "safe_after": "ms",
+        "error": "N",
+        "before": "N",
+        "current": "mA",
+        "foreign": "",
+    }
+    table = Table(columns, title=f"Attacks on an armed plant, the worst of {asked.repeats}")
+    with tempfile.TemporaryDirectory() as folder, defended(Path(folder)) as graph:
+        for name, strike in ATTACKS.items():
+            outcomes = [graph.attack(name, strike) for _ in range(asked.repeats)]
+            safe = [outcome.safe_after for outcome in outcomes if outcome.safe_after is not None]
+            table.add(
+                attack=name,
+                disarmed=f"{len(safe)}/{len(outcomes)}",
+                safe_after=f"{1e3 * max(safe):.0f}" if safe else "",
+                error=f"{max(outcome.error for outcome in outcomes):.0f}",
+                before=f"{max(outcome.before for outcome in outcomes):.0f}",
+                current=f"{1e3 * max(outcome.current for outcome in outcomes):.2f}",
+                foreign=str(max(outcome.foreign for outcome in outcomes)),
+            )
+            print(asdict(outcomes[-1]), file=sys.stderr)
+    table.show(asked.json)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
