@@ -180,33 +180,6 @@ class Counted:
         self.ticks += 1
 
 
-def test_an_override_that_the_full_disk_keeps_no_record_of_is_answered_and_ends_the_session_with_its_cause() -> None:
-    def refuse(_: str) -> None:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "run.json")
-
-    rclpy.init()
-    node = GraphNode("trainer", realtime=False)
-    node.override = GainOverride(say=refuse)
-    caller = rclpy.create_node("person")
-    asking = caller.create_client(OverrideGains, OVERRIDE_SERVICE)
-    answers = []
-
-    def each_tick() -> None:
-        if not answers and asking.service_is_ready():
-            request = OverrideGains.Request(active=True, proportional_gain=20.0, integral_gain=6.0)
-            answers.append(asking.call_async(request))
-
-    try:
-        with pytest.raises(OSError, match=r"No space left on device: 'run\.json'"):
-            node.drive(Counted(), each_tick)  # type: ignore[arg-type]
-        rclpy.spin_until_future_complete(caller, answers[0], timeout_sec=5.0)
-        assert not answers[0].result().success
-    finally:
-        caller.destroy_node()
-        node.destroy_node()
-        rclpy.shutdown()
-
-
 class SmallPlant:
     """Publishes samples, and gives the authority from when it is told to."""
 
@@ -261,6 +234,31 @@ def test_a_newcomer_waits_until_the_plant_gives_it_the_authority(
     assert seen == [(0, 0)], "nothing reached the session, and nothing could leave, while another commanded"
     assert plant.asked > 2 and session.samples > 5
     assert capfd.readouterr().err.count("the_first commands this plant; newcomer waits") == 1
+
+
+def test_an_override_that_the_full_disk_keeps_no_record_of_is_answered_and_ends_the_session_with_its_cause(
+    newcomer: tuple[SmallPlant, GraphNode],
+) -> None:
+    def refuse(_: str) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "run.json")
+
+    plant, node = newcomer
+    plant.gives, node.override = True, GainOverride(say=refuse)
+    asking = plant.node.create_client(OverrideGains, OVERRIDE_SERVICE)
+    answers, session, began = list[rclpy.task.Future](), Counted(), time.monotonic()
+
+    def each_tick() -> None:
+        plant.tick()
+        if not answers and asking.service_is_ready():
+            request = OverrideGains.Request(active=True, proportional_gain=20.0, integral_gain=6.0)
+            answers.append(asking.call_async(request))
+        session.finished = time.monotonic() > began + 20.0
+
+    with pytest.raises(OSError, match=r"No space left on device: 'run\.json'"):
+        node.drive(session, each_tick)  # type: ignore[arg-type]
+    while not answers[0].done() and time.monotonic() < began + 20.0:
+        plant.executor.spin_once(timeout_sec=0.1)
+    assert not answers[0].result().success
 
 
 def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(
