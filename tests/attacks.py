@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What strangers do to an armed plant, and what it does then: the table of docs/safety.md.
+"""What strangers do to an armed plant, and what it does then: the table of authority.md.
 
 python -m tests.attacks [--repeats N] [--json FILE]
 
