@@ -33,8 +33,7 @@ def test_what_a_stranger_does_is_refused_or_the_plant_is_made_safe(graph: Defend
     outcome = graph.attack(name, ATTACKS[name])
     print(outcome)
     if name in STAYS_ARMED:
-        # The box trips in some runs when the stranger joins, before it has called: an open finding (docs/safety.md).
-        assert outcome.safe_after is None or outcome.tripped, "it was refused, and the holder goes on"
+        assert outcome.safe_after is None, "it was refused, and the holder goes on"
     else:
         assert outcome.safe_after is not None and outcome.safe_after < SOON
     assert outcome.error < outcome.before + 60.0, "the force went where its holder wanted it"

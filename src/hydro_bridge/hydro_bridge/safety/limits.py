@@ -27,7 +27,7 @@ class GuardSettings:
     delta_ki_max: float = 10.0
     """1/s^2, largest change of the integral gain, [0, 100]."""
     delta_u_max: float = 0.02
-    """A, largest magnitude of the correction, [0, 0.2]; the learned metric's filter needs 0.0045 (docs/safety.md)."""
+    """A, largest magnitude of the correction, [0, 0.2]; the learned metric's filter needs 0.0045 (authority.md)."""
     reference_force_max: float = 1000.0
     """N, largest |offset| + amplitude of the reference, [0, 5000]."""
     reference_frequency_max: float = 20.0
