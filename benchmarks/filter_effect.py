@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the filter does to destabilizing gains, off-line: the table of safety.md (there with `--seeds 20`).
+"""What the filter does to destabilizing gains, off-line: the table of filter_figures.md (there with `--seeds 20`).
 
 18 s of a 200 N sine at 1 Hz, K_p in [-40, 40] and K_i in [-5, 5] at random (the paper's 'Validate Unstable'), drawn
 anew every 10 ms or every 0.5 s, and constant gains. Bounded: the box never trips (force beyond 700 N, sensor range).

@@ -2,7 +2,7 @@
 """What the filter does where its model is not this bench's: false alarms, time until told, and what the force does.
 
 Off-line, sample by sample, on the emulated bench and the learned simulation: box, guard (opened to all that the box
-takes), filter. The tables of safety.md:
+takes), filter. The tables of filter_figures.md:
 
 alarms     benches that are what was learned, for an hour: references and gains at random, other noise for each
 changes    a bench that changes while it runs, the filter starting with the shipped model: when it is told, and the

@@ -167,7 +167,7 @@ def random_gains(seed: int, hold: int) -> FloatArray:
 def test_random_gains_stay_bounded_under_the_filter(
     bench: Bench, cell: float | None, hold: int, rate: float, seeds: int
 ) -> None:
-    """Table of safety.md, fewer seeds. Without the filter most runs trip; with it none does."""
+    """Table of filter_figures.md, fewer seeds. Without the filter most runs trip; with it none does."""
     plant = replace(bench, load_cell_bandwidth=cell)
     kept, lost = 0, 0
     for seed in range(seeds):
