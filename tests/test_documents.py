@@ -24,7 +24,7 @@ PAGES = [*FRONT, *sorted(DOCS.rglob("*.md"))]
 MANUAL = [path for path in PAGES if path in FRONT or DOCS / "manual" in path.parents]
 SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") for path in (ROOT / folder).rglob("*.py")]
 CI = ".github/workflows/ci.yml"
-TO_BE_REWRITTEN = {"network.md", "recordings.md"}
+TO_BE_REWRITTEN = {"recordings.md"}
 """Pages of the manual that are not in its form yet."""
 
 FENCE = re.compile(r"^\s*```")
