@@ -24,8 +24,6 @@ PAGES = [*FRONT, *sorted(DOCS.rglob("*.md"))]
 MANUAL = [path for path in PAGES if path in FRONT or DOCS / "manual" in path.parents]
 SOURCES = [path for folder in ("src", "demo", "benchmarks", "tests", "setup") for path in (ROOT / folder).rglob("*.py")]
 CI = ".github/workflows/ci.yml"
-TO_BE_REWRITTEN = {"recordings.md"}
-"""Pages of the manual that are not in its form yet."""
 
 FENCE = re.compile(r"^\s*```")
 LINK = re.compile(r"\]\(([^)\s]+)\)")
@@ -174,7 +172,5 @@ def test_pages_that_the_sources_name_are_there() -> None:
 
 @pytest.mark.parametrize("path", MANUAL, ids=lambda path: str(path.relative_to(ROOT)))
 def test_lines_of_the_manual_are_at_most_120_characters(path: Path) -> None:
-    if path.name in TO_BE_REWRITTEN:
-        pytest.skip("not rewritten yet")
     long = [line for line in prose(path) if len(line) > 120 and not line.lstrip().startswith(("|", "<!--"))]
     assert long == []
