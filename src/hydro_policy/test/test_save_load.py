@@ -79,7 +79,7 @@ class Vanishing(ReplayBuffer):
 
 def test_a_folder_that_vanishes_while_it_is_written_to_is_there_again_with_a_whole_checkpoint(tmp_path: Path) -> None:
     sac, _ = trained(1)
-    replay = Vanishing(OBSERVATIONS, 2, 10)
+    replay = Vanishing(OBSERVATIONS, 2, 100)
     replay.away = (tmp_path / "run", tmp_path / "away")
     save_checkpoint(tmp_path / "run" / "latest", dump(sac), replay, {"episode": 2})
     assert load_checkpoint(tmp_path / "run" / "latest").trainer == {"episode": 2}
