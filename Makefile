@@ -17,10 +17,10 @@ CORES := setup $(wildcard src/hydro_*/hydro_*)
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test test-slow graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
 # Tests and benchmarks have nodes of their own, which no keystore knows.
-test test-slow graph-repeat fast-tests colcon-test bench: export ROS_SECURITY_ENABLE := false
+test test-slow graph-repeat fast-tests colcon-test bench fuzz-line: export ROS_SECURITY_ENABLE := false
 
 .PHONY: help setup environment build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
-.PHONY: bench bench-peers fuzz format reference docs coverage clean
+.PHONY: bench bench-peers fuzz fuzz-line firmware format reference docs coverage clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -61,7 +61,7 @@ fast-tests: setup
 	@$(SOURCED) .venv/bin/python -m pytest -m "not slow and not graph and not study" $(ARGS)
 
 colcon-test: setup  ## each package's tests by `colcon test`, as a ROS build farm runs them
-	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src $(if $(ARGS),--pytest-args " $(ARGS)") \
+	@$(SOURCED) .venv/bin/python -m colcon test --base-paths src firmware $(if $(ARGS),--pytest-args " $(ARGS)") \
 	  && .venv/bin/python -m colcon test-result --verbose
 
 demo: setup  ## a policy, a bench that its simulation did not know, the diagnosis, the policy retrained: minutes
@@ -78,6 +78,12 @@ bench-peers: setup  ## peers of the learner in an environment of their own (.ven
 
 fuzz: setup  ## a million hostile frames to the decoder
 	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)
+
+fuzz-line: setup  ## ten million hostile bytes each way of an armed plant's serial line
+	@$(SOURCED) .venv/bin/python -m tests.hostile_line $(ARGS)
+
+firmware:  ## the box in C: unit tests, 10^7 hostile bytes under sanitizers, coverage, mutants, operations (ARGS="--no-mutants")
+	@$(PYTHON) firmware/test/checks.py $(ARGS)
 
 reference: setup  ## write the reference pages that follow from the code: commands, parameters, messages
 	@$(SOURCED) .venv/bin/python docs/generate_reference.py

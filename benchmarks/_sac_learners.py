@@ -11,9 +11,10 @@ import torch
 from torch import nn
 
 from hydro_bridge.signals import FloatArray
-from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.settings import SacSettings
 
 WARMUP, CAPACITY, HIDDEN = 500, 100_000, (32, 32)
 

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """What a subscriber that joins costs the one who publishes at 1 kHz: `python -m benchmarks.joining [--joins 20]`.
 
-Fast DDS may hold the publisher up when it first sends to another process, 333 ms of a plant's thread (decision 0059).
-Subscribers join by turns with the middleware's defaults, with ours, and with ours but subscribing two seconds late.
+With shared memory Fast DDS may hold the publisher up when it first sends to another process, 333 ms of a plant's thread
+(decision 0059). Subscribers join by turns: publisher and subscriber with the middleware's defaults; the publisher with
+ours, and subscribers with ours, with ours but subscribing two seconds late, and as foreign tools of this machine are.
 """
 
 from __future__ import annotations
@@ -18,10 +19,11 @@ import time
 import numpy as np
 import rclpy
 from rclpy.publisher import Publisher
+from rclpy.signals import SignalHandlerOptions
 
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.ros import STATE, STATE_QOS
-from hydro_bridge.ros.network import PROFILES, stay_on_this_machine
+from hydro_bridge.ros.network import PROFILES, RANGE, stay_on_this_machine
 from hydro_msgs.msg import BenchState
 
 COLUMNS = {
@@ -34,7 +36,16 @@ COLUMNS = {
     "lost": "samples that a subscriber missed after its first",
 }
 
-CASES = {"defaults of Fast DDS": (False, 0.0), "ours": (True, 0.0), "ours, subscribing 2 s late": (True, 2.0)}
+OURS = None
+"""As a node of ours has it; otherwise the discovery range of a tool that knows no profile of ours."""
+CASES: dict[str, tuple[str | None, str | None, float]] = {
+    "both with defaults of Fast DDS": ("LOCALHOST", "LOCALHOST", 0.0),
+    "ours": (OURS, OURS, 0.0),
+    "ours, subscribing 2 s late": (OURS, OURS, 2.0),
+    "a tool with LOCALHOST": (OURS, "LOCALHOST", 0.0),
+    "a tool with defaults (SUBNET)": (OURS, "SUBNET", 0.0),
+}
+"""Set-up of the publisher and of the subscriber, and s that it subscribes late."""
 LISTEN = 4.5
 """s that a subscriber stays."""
 
@@ -54,10 +65,16 @@ def subscriber(late: float) -> None:
     os._exit(0)
 
 
-def join(message: BenchState, publisher: Publisher, late: float) -> tuple[float, int, float]:
+def surroundings(reach: str | None) -> dict[str, str]:
+    """Environment of a node of ours, or of a tool with this discovery range."""
+    inherited = {name: value for name, value in os.environ.items() if name not in (PROFILES, RANGE)}
+    return dict(os.environ) if reach is OURS else inherited | {RANGE: reach}
+
+
+def join(message: BenchState, publisher: Publisher, late: float, reach: str | None) -> tuple[float, int, float]:
     """Publish at 1 kHz to one newcomer: s until it heard, samples it missed, s of the longest call of publish."""
     words = [sys.executable, "-m", "benchmarks.joining", "--subscriber", str(late)]
-    child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    child = subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=surroundings(reach))
     longest, due = 0.0, time.monotonic()
     while child.poll() is None:
         due = max(due + 1e-3, time.monotonic())
@@ -70,22 +87,26 @@ def join(message: BenchState, publisher: Publisher, late: float) -> tuple[float,
     return said["found"], said["lost"], longest
 
 
-def joins_of(count: int, late: float, label: str) -> list[tuple[float, int, float]]:
+def joins_of(count: int, name: str) -> list[tuple[float, int, float]]:
     """`join` so many times beside one publisher; in a process of its own, for Fast DDS reads its profile once."""
-    rclpy.init()
+    publishes, subscribes, late = CASES[name]
+    for variable in (PROFILES, RANGE):
+        os.environ.pop(variable, None)
+    if publishes is OURS:
+        stay_on_this_machine()
+    else:
+        os.environ[RANGE] = publishes
+    rclpy.init(signal_handler_options=SignalHandlerOptions.NO)  # the pool ends this process by a signal
     node = rclpy.create_node("publisher")
     publisher, message = node.create_publisher(BenchState, STATE, STATE_QOS), BenchState()
-    return [join(message, publisher, late) for _ in progress(range(count), total=count, label=label, unit="join")]
+    joins = progress(range(count), total=count, label=name, unit="join")
+    return [join(message, publisher, late, subscribes) for _ in joins]
 
 
 def measure(table: Table, name: str, count: int) -> None:
     """One row."""
-    ours, late = CASES[name]
-    os.environ.pop(PROFILES, None)
-    if ours:
-        stay_on_this_machine()
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        rows = np.array(pool.apply(joins_of, (count, late, name)))
+        rows = np.array(pool.apply(joins_of, (count, name)))
     table.add(
         subscribers=name,
         joins=count,

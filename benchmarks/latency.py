@@ -39,8 +39,9 @@ SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
 class Driver:
     """The stand-in for a trainer: arms, sets the reference, publishes gains, listens to diagnostics."""
 
-    def __init__(self) -> None:
+    def __init__(self, ranges: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (75.0, 10.0))) -> None:
         rclpy.init()
+        self._ranges = ranges  # least and greatest changes of K_p and K_i
         self.node = rclpy.create_node("benchmark")
         self.executor = SingleThreadedExecutor()
         self.executor.add_node(self.node)
@@ -90,7 +91,7 @@ class Driver:
                 continue
             steps, self._step = steps + 1, self._step + 1
             self._commander.seek(time.monotonic())
-            delta_kp, delta_ki = self._rng.uniform((0.0, 0.0), (75.0, 10.0))
+            delta_kp, delta_ki = self._rng.uniform(*self._ranges)
             self._commander.gains(delta_kp, delta_ki, self._step)
 
     def close(self) -> None:

@@ -19,9 +19,10 @@ from torch import Tensor, nn
 from benchmarks._report import line, percentiles
 from hydro_bridge.cli.console import Table, add_json_argument
 from hydro_bridge.signals import FloatArray
-from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import Batch, ReplayBuffer
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import OBSERVATIONS, GainRange, observe
 
 ROUNDS, UPDATES, STEPS = 5, 400, 50_000

@@ -41,7 +41,7 @@ SETTINGS: dict[str, tuple[tuple[str, str], ...]] = {
         ("", "hydro_policy.runs.run.TrainingSettings"),
         ("task.", "hydro_policy.task.mdp.TaskSettings"),
         ("task.gains.", "hydro_policy.task.mdp.GainRange"),
-        ("sac.", "hydro_policy.sac.algorithm.SacSettings"),
+        ("sac.", "hydro_policy.sac.settings.SacSettings"),
         ("exam.", "hydro_policy.evaluation.policy_examination.ExamSettings"),
         ("monitor.", "hydro_policy.supervision.monitor.MonitorSettings"),
     ),
@@ -129,11 +129,13 @@ def commands_page(package: str) -> str:
 def parameter_rows(prefix: str, settings: type[Any]) -> Iterator[str]:
     """Yield a table row for each field that a node declares as a parameter."""
     defaults = settings()
-    for name, doc in describe(settings).items():
+    for name, setting in describe(settings).items():
         value = getattr(defaults, name)
         if isinstance(value, (bool, int, float, str)):
             written = json.dumps(value) if isinstance(value, (bool, str)) else f"{value:.12g}"
-            yield f"| `{prefix}{name}` | `{written}` | {_escape(_cell(' '.join(doc.text.split())))} |"
+            limits = setting.range or ", ".join(setting.words)
+            cells = (f"`{prefix}{name}`", f"`{written}`", setting.unit, limits, _escape(_cell(setting.meaning)))
+            yield f"| {' | '.join(cells)} |"
 
 
 def parameters_page() -> str:
@@ -145,8 +147,8 @@ def parameters_page() -> str:
         lines += [
             f"## {command.split(' ', 1)[1]}",
             "",
-            "| parameter | default | unit, range, meaning |",
-            "|---|---|---|",
+            "| parameter | default | unit | range | meaning |",
+            "|---|---|---|---|---|",
         ]
         for prefix, place in groups:
             module, _, name = place.rpartition(".")

@@ -84,7 +84,8 @@ def _wheels_digest(layout: Layout, ros: Path | None) -> str:
 
 def _build_digest(layout: Layout, wheels_digest: str) -> str:
     contents, names = stamp.package_inputs(layout.root / "src")
-    return stamp.digest([wheels_digest], [*contents, layout.root / "colcon.meta"], names)
+    firmware = [path for pattern in ("*.*", "hydro/*.h") for path in (layout.root / "firmware").glob(pattern)]
+    return stamp.digest([wheels_digest], [*contents, *firmware, layout.root / "colcon.meta"], names)
 
 
 @contextmanager

@@ -16,7 +16,8 @@ def build(layout: Layout, environment: Mapping[str, str]) -> None:
     Colcon runs on the environment's Python, whichever colcon it is: that Python is the one the executables start with.
     """
     command = [str(layout.python), "-m", "colcon", "--log-base", str(layout.root / "log"), "build"]
-    command += ["--base-paths", str(layout.root / "src"), "--build-base", str(layout.root / "build")]
+    command += ["--base-paths", str(layout.root / "src"), str(layout.root / "firmware")]
+    command += ["--build-base", str(layout.root / "build")]
     command += ["--install-base", str(layout.install), "--symlink-install", "--metas", str(layout.root / "colcon.meta")]
     run_logged(command, layout.log("build"), environment)
 

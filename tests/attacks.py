@@ -10,6 +10,8 @@ then publishes two hundred messages a second, without the epoch of the session o
 from __future__ import annotations
 
 import argparse
+import os
+import subprocess
 import sys
 import tempfile
 import time
@@ -35,6 +37,7 @@ from hydro_bridge.ros import (
     reference_to_message,
     seconds,
 )
+from hydro_bridge.ros.network import PROFILES, RANGE
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
 from hydro_msgs.srv import Claim
@@ -71,19 +74,33 @@ Strike = Callable[[Any, "Defended"], Callable[[], bool]]
 """What a stranger's node does: once more, each time; whether it arrives."""
 
 
+EMULATOR = PlantOptions(plant="emulator")
+
+
 class Defended:
     """The graph under attack."""
 
-    def __init__(self, folder: Path, stack: ExitStack, say: Callable[[str], None] = lambda line: None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        stack: ExitStack,
+        say: Callable[[str], None] = lambda line: None,
+        options: PlantOptions = EMULATOR,
+    ) -> None:
         self.text: list[str] = []
         keep = lambda line: (self.text.append(line), say(line))[0]  # noqa: E731
-        start_companions(stack, PlantOptions(plant="emulator"), GainRange(), folder, keep)
+        self.companions = start_companions(stack, options, GainRange(), folder, keep)
         self.probe = Probe()
         stack.callback(self.probe.close)
         self.probe.take(60.0)
         self.probe.wait(
             lambda: not self.probe.flags() & Flag.FILTER_STALE and len(self.probe.heard[STATE]) > 100, 120.0
         )
+
+    @property
+    def epoch(self) -> int:
+        """Of the session, as anybody can read it from the graph."""
+        return self.probe.commander.epoch
 
     def arm(self) -> None:
         """Arm, and track until the force has come to its reference."""
@@ -176,6 +193,34 @@ def stranger() -> Iterator[Any]:
         rclpy.shutdown(context=context)
 
 
+LISTEN = """
+import sys, time, rclpy
+from hydro_bridge.ros import STATE, STATE_QOS
+from hydro_msgs.msg import BenchState
+rclpy.init()
+node, heard = rclpy.create_node("tool"), []
+time.sleep(1.5)
+node.create_subscription(BenchState, STATE, heard.append, STATE_QOS)
+end = time.monotonic() + 5.0
+while len(heard) < 200 and time.monotonic() < end:
+    rclpy.spin_once(node, timeout_sec=0.1)
+sys.exit(len(heard) < 200)
+"""
+"""A tool as `ros2 topic echo` is: it has joined for a while when it subscribes, which is when a writer waits for it."""
+
+
+@contextmanager
+def listener(reach: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A tool of its own process that knows no profile of ours, hears 200 states and ends with 0."""
+    environment = {name: value for name, value in os.environ.items() if name != PROFILES} | {RANGE: reach}
+    process = subprocess.Popen([sys.executable, "-c", LISTEN], env=environment)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
 def _publishing(topic: str, message: Callable[[Defended], Any]) -> Strike:
     """A stranger that publishes on a topic."""
 
@@ -215,7 +260,7 @@ def _pushing(graph: Defended, epoch: int) -> Correction:
 
 
 def _copied(graph: Defended) -> int:
-    return graph.probe.commander.epoch
+    return graph.epoch
 
 
 def _false_state(graph: Defended) -> BenchState:

@@ -9,7 +9,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "data/*.yaml", "data/*.safetensors"]},
+    package_data={name: ["py.typed", "data/*.yaml", "data/*.safetensors", "model/*.c"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -25,6 +25,7 @@ setup(
     entry_points={
         "console_scripts": [
             "sim = hydro_bridge.process.start:main_of.hydro_sim.nodes.sim",
+            "box_header = hydro_bridge.process.start:main_of.hydro_sim.box.header",
             "emulator = hydro_bridge.process.start:main_of.hydro_sim.emulator.command",
             "collect = hydro_bridge.process.start:main_of.hydro_sim.nodes.collect",
             "learn = hydro_bridge.process.start:main_of.hydro_sim.identification.learn",

@@ -1,72 +1,172 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a settings dataclass says about its fields, read from where it says it: the sentence below each field.
+"""Settings: frozen dataclasses whose annotations give each field's unit and range.
 
-The sentence gives the unit first and may give a range as ``[low, high]``. Parameters, command lines and checks all
-take it from here, so that it is written once.
+::
+
+    @dataclass(frozen=True, kw_only=True)
+    class PortSettings:
+        path: str = "/dev/ttyUSB0"
+        '''Device, or link to one.'''
+        silence_max: Annotated[float, quantity("s", 0.1, 60.0)] = 1.0
+        '''Without a byte, after which the port is closed and opened anew.'''
+        parity: Literal["none", "even"] = "none"
+
+Checks, YAML files, ROS parameters, help texts and reference pages are derived from them. msgspec converts and checks
+(docs/decisions/0062-settings-by-msgspec.md); the sentence for the user is written here.
 """
 
 from __future__ import annotations
 
 import ast
+import dataclasses
 import inspect
-import re
 import textwrap
-from dataclasses import dataclass, fields
+import types
+import typing
 from itertools import pairwise
-from typing import Any
+from math import inf, isfinite
+from typing import Any, Literal
 
-_RANGE = re.compile(r"\[\s*(-?[\d.]+(?:e[+-]?\d+)?)\s*,\s*(-?[\d.]+(?:e[+-]?\d+)?)\s*\]", re.IGNORECASE)
+import msgspec
 
 
 class SettingsError(ValueError):
-    """A setting is out of its range; the message says which and what is allowed."""
+    """A setting that cannot be used; the message is one sentence that says which and what is allowed."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class FieldDoc:
-    """Documentation of one field."""
-
-    text: str
-    low: float | None
-    high: float | None
+def quantity(unit: str, low: float, high: float) -> msgspec.Meta:
+    """Annotation of a number: its unit ("-": none) and its closed range."""
+    return msgspec.Meta(ge=_bound(low), le=_bound(high), extra={"unit": unit})
 
 
-_KNOWN: dict[type[Any], dict[str, FieldDoc]] = {}
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What is declared of one field."""
+
+    name: str
+    hint: Any
+    """Its type, with annotations."""
+    kind: Any
+    """Its type without annotations and None; of a tuple, that of its entries."""
+    unit: str
+    low: float
+    high: float
+    meaning: str
+    """The sentence below it, without its full stop; empty where there is none."""
+    required: bool
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """What a field of type Literal takes."""
+        return typing.get_args(self.kind) if typing.get_origin(self.kind) is Literal else ()
+
+    @property
+    def text(self) -> str:
+        """Meaning, unit and range, as help texts and ROS give them."""
+        unit = "" if self.unit == "-" else self.unit
+        limits = ", ".join(part for part in (unit, self.range) if part)
+        return f"{self.meaning} [{limits}]".strip() if limits else self.meaning
+
+    @property
+    def range(self) -> str:
+        """Its range in words; empty where there is none."""
+        return f"{self.low:.12g} to {self.high:.12g}" if isfinite(self.low) else ""
 
 
-def describe(settings: type[Any]) -> dict[str, FieldDoc]:
-    """Documentation of each field of a settings dataclass, in order; empty text where there is none."""
+def describe(settings: type[Any]) -> dict[str, Setting]:
+    """What is declared of each field of a settings dataclass, in order."""
     if settings not in _KNOWN:
-        _KNOWN[settings] = _describe(settings)
+        hints, meanings = typing.get_type_hints(settings, include_extras=True), _sentences(settings)
+        entries = dataclasses.fields(settings)
+        _KNOWN[settings] = {
+            each.name: _setting(each, hints[each.name], meanings.get(each.name, "")) for each in entries
+        }
     return _KNOWN[settings]
 
 
-def _describe(settings: type[Any]) -> dict[str, FieldDoc]:
-    tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
-    body = tree.body[0].body if isinstance(tree.body[0], ast.ClassDef) else []
-    texts: dict[str, str] = {}
-    for node, below in pairwise(body):
-        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(below, ast.Expr):
-            value = below.value
-            if isinstance(value, ast.Constant) and isinstance(value.value, str):
-                texts[node.target.id] = inspect.cleandoc(value.value)
-    return {field.name: _doc(texts.get(field.name, "")) for field in fields(settings)}
+_KNOWN: dict[type[Any], dict[str, Setting]] = {}
 
 
 def check(settings: Any) -> None:
-    """Raise SettingsError for the first field that is outside the range which its sentence gives."""
-    for name, doc in describe(type(settings)).items():
-        value = getattr(settings, name)
-        if doc.low is None or doc.high is None or isinstance(value, bool) or not isinstance(value, (int, float)):
-            continue
-        if not doc.low <= value <= doc.high:
-            raise SettingsError(f"{name} is {value:g}, allowed is [{doc.low:g}, {doc.high:g}]: {doc.text}")
+    """Raise SettingsError for the first number or word of a settings dataclass that is not as declared."""
+    for name, setting in describe(type(settings)).items():
+        if isfinite(setting.low) or setting.words:
+            value = getattr(settings, name)
+            converted(setting, value.item() if hasattr(value, "item") else value, name, strict=True)
 
 
-def _doc(text: str) -> FieldDoc:
-    found = _RANGE.search(text)
-    return FieldDoc(
-        text=text,
-        low=float(found[1]) if found else None,
-        high=float(found[2]) if found else None,
+def converted(setting: Setting, value: Any, where: str, *, strict: bool = False) -> Any:
+    """Return the value in the declared type; unless `strict`, numbers may be written as text (1e9 is, in YAML 1.1).
+
+    Raises
+    ------
+    SettingsError
+        It is not as declared; the sentence begins with `where`.
+    """
+    try:
+        return msgspec.convert(value, setting.hint, strict=strict)
+    except msgspec.ValidationError:
+        raise SettingsError(f"{where} {_refusal(setting, value)}") from None
+
+
+def _bound(number: float) -> float:
+    """msgspec holds integers to integer limits only; a float it holds to both."""
+    return int(number) if float(number).is_integer() else number
+
+
+def _sentences(settings: type[Any]) -> dict[str, str]:
+    """The string below each field, from the source of the class."""
+    tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
+    found: dict[str, str] = {}
+    for node, below in pairwise(typing.cast(ast.ClassDef, tree.body[0]).body):
+        if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name) and isinstance(below, ast.Expr):
+            value = getattr(below.value, "value", None)
+            if isinstance(value, str):
+                found[node.target.id] = " ".join(value.split()).removesuffix(".")
+    return found
+
+
+def _setting(field: dataclasses.Field[Any], hint: Any, meaning: str) -> Setting:
+    kind, meta = _unwrapped(hint)
+    return Setting(
+        name=field.name,
+        hint=hint,
+        kind=kind,
+        unit=(meta.extra or {}).get("unit", "-"),
+        low=-inf if meta.ge is None else meta.ge,
+        high=inf if meta.le is None else meta.le,
+        meaning=meaning,
+        required=field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING,
     )
+
+
+def _unwrapped(hint: Any) -> tuple[Any, msgspec.Meta]:
+    """The type inside Annotated, `| None` and tuple, and the first annotation that is met on the way."""
+    origin, arguments = typing.get_origin(hint), typing.get_args(hint)
+    if origin is typing.Annotated:
+        kind, inner = _unwrapped(arguments[0])
+        return kind, next((each for each in arguments[1:] if isinstance(each, msgspec.Meta)), inner)
+    if origin in (types.UnionType, typing.Union):
+        return _unwrapped(next(argument for argument in arguments if argument is not type(None)))
+    return _unwrapped(arguments[0]) if origin is tuple else (hint, msgspec.Meta())
+
+
+def _refusal(setting: Setting, value: Any) -> str:
+    """What is wrong with a value, to follow its name."""
+    unit = "" if setting.unit == "-" else f" {setting.unit}"
+    limits = f"within [{setting.low:g}, {setting.high:g}]{unit}"
+    told = f": {setting.meaning}" if setting.meaning else ""
+    if setting.words:
+        return f"must be one of {', '.join(setting.words)}, not {value!r}"
+    if setting.kind not in (int, float) or isinstance(value, (list, tuple)):
+        return f"must be {_KINDS.get(setting.kind, f'numbers {limits}')}, not {value!r}{told}"
+    try:
+        number = inf if isinstance(value, bool) else float(value)
+    except (TypeError, ValueError):
+        number = inf
+    if isfinite(number) and not setting.low <= number <= setting.high:
+        return f"must be {limits}, not {number:g}{told}"
+    return f"must be a {'whole ' if setting.kind is int else ''}number{unit and f' in{unit}'}, not {value!r}"
+
+
+_KINDS = {str: "text", bool: "true or false"}

@@ -17,7 +17,15 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from hydro_bridge.serial.protocol import BoxInfo, CommandFrame, Hello, encode_hello, encode_state
+from hydro_bridge.serial.protocol import (
+    BoxDetails,
+    BoxInfo,
+    CommandFrame,
+    Hello,
+    encode_details,
+    encode_hello,
+    encode_state,
+)
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, Flag, StateArray
 
@@ -70,8 +78,16 @@ class SmallBox:
     """Speaks the protocol at 1 kHz: answers greetings, arms when told to."""
 
     def __init__(
-        self, cable: Cable, *, info: BoxInfo | None = None, obeys: bool = True, version: int = 1, first: int = 0
+        self,
+        cable: Cable,
+        *,
+        info: BoxInfo | None = None,
+        obeys: bool = True,
+        version: int = 1,
+        first: int = 0,
+        details: BoxDetails | None = None,
     ) -> None:
+        self.details, self.refused = details, (0, 0)
         self.cable, self.info, self.obeys, self.version = cable, info or BoxInfo(name="small box"), obeys, version
         self.commands: list[CommandFrame] = []
         self.flags = Flag(0)
@@ -87,7 +103,8 @@ class SmallBox:
                 for frame in decoder.feed(self._read()):
                     self._take(frame)
                 last = self.commands[-1].sequence if self.commands else 0
-                self._write(encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last))
+                refused = self.refused if self.version == 2 else None
+                self._write(encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, self.flags, last, refused))
             self.sequence += 1
             now = time.monotonic()
             due = max(due + 1e-3, now - 5e-3)  # after a hold-up no burst: the line holds some 25 samples
@@ -109,7 +126,8 @@ class SmallBox:
 
     def _take(self, frame: object) -> None:
         if isinstance(frame, Hello):
-            os.write(self.cable.box, _hello(self.info, self.version))
+            details = encode_details(1, 0, self.details) if self.details else b""
+            os.write(self.cable.box, _hello(self.info, self.version) + details)
         elif isinstance(frame, CommandFrame):
             self.commands.append(frame)
             if self.obeys:

@@ -30,7 +30,7 @@ def test_before_anything_came_the_command_is_the_safe_one_and_nothing_is_complai
 
 
 def test_fresh_inputs_go_through():
-    command = fresh().command(0.01)
+    command = fresh().command(0.002)
     assert (command.delta_kp, command.delta_ki, command.delta_u) == (30.0, 4.0, 0.01)
     assert command.corrects == 77 and command.filter_fresh
 
@@ -73,6 +73,23 @@ def test_stale_correction_gives_base_gains_no_correction_and_is_told_once():
     guard.set_correction(0.0, CorrectionStatus.PASS, 78, 0.05)
     assert guard.command(0.05).delta_kp == 30.0
     assert guard.take_events() == ["corrections are fresh again"]
+
+
+def test_a_correction_acts_for_three_samples_while_the_gains_that_it_allows_go_on():
+    guard = fresh()
+    assert [guard.command(now).delta_u for now in (0.001, 0.003, 0.0031, 0.019)] == [0.01, 0.01, 0.0, 0.0]
+    assert guard.command(0.019).delta_kp == 30.0 and guard.command(0.019).filter_fresh
+    assert guard.take_events() == []
+
+
+def test_a_correction_of_a_sample_that_is_too_old_does_not_act_however_lately_it_came():
+    guard = CommandGuard()
+    guard.set_gains(30.0, 4.0, 0.0)
+    guard.note_sample(82)
+    guard.set_correction(0.01, CorrectionStatus.MODIFIED, 80, 0.0)
+    assert guard.command(0.0).delta_u == 0.01
+    guard.note_sample(83)
+    assert guard.command(0.0).delta_u == 0.0 and guard.command(0.0).delta_kp == 30.0
 
 
 def test_stale_gains_give_base_gains_and_keep_the_correction():

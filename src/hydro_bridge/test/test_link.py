@@ -12,9 +12,10 @@ from itertools import pairwise
 import pytest
 
 from hydro_bridge.link.link import Link, LinkState
+from hydro_bridge.link.remarks import MISSED, NO_DETAILS
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortSettings
-from hydro_bridge.serial.protocol import BoxInfo
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, encode_details
 from hydro_bridge.signals import Command, CorrectionStatus, Flag
 
 
@@ -71,7 +72,7 @@ def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
     assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
     assert all(a < b for a, b in pairwise(stamps))
     assert abs(stamps[-1] - time.time_ns()) < 1e9
-    assert it.log == [f"connected to small box on {it.cable.path}, protocol version 1; disarmed"]
+    assert it.log == [f"connected to small box on {it.cable.path}, protocol version 1; disarmed", MISSED]
 
 
 def test_a_command_follows_each_state_without_filter_and_states_are_flagged_stale(bench):
@@ -212,8 +213,44 @@ def test_another_protocol_version_is_told_once_and_never_commanded(bench):
     it = bench(version=3)
     wait_until(lambda: it.log)
     time.sleep(0.5)  # for a second sentence, or a command
-    assert it.log == ["the box speaks protocol version 3, here 1 is spoken: no command is sent until one is updated"]
+    assert it.log == [
+        "the box speaks protocol version 3, here 1 to 2 are spoken: no command is sent until one is updated"
+    ]
     assert it.box.commands == [] and it.states == []
+
+
+DETAILS = BoxDetails(epoch=5, bench_digest="0123456789ab", load_force_limit=700.0, force_range=900.0)
+
+
+def test_a_box_of_version_2_is_followed_once_its_details_came(bench):
+    it = bench(version=2, details=DETAILS).connected()
+    assert (it.link.version, it.link.details.epoch) == (2, 5) and it.link.refused == (0, 0)
+    said = [sentence for sentence in it.log if "references" in sentence]
+    assert MISSED not in it.log and len(said) == 2 and "900 N" in said[0] and "700 N" in said[1]
+    assert it.link.arm(True) == ""
+    it.box.refused = (3, 1)
+    wait_until(lambda: it.link.refused == (3, 1))
+    wait_until(lambda: [sentence for sentence in it.log if "refused a reference" in sentence])
+
+
+def test_a_box_of_version_2_without_details_is_told_of_and_never_commanded(bench):
+    it = bench(version=2)
+    wait_until(lambda: NO_DETAILS in it.log)
+    assert it.box.commands == [] and it.states == []
+
+
+def test_another_epoch_means_that_the_box_was_restarted(bench):
+    it = bench(version=2, details=DETAILS).connected()
+    assert it.link.arm(True) == ""
+    it.box.stop()  # two threads on one line would mix their frames
+    it.box._write(encode_details(1, 0, replace(DETAILS, epoch=6)))
+    wait_until(lambda: any("restarted" in sentence for sentence in it.log))
+    assert not it.link.guard.armed
+
+
+def test_what_the_box_narrows_is_said_at_connection(bench):
+    it = bench(info=BoxInfo(name="weak", delta_kp_max=10.0, delta_u_max=0.015625)).connected()
+    assert "the box narrows the guard: delta_kp_max 75 -> 10, delta_u_max 0.02 -> 0.015625" in it.log
 
 
 def test_limits_are_those_of_the_box_where_they_are_narrower(bench):

@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import struct
+from dataclasses import fields
 from zlib import crc32
 
 import pytest
@@ -9,14 +10,16 @@ from cobs import cobs
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_bridge.serial.frames import FEEDBACKS, INTEGRAL_FORMS
 from hydro_bridge.serial.protocol import (
     HANDSHAKE,
     MAX_ENCODED,
     VERSION,
+    BoxDetails,
     BoxInfo,
     CheckSumError,
     CommandFrame,
+    Details,
     Hello,
     MalformedError,
     State,
@@ -24,6 +27,7 @@ from hydro_bridge.serial.protocol import (
     WrongVersionError,
     decode,
     encode_command,
+    encode_details,
     encode_hello,
     encode_state,
     negotiate,
@@ -63,6 +67,32 @@ def test_state_round_trip(sequence, time_us, values, flags, last):
     assert frame == State(sequence, time_us, values, flags, last)
 
 
+@given(u32, u64, st.tuples(*[single] * 14), st.tuples(u32, u32))
+def test_a_state_of_version_2_says_what_was_refused(sequence, time_us, values, refused):
+    frame = decode(inside(encode_state(sequence, time_us, values, 1, 2, refused)))
+    assert frame == State(sequence, time_us, values, 1, 2, *refused)
+
+
+@given(u32, u32, st.sampled_from(FEEDBACKS), st.lists(single, min_size=10, max_size=10))
+def test_details_round_trip(sequence, epoch, feedback, numbers):
+    names = [entry.name for entry in fields(BoxDetails)][3:]
+    details = BoxDetails(
+        epoch=epoch, bench_digest="0123456789ab", feedback=feedback, **dict(zip(names, numbers, strict=True))
+    )
+    assert decode(inside(encode_details(sequence, 5, details))) == Details(sequence, 5, details)
+
+
+def test_a_frame_of_version_2_is_none_of_version_1():
+    body = body_of(encode_details(1, 2, BoxDetails()))
+    body[0] = 1
+    with pytest.raises(UnknownFrameError):
+        decode(sealed(bytes(body)))
+    body = body_of(encode_state(1, 2, [0.0] * 14, 3, 4, (5, 6)))
+    body[0] = 1
+    with pytest.raises(MalformedError, match="86 bytes in a STATE"):
+        decode(sealed(bytes(body)))
+
+
 @given(u32, u64, commands)
 def test_command_round_trip(sequence, time_us, command):
     assert decode(inside(encode_command(sequence, time_us, command))) == CommandFrame(sequence, time_us, command)
@@ -90,7 +120,9 @@ def test_the_fourth_byte_of_a_hello_is_the_form_of_the_integral(number, form):
 
 def test_every_frame_fits_between_two_delimiters():
     info = BoxInfo(name="x" * 100)
-    for wire in (encode_state(1, 2, [1.5] * 14, 3, 4), encode_command(1, 2, Command()), encode_hello(1, 2, info)):
+    state, newer = encode_state(1, 2, [1.5] * 14, 3, 4), encode_state(1, 2, [1.5] * 14, 3, 4, (5, 6))
+    others = (encode_command(1, 2, Command()), encode_hello(1, 2, info), encode_details(1, 2, BoxDetails()))
+    for wire in (state, newer, *others):
         assert len(inside(wire)) <= MAX_ENCODED
 
 
@@ -139,10 +171,10 @@ def test_unknown_type_of_this_version_is_told_from_another_version():
     body[1] = 200
     with pytest.raises(UnknownFrameError):
         decode(sealed(bytes(body)))
-    body[0], body[1] = 2, 2
+    body[0], body[1] = 3, 2
     with pytest.raises(WrongVersionError) as caught:
         decode(sealed(bytes(body)))
-    assert caught.value.version == 2
+    assert caught.value.version == 3
 
 
 def test_unknown_waveform_and_wrong_length_are_malformed():
@@ -159,5 +191,5 @@ def test_versions_are_negotiated():
     assert negotiate(hello) == 1
     assert negotiate(hello._replace(version_max=7)) == VERSION
     with pytest.raises(WrongVersionError):
-        negotiate(hello._replace(version_min=2, version_max=3))
+        negotiate(hello._replace(version_min=3, version_max=4))
     assert HANDSHAKE == 0

@@ -1,31 +1,93 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import dataclass, fields
+from math import isfinite
+from typing import Annotated, Literal
 
+import numpy as np
 import pytest
 
-from hydro_bridge.safety.guard import GuardSettings
+from hydro_bridge.files.settings_file import from_mapping, to_mapping
+from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.serial.port import PortSettings
-from hydro_bridge.settings import SettingsError, check, describe
+from hydro_bridge.settings import SettingsError, check, describe, quantity
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    size: Annotated[float, quantity("m", 0.0, 1.0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Example:
+    rate: Annotated[float, quantity("1/s", -1.0, 1.0)] = 0.0
+    """How fast."""
+    count: Annotated[int, quantity("-", 0, 9e15)] = 0
+    limit: Annotated[float, quantity("A", 0.0, 1.0)] | None = None
+    tones: tuple[Annotated[float, quantity("Hz", 0.05, 10.0)], ...] = (1.0,)
+    form: Literal["hard", "soft"] = "hard"
+    name: str = ""
+    on: bool = False
+    parts: tuple[Part, ...] = ()
 
 
 @pytest.mark.parametrize("kind", [GuardSettings, PortSettings])
 def test_every_setting_has_a_sentence_every_number_a_range_and_every_default_is_within(kind):
-    docs, defaults = describe(kind), kind()
+    declared, defaults = describe(kind), kind()
     for field in fields(kind):
         value = getattr(defaults, field.name)
-        assert docs[field.name].text
+        assert declared[field.name].meaning
         if isinstance(value, (int, float)) and not isinstance(value, bool):
-            assert docs[field.name].low is not None
+            assert isfinite(declared[field.name].low)
     check(defaults)
 
 
-def test_out_of_range_is_told_with_the_range():
-    with pytest.raises(SettingsError, match=r"delta_kp_max is 501, allowed is \[0, 500\]: 1/s, largest"):
+def test_out_of_range_is_told_with_value_range_unit_and_meaning():
+    sentence = r"delta_kp_max must be within \[0, 500\] 1/s, not 501: Largest change of the proportional gain$"
+    with pytest.raises(SettingsError, match=sentence):
         check(GuardSettings(delta_kp_max=501.0))
 
 
-def test_ranges_are_read_with_sign_and_exponent():
-    doc = describe(GuardSettings)["delta_kp_min"]
-    assert (doc.low, doc.high) == (-200.0, 0.0)
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), True, "0.5", None])
+def test_what_is_no_number_is_refused_where_one_is_meant(value):
+    with pytest.raises(SettingsError, match="rate must be a number in 1/s, not "):
+        check(Example(rate=value))
+
+
+def test_numbers_of_numpy_and_whole_numbers_are_numbers():
+    check(Example(rate=np.float64(0.5), count=np.int64(3)))
+    check(Example(rate=1))
+
+
+@pytest.mark.parametrize(
+    ("data", "sentence"),
+    [
+        ({"rate": 2}, "file.rate must be within [-1, 1] 1/s, not 2: How fast"),
+        ({"rate": "fast"}, "file.rate must be a number in 1/s, not 'fast'"),
+        ({"count": 1.5}, "file.count must be a whole number, not 1.5"),
+        ({"limit": True}, "file.limit must be a number in A, not True"),
+        ({"tones": [1, 20]}, "file.tones must be numbers within [0.05, 10] Hz, not [1, 20]"),
+        ({"form": "round"}, "file.form must be one of hard, soft, not 'round'"),
+        ({"name": 5}, "file.name must be text, not 5"),
+        ({"on": "often"}, "file.on must be true or false, not 'often'"),
+        ({"rat": 1}, "file.rat is not a known setting; did you mean rate?"),
+        ({"parts": [{"size": 0.1}, {}]}, "file.parts lacks size [m]"),
+        ([], "file must be a mapping of settings, not []"),
+    ],
+)
+def test_a_file_that_cannot_be_used_is_told_in_one_sentence(data, sentence):
+    with pytest.raises(SettingsError) as error:
+        from_mapping(Example, data, "file")
+    assert str(error.value) == sentence
+
+
+def test_numbers_may_be_written_as_yaml_reads_them():
+    found = from_mapping(Example, {"rate": "1e-1", "count": "1e3", "limit": None, "parts": {"size": 1}}, "file")
+    assert (found.rate, found.count, found.limit, found.parts) == (0.1, 1000, None, (Part(size=1.0),))
+    assert isinstance(found.count, int)
+
+
+def test_what_is_written_is_read_back():
+    settings = Example(rate=0.25, limit=0.5, tones=(0.5, 2.0), form="soft", parts=(Part(size=0.1), Part(size=0.2)))
+    assert from_mapping(Example, to_mapping(settings), "file") == settings

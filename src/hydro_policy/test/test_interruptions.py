@@ -9,7 +9,7 @@ from hydro_bridge.signals import STATE_FIELDS, Flag
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.run import TrainingSettings
-from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
 from hydro_policy.sessions.training import TrainingSession

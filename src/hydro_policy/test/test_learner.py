@@ -18,8 +18,9 @@ from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervi
 from hydro_policy.runs.checkpoint import load_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac import kernel
-from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import load_policy
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import dump, restore
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 

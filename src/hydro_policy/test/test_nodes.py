@@ -144,7 +144,7 @@ def test_what_the_user_can_put_right_is_one_sentence_and_status_2(
     ("words", "sentence"),
     [
         (("--fixed", "nan", "5"), "fixed gains are two finite numbers, not nan and 5"),
-        (("--repeats", "0"), "repeats is 0"),
+        (("--repeats", "0"), "repeats must be within [1, 1000], not 0"),
         (("--json", "/dev/null/figures.json"), "/dev/null is no folder: choose another place"),
     ],
 )

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
-from hydro_policy.sac.algorithm import Sac, SacSettings, SquashedGaussian
+from hydro_policy.sac.algorithm import Sac, SquashedGaussian
 from hydro_policy.sac.mlp import StackedMlp
 from hydro_policy.sac.replay import Batch, ReplayBuffer
+from hydro_policy.sac.settings import SacSettings
 
 
 def random_batch(rows: int, dtype: torch.dtype = torch.float64) -> Batch:

@@ -18,8 +18,8 @@ from hydro_policy.evaluation.controllers import FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import TrainingSettings
-from hydro_policy.sac.algorithm import SacSettings
 from hydro_policy.sac.policy import Policy
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.offline import PASSED, InlineLearner, OfflineGraph
@@ -278,3 +278,11 @@ def test_steps_for_which_the_box_held_other_gains_are_not_charged_to_the_policy(
     wild = replace(step(400.0, np.tile((0.0, 0.05), 5)), held=int(Flag.FILTER_STALE))
     assert all(monitor.add(wild) is None for _ in range(60))
     assert monitor.add(replace(wild, held=0)) is not None
+
+
+def test_the_current_is_judged_again_once_the_force_is_back_from_base_gains() -> None:
+    monitor = SafetyMonitor(MonitorSettings())
+    wild = step(0.0, np.tile((0.0, 0.05), 5))
+    assert monitor.add(replace(wild, held=int(Flag.FILTER_STALE))) is None
+    *spared, judged = (monitor.add(wild) for _ in range(30))  # 0.2 s of return, and a window of 0.1 s
+    assert spared == [None] * 29 and judged is not None and "chattering" in judged

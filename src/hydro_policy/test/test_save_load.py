@@ -12,9 +12,10 @@ import torch
 from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.runs.initial_agent import AGENT, load_start
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
-from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters, dump, restore, settings_of
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS, GainRange, TaskSettings
 

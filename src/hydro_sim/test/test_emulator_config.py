@@ -11,6 +11,7 @@ from typing import Any, get_type_hints
 import pytest
 import yaml
 
+from hydro_bridge.settings import SettingsError
 from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.schedules import fit_to
 from hydro_sim.emulator.truth.config import load_truth, profile, truth_from_mapping, truth_to_mapping
@@ -20,7 +21,6 @@ from hydro_sim.emulator.truth.parameters import compile_parameters
 from hydro_sim.excitation.schedules import Segment, load_schedule
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
-from hydro_sim.yaml_settings import ConfigError
 
 CONTRACT = set(
     """
@@ -114,7 +114,7 @@ def test_numbers_that_yaml_reads_as_text_are_numbers() -> None:
     ],
 )
 def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: str) -> None:
-    with pytest.raises(ConfigError) as caught:
+    with pytest.raises(SettingsError) as caught:
         truth_from_mapping(data)
     assert sentence in str(caught.value)
     assert "\n" not in str(caught.value)
@@ -123,19 +123,19 @@ def test_bad_truth_is_refused_in_one_sentence(data: dict[str, Any], sentence: st
 def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
     file = tmp_path / "bin.yaml"
     file.write_bytes(b"\xff\xfe\x00\x81")
-    with pytest.raises(ConfigError, match=f"^{file} cannot be read: it is no text in UTF-8$"):
+    with pytest.raises(SettingsError, match=f"^{file} cannot be read: it is no text in UTF-8$"):
         load_truth(file)
 
 
 def test_unreadable_files_are_refused_in_one_sentence(tmp_path: Path) -> None:
     broken = tmp_path / "broken.yaml"
     broken.write_text("effects: {a: [")
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(SettingsError, match="cannot be read"):
         load_truth(broken)
     broken.write_text("- 1")
-    with pytest.raises(ConfigError, match="must hold a mapping"):
+    with pytest.raises(SettingsError, match="must hold a mapping"):
         load_truth(broken)
-    with pytest.raises(ConfigError, match="cannot be read"):
+    with pytest.raises(SettingsError, match="cannot be read"):
         load_truth(tmp_path / "none.yaml")
 
 
@@ -215,7 +215,7 @@ def test_schedule_is_read_strictly_and_fitted(tmp_path: Path) -> None:
     assert segments[0] == Segment(seconds=2.0, amplitude=300.0, frequency=0.5, kp=60.0)
     assert [segment.seconds for segment in fit_to(segments, 4.5)] == [2.0, 1.0, 1.5]
     file.write_text("segments:\n- {seconds: 2, wave: sine}\n")
-    with pytest.raises(ConfigError, match=r"segments\[0\].wave is not a known setting"):
+    with pytest.raises(SettingsError, match=r"segments\[0\].wave is not a known setting"):
         load_schedule(file)
 
 
@@ -225,5 +225,5 @@ def test_faults_are_a_preset_or_a_file(tmp_path: Path) -> None:
     faults = load_faults(str(file))
     assert (faults.corrupt, faults.events[0].unplug) == (0.1, 1.0)
     assert load_faults("awful") is PRESETS["awful"]
-    with pytest.raises(ConfigError, match="neither a file nor one of clean, noisy, awful"):
+    with pytest.raises(SettingsError, match="neither a file nor one of clean, noisy, awful"):
         load_faults("terrible")

@@ -19,6 +19,7 @@ import pytest
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
 from hydro_bridge.serial.protocol import Hello, State, encode_command, encode_hello
 from hydro_bridge.serial.stream import Decoder, SequenceTracker
+from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_info
 from hydro_sim.emulator.control import ControlPipe, obey
@@ -28,7 +29,6 @@ from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.model.bench import Bench
-from hydro_sim.yaml_settings import ConfigError
 
 FRAMES = [bytes([0, *([1 + k % 200] * 20), 0]) for k in range(2000)]
 
@@ -247,7 +247,7 @@ def test_unplugging_hangs_up_and_replugging_comes_back_behind_the_same_name(link
 
 def test_a_place_taken_by_a_file_is_refused_and_the_file_kept(tmp_path: Path) -> None:
     (tmp_path / "port").write_text("precious")
-    with pytest.raises(ConfigError, match="exists and is no link"):
+    with pytest.raises(SettingsError, match="exists and is no link"):
         Terminal(tmp_path / "port")
     assert (tmp_path / "port").read_text() == "precious"
 
@@ -262,7 +262,7 @@ def test_orders_are_obeyed_or_refused_in_one_sentence(link: BoxLink, machine: Ma
     obey("reboot", machine, link, 0.0)
     assert machine.time == 0.0 and int(machine.tick()["sequence"]) == 0
     for order in ("", "melt", "corrupt", "corrupt 2", "corrupt x", "clear 1", "unplug -1"):
-        with pytest.raises(ConfigError, match="order"):
+        with pytest.raises(SettingsError, match="order"):
             obey(order, machine, link, 0.0)
 
 

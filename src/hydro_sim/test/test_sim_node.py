@@ -28,7 +28,7 @@ pytestmark = pytest.mark.graph
     ("arguments", "sentence"),
     [
         (["--bench", "nowhere.yaml"], "error: nowhere.yaml: No such file or directory"),
-        (["--speed", "-1"], "error: speed is -1, allowed is [0, 100]"),
+        (["--speed", "-1"], "error: speed must be within [0, 100], not -1"),
         (["--ros-args", "-p", "box.load_force_limit:=-5.0"], "error: parameter box.load_force_limit: "),
     ],
 )

@@ -15,13 +15,17 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from hydro_bridge.link.clock import BoxClock, HostClock, set_by
+from hydro_bridge.link.remarks import NO_DETAILS, remarks
 from hydro_bridge.link.timing import LinkTimes
 from hydro_bridge.safety.guard import CommandGuard, narrowed
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import (
     VERSION,
+    VERSION_MIN,
+    BoxDetails,
     BoxInfo,
     CommandFrame,
+    Details,
     Hello,
     State,
     WrongVersionError,
@@ -93,6 +97,11 @@ class Link:
         self.report = LinkReport()
         self.clock, self.host_clock = BoxClock(), HostClock()
         self.box: BoxInfo | None = None
+        self.details: BoxDetails | None = None
+        """What the box says from version 2 on; None of a box of version 1."""
+        self.version = VERSION_MIN
+        self.refused: tuple[int | None, int | None] = (None, None)
+        """Values and references that the box refused since its power-on; None: a box of version 1 cannot tell."""
         self.state = LinkState.CLOSED
         self.flags = Flag(0)
         self._wanted_limits = guard.settings
@@ -104,6 +113,8 @@ class Link:
         self._corrected = True
         self._connected_before = False
         self._complaint = ""
+        self._greeted: BoxInfo | None = None
+        """HELLO of a box of version 2, until its DETAILS come."""
 
     def run(self) -> None:
         """Keep the line open until `stop`; the body of the serial thread."""
@@ -137,7 +148,7 @@ class Link:
                 return
             now = time.monotonic()
             self._sequence = (self._sequence + 1) & 0xFFFFFFFF
-            frame = encode_command(self._sequence, int(1e6 * now), self.guard.command(now))
+            frame = encode_command(self._sequence, int(1e6 * now), self.guard.command(now), self.version)
             try:
                 if not self.port.write(frame):
                     return
@@ -184,12 +195,14 @@ class Link:
             if self.state is LinkState.OPEN and self._decoder.foreign_version is not None:
                 self._complain(_foreign(self._decoder.foreign_version))
 
-    def _take(self, frame: Hello | State | CommandFrame, now: float) -> None:
+    def _take(self, frame: Hello | State | Details | CommandFrame, now: float) -> None:
         if isinstance(frame, State):
             if self.state is LinkState.CONNECTED:
                 self._take_state(frame, now)
         elif isinstance(frame, Hello) and frame.info is not None:
             self._take_hello(frame, frame.info)
+        elif isinstance(frame, Details):
+            self._take_details(frame.details)
 
     def _take_state(self, frame: State, now: float) -> None:
         restarts = self.counts.restarts
@@ -197,16 +210,24 @@ class Link:
             return
         if self.counts.restarts > restarts:
             self._restarted()
+            return
         missed, self._corrected = not self._corrected, False
         with self.lock:
             self.report.times.state_arrived(frame.sequence, frame.last_command, now)
             self.guard.note_sample(frame.sequence, frame.values[_NOMINAL])
+        self._note_refused(frame)
         stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
         self._note_flags(Flag(frame.flags | stale))
         self._on_state(frame, self._stamp(frame), int(self.flags))
         if missed:  # no correction came for the sample before: the box hears from us all the same
             self.report.heartbeats += 1
             self.send()
+
+    def _note_refused(self, frame: State) -> None:
+        """Say once per connection that the box refuses references; what it counts is on /diagnostics."""
+        before, self.refused = self.refused, (frame.refused, frame.refused_references)
+        if before[1] == 0 and (frame.refused_references or 0) > 0:
+            self._warn("the box refused a reference: the one before stays in force")
 
     def _stamp(self, frame: State) -> int:
         """ROS time [ns] at which the sample was taken."""
@@ -222,11 +243,27 @@ class Link:
             self._complain(_foreign(error.version))
             return
         if self.state is LinkState.CONNECTED:
-            if frame.sequence == 0:
+            if frame.sequence != 0:
+                return
+            self._restarted()
+        if version == VERSION_MIN:
+            self._connect(version, info, None)
+        elif frame.sequence != 0:  # what a box says at power-on has no DETAILS behind it
+            if self._greeted is not None:
+                self._complain(NO_DETAILS)
+            self._greeted = info
+
+    def _take_details(self, details: BoxDetails) -> None:
+        if self.state is LinkState.CONNECTED:
+            if self.details is not None and details.epoch != self.details.epoch:
                 self._restarted()
-            return
+        elif self._greeted is not None:
+            self._connect(2, self._greeted, details)
+
+    def _connect(self, version: int, info: BoxInfo, details: BoxDetails | None) -> None:
+        self._greeted = None
         with self.lock:
-            self.box, self.state = info, LinkState.CONNECTED
+            self.box, self.details, self.version, self.state = info, details, version, LinkState.CONNECTED
             self.guard.settings = narrowed(self._wanted_limits, info)
             self.guard.valve_current_max = info.valve_current_max
             self.guard.set_arm(False)
@@ -235,6 +272,8 @@ class Link:
         self._log(
             f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed"
         )
+        for sentence in remarks(self._wanted_limits, info, details):
+            self._log(sentence)
         self._on_box(info)
 
     def _note_flags(self, flags: Flag) -> None:
@@ -244,7 +283,13 @@ class Link:
                 self._news.notify_all()
 
     def _restarted(self) -> None:
+        """Disarm, and begin the conversation anew: the box may have forgotten the version, or be another one."""
         self._warn("the box was restarted: disarmed until armed anew")
+        with self.lock:
+            self.guard.set_arm(False)
+            self.state, self._greeted = LinkState.OPEN, None
+        with self._news:
+            self._news.notify_all()
         self._disarm_and_forget()
 
     def _disconnect(self) -> None:
@@ -255,6 +300,7 @@ class Link:
         with self._news:
             self._news.notify_all()
         self._decoder.reset()
+        self._greeted = None
         self._disarm_and_forget()
 
     def _disarm_and_forget(self) -> None:
@@ -265,6 +311,7 @@ class Link:
         self._note_flags(Flag(0))
         self._tracker.reset()
         self.clock.reset()
+        self.refused = (None, None)
 
     def _complain(self, sentence: str) -> None:
         """Say what is wrong once, not at every attempt."""
@@ -275,5 +322,6 @@ class Link:
 
 def _foreign(version: int) -> str:
     return (
-        f"the box speaks protocol version {version}, here {VERSION} is spoken: no command is sent until one is updated"
+        f"the box speaks protocol version {version}, here {VERSION_MIN} to {VERSION} are spoken: no command is sent "
+        "until one is updated"
     )

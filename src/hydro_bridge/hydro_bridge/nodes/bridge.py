@@ -43,6 +43,9 @@ class BridgeSide(Link):
             "port": self.port.settings.path,
             "box": self.box.name if self.box else "",
             "box differs": self.foreign or "no",
+            "protocol version": self.version,
+            "refused by the box": self.refused[0],
+            "references refused by the box": self.refused[1],
             "flags": flag_names(flags),
             "require filter": self.guard.settings.require_filter,
             **asdict(self.counts),
@@ -103,12 +106,12 @@ class BridgeNode(PlantNode):
 
     def _on_box(self, info: BoxInfo) -> None:
         """At each connection: another box may be there now."""
-        self.link.foreign = differences(info, self._bench)
+        self.link.foreign = differences(info, self._bench, self.link.details)
         if self.link.foreign:
             self.get_logger().warning(
                 f"this box is not what was expected: {self.link.foreign}: give the bridge its own bench.yaml by --bench"
             )
-        self.publish_box(known_box(info, self._bench, "bridge"))
+        self.publish_box(known_box(info, self._bench, "bridge", self.link.details))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,8 +133,8 @@ def arguments(own: Sequence[str]) -> Asked:
         "armed by the trainer, or by `ros2 run hydro_bridge arm`.",
     )
     texts, defaults = describe(PortSettings), PortSettings()
-    parser.add_argument("--port", default=defaults.path, help=f"{texts['path'].text} Default %(default)s.")
-    parser.add_argument("--baud", type=int, default=defaults.baud, help=f"{texts['baud'].text} Default %(default)s.")
+    parser.add_argument("--port", default=defaults.path, help=f"{texts['path'].text}; default %(default)s")
+    parser.add_argument("--baud", type=int, default=defaults.baud, help=f"{texts['baud'].text}; default %(default)s")
     parser.add_argument(
         "--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: the nominal bench"
     )

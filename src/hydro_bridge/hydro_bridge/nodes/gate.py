@@ -13,7 +13,6 @@ first message is here, and a topic with two is believed no more. What was armed 
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
@@ -23,26 +22,22 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_srvs.srv import SetBool
 
+from hydro_bridge.nodes.gate_words import GateWords
 from hydro_bridge.ros import (
     ARM_SERVICE,
     AUTHORITY,
-    AUTHORITY_QOS,
     CLAIM_SERVICE,
     COMMANDS,
-    CORRECTION,
     STATE,
     publisher_conflicts,
 )
 from hydro_bridge.safety.authority import Authority
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.signals import ReferenceSignal
-from hydro_msgs.msg import Authority as AuthorityMessage
 from hydro_msgs.srv import Claim
 
 BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
 _LOOK = 0.1  # s, between two looks at who publishes
-_NEWCOMERS = 50
-"""Corrections a second without the epoch that are not told: those of a filter that has not heard of it yet."""
 
 
 class Plant(Protocol):
@@ -77,16 +72,15 @@ class Gate:
     def __init__(self, node: Node, plant: Plant, tripped: Callable[[], bool]) -> None:
         self.authority = Authority()
         self._node, self._plant, self._tripped = node, plant, tripped
-        self._armed, self._refusal, self._crowd = False, "", ""
+        self._armed, self._crowd = False, ""
         self._heard: dict[str, Subscription] = {}
-        self._told: Counter[str] = Counter()
         self._clock = Clock(clock_type=ClockType.STEADY_TIME)
-        self._publisher = node.create_publisher(AuthorityMessage, AUTHORITY, AUTHORITY_QOS)
-        self._tell()
+        self._words = GateWords(node, self.authority)
+        self._words.tell()
         node.create_service(SetBool, ARM_SERVICE, self._on_arm)
         node.create_service(Claim, CLAIM_SERVICE, self._on_claim)
         node.create_timer(_LOOK, self._look, clock=self._clock)
-        node.create_timer(1.0, self._tell_refused, clock=self._clock)
+        node.create_timer(1.0, self._words.tell_refused, clock=self._clock)
 
     def listen(self, topic: str, subscription: Subscription) -> None:
         """`subscription` is where commands of `topic` come from."""
@@ -124,20 +118,20 @@ class Gate:
             trouble, done = f"act {request.act} is not known", ""
         if self.authority.claim != held:
             self._begin_anew(succeeds=bool(held))
-            self._say(f"{self.authority.holder or 'nobody'} commands this plant")
-            self._tell()
+            self._words.say(f"{self.authority.holder or 'nobody'} commands this plant")
+            self._words.tell()
         own = not trouble and (request.claim or request.act == Claim.Request.TAKE)
         response.success, response.message = not trouble, trouble or done
         response.claim, response.epoch = (self.authority.claim, self.authority.epoch) if own else (0, 0)
         if request.act != Claim.Request.TAKE:
-            self._say(f"{request.name}: {response.message}")
+            self._words.say(f"{request.name}: {response.message}")
         return response
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         trouble = BY_NAME if request.data else self._plant.arm(False)
         self._follow()
         response.success, response.message = not trouble, trouble or "disarmed"
-        self._say(response.message)
+        self._words.say(response.message)
         return response
 
     def _arm(self, claim: int) -> str:
@@ -167,21 +161,21 @@ class Gate:
         self._follow()
         before, self._crowd = self._crowd, self.crowd()
         if before and not self._crowd:
-            self._tell()  # whoever heard a false word on the authority hears the true one again
+            self._words.tell()  # whoever heard a false word on the authority hears the true one again
         if self._armed:
             if self._crowd:
                 self._give_up(STATE)
         elif self.authority.lapse(self._now()):
             self._begin_anew(succeeds=False)
-            self._say("nobody commands this plant: who did has fallen silent")
-            self._tell()
+            self._words.say("nobody commands this plant: who did has fallen silent")
+            self._words.tell()
 
     def _follow(self) -> None:
         """The session ends with a disarm, whoever asked for it, and with a trip."""
         before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
         if before and not self._armed:
             self.authority.end(self._now())
-            self._tell()
+            self._words.tell()
 
     def _give_up(self, topic: str) -> None:
         if not self._plant.guard.armed:
@@ -191,28 +185,6 @@ class Gate:
             self._plant.guard.give_up(why)
         self._plant.send()
         self._follow()
-
-    def _tell(self) -> None:
-        authority = self.authority
-        message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
-        message.header.stamp = self._node.get_clock().now().to_msg()
-        self._publisher.publish(message)
-
-    def _tell_refused(self) -> None:
-        news = self.authority.refused - self._told
-        self._told = self.authority.refused.copy()
-        if news[CORRECTION] <= _NEWCOMERS:
-            del news[CORRECTION]
-        for topic, count in news.items():
-            names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
-            self._node.get_logger().warning(
-                f"refused: {count} of {topic} without the authority over this plant (from {', '.join(names) or 'gone'})"
-            )
-
-    def _say(self, sentence: str) -> None:
-        if sentence != self._refusal:  # some ask again and again
-            self._node.get_logger().info(sentence)
-        self._refusal = sentence
 
     def _now(self) -> float:
         return 1e-9 * float(self._clock.now().nanoseconds)

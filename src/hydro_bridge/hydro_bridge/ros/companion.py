@@ -20,6 +20,7 @@ from typing import IO
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
+_ENCLAVE_OVERRIDE = "ROS_SECURITY_ENCLAVE_OVERRIDE"  # whose keys this process has; a companion has its own
 
 
 class CompanionError(Exception):
@@ -73,6 +74,7 @@ class Companion:
             stderr=subprocess.STDOUT,
             text=True,
             errors="replace",
+            env={name: value for name, value in os.environ.items() if name != _ENCLAVE_OVERRIDE},
             start_new_session=True,
             preexec_fn=lambda: _die_with(parent),  # noqa: PLW1509 - one call into libc, loaded before
         )

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far nodes look for one another, and how soon they find each other (network.md).
+"""How far nodes look for one another, by what means, and how soon they find each other (network.md).
 
 On this machine only, unless the user says otherwise. The one place for it is ROS's own variable, `RANGE`. LOCALHOST
-stops Fast DDS from multicasting, but not from listening on all addresses: `PROFILES` does. Whatever the range, nodes
-announce themselves every 0.25 s: a plant's thread waits up to 333 ms for a newcomer that has idled for more than a
-second (docs/decisions/0059-found-within-half-a-second.md).
+stops Fast DDS from multicasting, but not from listening on all addresses, and adds shared memory, in which a plant's
+thread waits up to 333 ms for a newcomer (docs/decisions/0059-found-within-half-a-second.md). So with Fast DDS all of it
+is said in `PROFILES`: UDP, the loopback interface, no multicast; and the middleware is told to take that as it is.
 """
 
 from __future__ import annotations
@@ -12,13 +12,21 @@ from __future__ import annotations
 import os
 from importlib import resources
 
+from rclpy.utilities import get_rmw_implementation_identifier
+
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 THIS_MACHINE = "LOCALHOST"
+AS_PROFILED = "SYSTEM_DEFAULT"
+"""The range in which a middleware adds nothing of its own to what it is set to."""
+_OLD_RANGE = "ROS_LOCALHOST_ONLY"  # goes before `RANGE` where it is set; deprecated
 
 
 def stay_on_this_machine() -> None:
     """Set the environment of this process and of those it starts; before ROS is. What the user has set stays."""
     here = os.environ.setdefault(RANGE, THIS_MACHINE) == THIS_MACHINE
-    profile = resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml")
-    os.environ.setdefault(PROFILES, str(profile))
+    profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))
+    ours = os.environ.setdefault(PROFILES, profile) == profile
+    if here and ours and get_rmw_implementation_identifier().startswith("rmw_fastrtps"):
+        os.environ[RANGE] = AS_PROFILED  # the profile keeps to this machine
+        os.environ.pop(_OLD_RANGE, None)

@@ -11,7 +11,7 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import ParameterException
 from rclpy.node import Node
 
-from hydro_bridge.settings import FieldDoc, SettingsError, check, describe
+from hydro_bridge.settings import Setting, SettingsError, check, converted, describe
 
 T = TypeVar("T")
 
@@ -36,12 +36,12 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
     for field in fields(settings):  # type: ignore[arg-type]
         default = getattr(settings, field.name)
         if isinstance(default, (bool, int, float, str)):
-            doc = describe(type(settings))[field.name]
+            name, setting = prefix + field.name, describe(type(settings))[field.name]
             try:
-                value = node.declare_parameter(prefix + field.name, default, _descriptor(default, doc)).value
+                value = node.declare_parameter(name, default, _descriptor(setting)).value
             except ParameterException as error:
-                raise SettingsError(f"parameter {prefix}{field.name}: {error}; {doc.text}") from None
-            chosen[field.name] = _converted(prefix + field.name, value, default)
+                raise SettingsError(f"parameter {name}: {error}; {setting.text}") from None
+            chosen[field.name] = converted(setting, value, f"parameter {name}", strict=True)
     declared = replace(settings, **chosen)  # type: ignore[type-var]
     check(declared)
     return declared
@@ -62,20 +62,12 @@ def refuse_unknown_parameters(node: Node) -> None:
             raise SettingsError(f"{node.get_name()} has no parameter {name}{hint}")
 
 
-def _descriptor(default: object, doc: FieldDoc) -> ParameterDescriptor:
-    descriptor = ParameterDescriptor(description=doc.text, read_only=True, dynamic_typing=True)
-    if doc.low is not None and doc.high is not None:
-        if isinstance(default, float):
-            descriptor.floating_point_range = [FloatingPointRange(from_value=doc.low, to_value=doc.high)]
-        elif isinstance(default, int) and not isinstance(default, bool):
-            descriptor.integer_range = [IntegerRange(from_value=int(doc.low), to_value=int(doc.high), step=1)]
+def _descriptor(setting: Setting) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=setting.text, read_only=True, dynamic_typing=True)
+    if setting.range and setting.kind is float:
+        descriptor.floating_point_range = [
+            FloatingPointRange(from_value=float(setting.low), to_value=float(setting.high))
+        ]
+    elif setting.range:
+        descriptor.integer_range = [IntegerRange(from_value=int(setting.low), to_value=int(setting.high), step=1)]
     return descriptor
-
-
-def _converted(name: str, value: object, default: object) -> object:
-    """Return the value in the kind of the default: an integer is welcome where a float is meant, nothing else."""
-    if isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
-    if type(value) is not type(default):
-        raise SettingsError(f"parameter {name} is {value!r}, a {type(default).__name__} is meant")
-    return value

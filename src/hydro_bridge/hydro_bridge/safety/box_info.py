@@ -12,7 +12,7 @@ import yaml
 
 from hydro_bridge.files import bench_file
 from hydro_bridge.safety.readiness import Requirement
-from hydro_bridge.serial.frames import BoxInfo
+from hydro_bridge.serial.frames import BoxDetails, BoxInfo
 from hydro_bridge.signals import SAMPLE_PERIOD
 
 NO_BOX = (
@@ -53,13 +53,17 @@ def told(ready: Callable[[], bool]) -> Requirement:
     return Requirement(name="what the box says of itself", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
 
 
-def known_box(info: BoxInfo, bench: Mapping[str, Any] | None, plant: str) -> KnownBox:
+def known_box(
+    info: BoxInfo, bench: Mapping[str, Any] | None, plant: str, details: BoxDetails | None = None
+) -> KnownBox:
     """A box by what it says and by the bench file that belongs to it; where the two differ the box is believed.
 
-    So the digest is that of the file only if the box does not contradict it.
+    So the digest is that of the file only if the box does not contradict it. A box of version 2 gives its own digest;
+    where the file has another, its numbers are not known.
     """
-    if bench is None:
-        return KnownBox(info=info, plant=plant)
+    believed = details.bench_digest if details else ""
+    if bench is None or (believed and believed != bench_file.digest(bench)):
+        return KnownBox(info=info, plant=plant, bench_digest=believed)
     numbers = dict(bench)
     if not _same(info.valve_current_max, numbers.get("valve_current_max")):
         numbers["valve_current_max"] = info.valve_current_max
@@ -67,9 +71,12 @@ def known_box(info: BoxInfo, bench: Mapping[str, Any] | None, plant: str) -> Kno
     return KnownBox(info=info, plant=plant, bench_digest=bench_file.digest(numbers), bench=text)
 
 
-def differences(info: BoxInfo, bench: Mapping[str, Any] | None) -> str:
+def differences(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:
     """Where a box differs from its bench file and from what is expected here, both numbers named; or nothing."""
     found = []
+    believed = details.bench_digest if details else ""
+    if believed and bench is not None and believed != bench_file.digest(bench):
+        found.append(f"its force law believes the bench {believed}, the bench file is {bench_file.digest(bench)}")
     told = None if bench is None else bench.get("valve_current_max")
     if told is not None and not _same(info.valve_current_max, told):
         found.append(f"its valve_current_max is {info.valve_current_max:g} A, the bench file says {told:g} A")

@@ -203,6 +203,12 @@ class CommandGuard:
     def _answered(self, now: float) -> bool:
         return now - self._correction_at <= self.settings.correction_age_max
 
+    def _acts(self, now: float) -> bool:
+        """Whether the correction is young enough to act: it was decided for one sample, and is an impulse if held."""
+        held = min(self.settings.correction_hold, self.settings.correction_age_max)
+        behind = 0 if self._newest is None else (self._newest - self._corrects) & 0xFFFFFFFF
+        return now - self._correction_at <= held and behind < round(held / SAMPLE_PERIOD)
+
     def gains_fresh(self, now: float) -> bool:
         """Whether gains came within `gains_age_max`."""
         return now - self._gains_at <= self.settings.gains_age_max
@@ -227,7 +233,7 @@ class CommandGuard:
             arm=self._arm,
             delta_kp=delta_kp,
             delta_ki=delta_ki,
-            delta_u=self._delta_u if answered else 0.0,
+            delta_u=self._delta_u if self._acts(now) else 0.0,
             reference=self._reference,
             corrects=self._corrects,
             filter_fresh=answered and not self._mismatched,

@@ -6,8 +6,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from math import inf, isfinite
 from struct import Struct
+from typing import Annotated
 
 from hydro_bridge.serial.frames import BoxInfo
+from hydro_bridge.settings import quantity
 from hydro_bridge.signals import ReferenceSignal, Waveform
 
 _LINE = Struct("<4f")
@@ -18,30 +20,32 @@ _LINE_MAX = 3.4028234e38
 class GuardSettings:
     """Limits and ages. Defaults: the paper's Table training_agent and the failure table of failures.md."""
 
-    delta_kp_min: float = 0.0
-    """1/s, smallest change of the proportional gain, [-200, 0]."""
-    delta_kp_max: float = 75.0
-    """1/s, largest change of the proportional gain, [0, 500]."""
-    delta_ki_min: float = 0.0
-    """1/s^2, smallest change of the integral gain, [-50, 0]."""
-    delta_ki_max: float = 10.0
-    """1/s^2, largest change of the integral gain, [0, 100]."""
-    delta_u_max: float = 0.02
-    """A, largest magnitude of the correction, [0, 0.2]; the learned metric's filter needs 0.0045 (authority.md)."""
-    reference_force_max: float = 1000.0
-    """N, largest |offset| + amplitude of the reference, [0, 5000]."""
-    reference_frequency_max: float = 20.0
-    """Hz, largest frequency of the reference, [0.1, 100]."""
-    correction_age_max: float = 0.02
-    """s, an older correction is stale, and so is one of an older sample, [0.001, 0.2]."""
-    gains_age_max: float = 0.2
-    """s, older gains are stale, [0.01, 2]."""
-    abandoned_after: float = 10.0
-    """s without gains, after there were some since arming: reference 0 N, disarmed, [2, 3600]."""
+    delta_kp_min: Annotated[float, quantity("1/s", -200.0, 0.0)] = 0.0
+    """Smallest change of the proportional gain."""
+    delta_kp_max: Annotated[float, quantity("1/s", 0.0, 500.0)] = 75.0
+    """Largest change of the proportional gain."""
+    delta_ki_min: Annotated[float, quantity("1/s^2", -50.0, 0.0)] = 0.0
+    """Smallest change of the integral gain."""
+    delta_ki_max: Annotated[float, quantity("1/s^2", 0.0, 100.0)] = 10.0
+    """Largest change of the integral gain."""
+    delta_u_max: Annotated[float, quantity("A", 0.0, 0.2)] = 0.02
+    """Largest magnitude of the correction; the learned metric's filter needs 0.0045 (authority.md)."""
+    reference_force_max: Annotated[float, quantity("N", 0.0, 5000.0)] = 1000.0
+    """Largest |offset| + amplitude of the reference."""
+    reference_frequency_max: Annotated[float, quantity("Hz", 0.1, 100.0)] = 20.0
+    """Largest frequency of the reference."""
+    correction_age_max: Annotated[float, quantity("s", 0.001, 0.2)] = 0.02
+    """An older correction is stale, and so is one of an older sample."""
+    correction_hold: Annotated[float, quantity("s", 0.001, 0.2)] = 0.003
+    """An older correction acts no more, while the gains that it allows go on (decision 0064)."""
+    gains_age_max: Annotated[float, quantity("s", 0.01, 2.0)] = 0.2
+    """Older gains are stale."""
+    abandoned_after: Annotated[float, quantity("s", 2.0, 3600.0)] = 10.0
+    """Without gains, after there were some since arming: reference 0 N, disarmed."""
     relies_on: str = "nothing"
-    """The filter that gains of this range need to be safe; nothing: the bench bears them all. Told at the start."""
+    """The filter that gains of this range need to be safe; nothing: the bench bears them all; told at the start."""
     require_filter: bool = True
-    """Without a fresh correction: base gains. False lets gains pass unfiltered: logged, flagged and on /diagnostics."""
+    """Without a fresh correction: base gains; false lets gains pass unfiltered: logged, flagged and on /diagnostics."""
 
 
 NARROW = GuardSettings()

@@ -9,8 +9,10 @@ from typing import NamedTuple
 
 from hydro_bridge.signals import Command
 
-VERSION = 1
-"""The version spoken here, and the only one."""
+VERSION_MIN = 1
+"""Lowest version spoken here."""
+VERSION = 2
+"""Highest version spoken here."""
 
 
 class FrameType(IntEnum):
@@ -19,6 +21,8 @@ class FrameType(IntEnum):
     HELLO = 1
     STATE = 2
     COMMAND = 3
+    DETAILS = 4
+    """From version 2 on."""
 
 
 class MalformedError(ValueError):
@@ -37,7 +41,7 @@ class WrongVersionError(MalformedError):
     """A frame of another version; `version` says which."""
 
     def __init__(self, version: int) -> None:
-        super().__init__(f"frame of version {version}, here {VERSION} is spoken")
+        super().__init__(f"frame of version {version}, here {VERSION_MIN} to {VERSION} are spoken")
         self.version = version
 
 
@@ -73,6 +77,42 @@ class BoxInfo:
     """Form of the force law's integral, one of `INTEGRAL_FORMS`; empty: the box does not tell."""
 
 
+FEEDBACKS = ("", "load", "hydraulic")
+"""Forces that a law can follow, by their number in DETAILS; empty: not told."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxDetails:
+    """What a box says about itself from version 2 on, in DETAILS; 0 or empty: not told."""
+
+    epoch: int = 0
+    """Of its power-on, [1, 2^32 - 1]: another one means that the box was restarted."""
+    bench_digest: str = ""
+    """Digest of the bench file that its force law believes, 12 hexadecimal digits."""
+    feedback: str = ""
+    """Force that its law follows, one of `FEEDBACKS`."""
+    load_force_limit: float = 0.0
+    """N, magnitude of the load force beyond which it trips while armed."""
+    force_range: float = 0.0
+    """N, magnitude beyond which a load cell counts as broken, and beyond which no reference may reach."""
+    pressure_min: float = 0.0
+    """Pa, below it a pressure sensor counts as broken."""
+    pressure_max: float = 0.0
+    """Pa, above it a pressure sensor counts as broken."""
+    position_min: float = 0.0
+    """m, below it the encoder counts as broken."""
+    position_max: float = 0.0
+    """m, above it the encoder counts as broken."""
+    hold_timeout: float = 0.0
+    """s without a command until WATCHDOG."""
+    trip_timeout: float = 0.0
+    """s without a command until TRIPPED."""
+    force_rate_age: float = 0.0
+    """s, lag of its differentiated forces at low frequency."""
+    velocity_age: float = 0.0
+    """s, lag of its differentiated position at low frequency."""
+
+
 class Hello(NamedTuple):
     """Who is there and which versions it speaks; `info` is None from the host."""
 
@@ -84,13 +124,26 @@ class Hello(NamedTuple):
 
 
 class State(NamedTuple):
-    """One sample: `values` in STATE_FIELDS order, flags, and the sequence of the newest command that the box has."""
+    """One sample: `values` in STATE_FIELDS order, flags, and the sequence of the newest command that the box has.
+
+    From version 2 on also how many values, and how many references, the box refused since its power-on.
+    """
 
     sequence: int
     time_us: int
     values: tuple[float, ...]
     flags: int
     last_command: int
+    refused: int | None = None
+    refused_references: int | None = None
+
+
+class Details(NamedTuple):
+    """What a box says about itself besides its HELLO."""
+
+    sequence: int
+    time_us: int
+    details: BoxDetails
 
 
 class CommandFrame(NamedTuple):
@@ -101,4 +154,4 @@ class CommandFrame(NamedTuple):
     command: Command
 
 
-Frame = Hello | State | CommandFrame
+Frame = Hello | State | Details | CommandFrame

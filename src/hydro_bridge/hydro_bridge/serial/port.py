@@ -9,8 +9,11 @@ import os
 import select
 import stat
 from dataclasses import dataclass
+from typing import Annotated
 
 import serial
+
+from hydro_bridge.settings import quantity
 
 _READ_SIZE = 65536
 
@@ -32,14 +35,14 @@ class PortSettings:
 
     path: str = "/dev/ttyUSB0"
     """Device, or link to one."""
-    baud: int = 2_000_000
-    """Bit/s, [921600, 12000000]: 1 kHz both ways needs 921600."""
-    silence_max: float = 1.0
-    """s without a byte after which the port is closed and opened anew, [0.1, 60]."""
-    backoff_first: float = 0.1
-    """s before the second attempt to open, [0.01, 10]; doubles with each."""
-    backoff_max: float = 2.0
-    """s, longest wait between attempts, [0.1, 60]."""
+    baud: Annotated[int, quantity("Bit/s", 921600, 12000000)] = 2_000_000
+    """Speed of the line; 1 kHz both ways needs 921600."""
+    silence_max: Annotated[float, quantity("s", 0.1, 60.0)] = 1.0
+    """Without a byte, after which the port is closed and opened anew."""
+    backoff_first: Annotated[float, quantity("s", 0.01, 10.0)] = 0.1
+    """Before the second attempt to open; doubles with each."""
+    backoff_max: Annotated[float, quantity("s", 0.1, 60.0)] = 2.0
+    """Longest wait between attempts."""
 
 
 class Port:

@@ -11,7 +11,7 @@ The delimiter stands on both sides: a frame after garbage is then read whole, an
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import astuple
+from dataclasses import astuple, fields
 from math import copysign, inf
 from struct import Struct
 from zlib import crc32
@@ -19,11 +19,15 @@ from zlib import crc32
 from cobs import cobs
 
 from hydro_bridge.serial.frames import (
+    FEEDBACKS,
     INTEGRAL_FORMS,
     VERSION,
+    VERSION_MIN,
+    BoxDetails,
     BoxInfo,
     CheckSumError,
     CommandFrame,
+    Details,
     Frame,
     FrameType,
     Hello,
@@ -39,9 +43,11 @@ __all__ = [
     "MAX_ENCODED",
     "VERSION",
     "VERSION_MIN",
+    "BoxDetails",
     "BoxInfo",
     "CheckSumError",
     "CommandFrame",
+    "Details",
     "Frame",
     "FrameType",
     "Hello",
@@ -51,12 +57,12 @@ __all__ = [
     "WrongVersionError",
     "decode",
     "encode_command",
+    "encode_details",
     "encode_hello",
     "encode_state",
     "negotiate",
 ]
 
-VERSION_MIN = 1
 HANDSHAKE = 0
 """Version byte of HELLO frames: their layout is the same in all versions, so that any two ends can negotiate."""
 MAX_ENCODED = 160
@@ -64,14 +70,23 @@ MAX_ENCODED = 160
 
 _HEADER = Struct("<BBIQ")
 _STATE = Struct(f"<BBIQ{len(STATE_FIELDS)}fII")
+_STATE_2 = Struct(f"<BBIQ{len(STATE_FIELDS)}fIIII")
 _COMMAND = Struct("<BBIQIIfffIffff")
+_DETAILS = Struct("<BBIQI12sBBBB10f")
 _HELLO = Struct("<BBIQBBBB32s9f")
 _CRC = Struct("<I")
 _ARM, _FILTER_FRESH = 1, 2
 
 
-def encode_state(sequence: int, time_us: int, values: Sequence[float], flags: int, last_command: int) -> bytes:
-    """Frame of one sample.
+def encode_state(
+    sequence: int,
+    time_us: int,
+    values: Sequence[float],
+    flags: int,
+    last_command: int,
+    refused: tuple[int, int] | None = None,
+) -> bytes:
+    """Frame of one sample, of version 2 if it says what was refused, else of version 1.
 
     Parameters
     ----------
@@ -85,21 +100,24 @@ def encode_state(sequence: int, time_us: int, values: Sequence[float], flags: in
         Bits of `signals.Flag`.
     last_command
         Sequence of the newest command received, 0 before the first; the host measures the round trip with it.
+    refused
+        Values, and references, that the box refused since its power-on.
     """
-    head = (VERSION, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
+    head = (VERSION_MIN if refused is None else 2, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
+    layout, tail = (_STATE, ()) if refused is None else (_STATE_2, tuple(count & 0xFFFFFFFF for count in refused))
     try:
-        return _wrap(_STATE.pack(*head, *values, flags, last_command))
+        return _wrap(layout.pack(*head, *values, flags, last_command, *tail))
     except OverflowError:
-        return _wrap(_STATE.pack(*head, *map(_single, values), flags, last_command))
+        return _wrap(layout.pack(*head, *map(_single, values), flags, last_command, *tail))
 
 
-def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
-    """Frame of one command; `time_us` is the host's clock."""
+def encode_command(sequence: int, time_us: int, command: Command, version: int = VERSION_MIN) -> bytes:
+    """Frame of one command; `time_us` is the host's clock, `version` the one negotiated."""
     reference = command.reference
     bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     shape = (reference.amplitude, reference.offset, reference.frequency, reference.phase)
-    head = (VERSION, FrameType.COMMAND, sequence & 0xFFFFFFFF, time_us, bits, command.corrects)
+    head = (version, FrameType.COMMAND, sequence & 0xFFFFFFFF, time_us, bits, command.corrects)
     try:
         return _wrap(_COMMAND.pack(*head, *numbers, reference.waveform, *shape))
     except OverflowError:
@@ -112,6 +130,13 @@ def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None) -> by
     who = (VERSION_MIN, VERSION, info is not None, INTEGRAL_FORMS.index(integral))
     head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
     return _wrap(_HELLO.pack(*head, name.encode()[:32], *numbers))
+
+
+def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
+    """Frame that follows each HELLO of a box in version 2."""
+    epoch, digest, feedback, *numbers = astuple(details)
+    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), 0, 0, 0)
+    return _wrap(_DETAILS.pack(2, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
 
 
 def decode(encoded: bytes) -> Frame:
@@ -133,9 +158,9 @@ def decode(encoded: bytes) -> Frame:
     if len(body) < _HEADER.size:
         raise MalformedError(f"{len(body)} bytes are too few for a header")
     version, kind = body[0], body[1]
-    if version != (HANDSHAKE if kind == FrameType.HELLO else VERSION):
+    if version != HANDSHAKE if kind == FrameType.HELLO else not VERSION_MIN <= version <= VERSION:
         raise WrongVersionError(version)
-    layout, unpack = _LAYOUTS.get(kind, (None, None))
+    layout, unpack = _LAYOUTS.get((version, kind), (None, None))
     if layout is None or unpack is None:
         raise UnknownFrameError(f"frame type {kind}")
     if len(body) != layout.size:
@@ -166,12 +191,23 @@ def _single(value: float) -> float:
     return copysign(inf, value) if abs(value) > 3.4028234e38 else value
 
 
-def _state(fields: tuple[float, ...]) -> State:
-    return State(int(fields[2]), int(fields[3]), fields[4:18], int(fields[18]), int(fields[19]))
+def _state(values: tuple[float, ...]) -> State:
+    return State(int(values[2]), int(values[3]), values[4:18], *map(int, values[18:]))
 
 
-def _command(fields: tuple[float, ...]) -> CommandFrame:
-    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase) = fields[4:]
+def _details(values: tuple[float, ...]) -> Details:
+    _, _, sequence, time_us, epoch, digest, feedback, _, _, _, *numbers = values
+    text = bytes(digest).rstrip(b"\0").decode(errors="replace")  # type: ignore[call-overload]
+    force = FEEDBACKS[int(feedback)] if feedback < len(FEEDBACKS) else ""
+    names = [entry.name for entry in fields(BoxDetails)][3:]
+    details = BoxDetails(
+        epoch=int(epoch), bench_digest=text, feedback=force, **dict(zip(names, numbers, strict=True))
+    )  # fmt: skip
+    return Details(int(sequence), int(time_us), details)
+
+
+def _command(values: tuple[float, ...]) -> CommandFrame:
+    (bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase) = values[4:]
     if waveform > Waveform.SMOOTH_STEP:
         raise MalformedError(f"waveform {waveform}")
     reference = ReferenceSignal(
@@ -186,11 +222,11 @@ def _command(fields: tuple[float, ...]) -> CommandFrame:
         corrects=int(corrects),
         filter_fresh=bool(int(bits) & _FILTER_FRESH),
     )
-    return CommandFrame(int(fields[2]), int(fields[3]), command)
+    return CommandFrame(int(values[2]), int(values[3]), command)
 
 
-def _hello(fields: tuple[float, ...]) -> Hello:
-    _, _, sequence, time_us, version_min, version_max, is_box, form, name, *numbers = fields
+def _hello(values: tuple[float, ...]) -> Hello:
+    _, _, sequence, time_us, version_min, version_max, is_box, form, name, *numbers = values
     text = bytes(name).rstrip(b"\0").decode(errors="replace")  # type: ignore[call-overload]
     integral = INTEGRAL_FORMS[int(form)] if form < len(INTEGRAL_FORMS) else ""
     names = tuple(BoxInfo.__dataclass_fields__)[1:-1]
@@ -198,8 +234,11 @@ def _hello(fields: tuple[float, ...]) -> Hello:
     return Hello(int(sequence), int(time_us), int(version_min), int(version_max), info)
 
 
-_LAYOUTS: dict[int, tuple[Struct, Callable[[tuple[float, ...]], Frame]]] = {
-    FrameType.HELLO: (_HELLO, _hello),
-    FrameType.STATE: (_STATE, _state),
-    FrameType.COMMAND: (_COMMAND, _command),
+_LAYOUTS: dict[tuple[int, int], tuple[Struct, Callable[[tuple[float, ...]], Frame]]] = {
+    (HANDSHAKE, FrameType.HELLO): (_HELLO, _hello),
+    (1, FrameType.STATE): (_STATE, _state),
+    (1, FrameType.COMMAND): (_COMMAND, _command),
+    (2, FrameType.STATE): (_STATE_2, _state),
+    (2, FrameType.COMMAND): (_COMMAND, _command),
+    (2, FrameType.DETAILS): (_DETAILS, _details),
 }

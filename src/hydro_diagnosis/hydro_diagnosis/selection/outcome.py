@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
+from hydro_bridge.settings import quantity
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import Problem
 
@@ -15,22 +17,22 @@ from hydro_diagnosis.estimation.problem import Problem
 class SearchSettings:
     """How hard to look and when to claim."""
 
-    threshold: float = 20.0
-    """Evidence in units of BIC that a claim needs beyond its parameters' price, [0, 1000].
-
-    A choice, held against recordings with nothing missing; `calibrate` measures what such recordings reach.
+    threshold: Annotated[float, quantity("-", 0.0, 1000.0)] = 20.0
+    """Evidence in units of BIC that a claim needs beyond its parameters' price: a choice, held against recordings
+    with nothing missing; `calibrate` measures what such recordings reach.
     """
-    most: int = 6
+    most: Annotated[int, quantity("-", 0, 100)] = 6
     """Claims at most."""
-    shortlist: int = 7
+    shortlist: Annotated[int, quantity("-", 1, 1000)] = 7
     """Prospects that are fitted in full at each step."""
-    form_error: float = 0.035
-    """Share of a claim's signature that its form may be off by: another of its family must explain more, [0, 1]."""
-    restarts: int = 3
-    """First claims that are tried, one search each, as long as something remains unexplained, [1, 10]."""
-    effort: int = 9000
-    """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before the
-    search begins again: some 4 ms each for 60 s of data, [100, 1000000]."""
+    form_error: Annotated[float, quantity("-", 0.0, 1.0)] = 0.035
+    """Share of a claim's signature that its form may be off by: another of its family must explain more."""
+    restarts: Annotated[int, quantity("-", 1, 10)] = 3
+    """First claims that are tried, one search each, as long as something remains unexplained."""
+    effort: Annotated[int, quantity("-", 100, 1000000)] = 9000
+    """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before
+    the search begins again: some 4 ms each for 60 s of data.
+    """
 
 
 @dataclass(frozen=True)

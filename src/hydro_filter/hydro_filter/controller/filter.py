@@ -12,8 +12,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isfinite, nan
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
+from hydro_bridge.settings import quantity
 from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.certificate.qp import QpFilter
@@ -29,12 +30,12 @@ from hydro_sim.model.bench import Bench
 class FilterSettings:
     """How the filter decides."""
 
-    contraction_rate: float = 0.1
-    """lambda [1/s] of the certificate, [0, 50]; the paper's 0.1."""
-    noise_floor: float = 1.8
-    """N, force errors up to it are taken for noise, [0, 100]; three standard deviations of the load cell."""
-    state_age_max: float = 5e-3
-    """s, a state that is older, or stamped so far ahead, is not acted upon, [0.001, 0.1]."""
+    contraction_rate: Annotated[float, quantity("1/s", 0.0, 50.0)] = 0.1
+    """lambda of the certificate; the paper's 0.1."""
+    noise_floor: Annotated[float, quantity("N", 0.0, 100.0)] = 1.8
+    """Force errors up to it are taken for noise; three standard deviations of the load cell."""
+    state_age_max: Annotated[float, quantity("s", 0.001, 0.1)] = 5e-3
+    """A state that is older, or stamped so far ahead, is not acted upon."""
     bypass: bool = False
     """Correct nothing and say so in every correction: status BYPASSED."""
 

@@ -21,13 +21,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numba
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from hydro_bridge.settings import check
+from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, FloatArray, StateArray
 from hydro_filter.certificate.qp import QpFilter
 from hydro_filter.controller import innovations, loop_decision
@@ -48,16 +49,16 @@ from hydro_sim.structured.model import StructuredModel
 class LoopFilterSettings:
     """How the filter decides."""
 
-    contraction_rate: float = 0.1
-    """lambda [1/s] for gains of the certified range, [0, 10]; the paper's 0.1."""
-    foreign_rate: float = 8.0
-    """lambda [1/s] for all other gains, whose loop the correction closes, [0, 15]: how fast an error has to decay."""
-    noise_share: float = 1.0
-    """What of the metric's own noise level counts as nothing, [0, 100]; 0: correct noise as well."""
-    innovation_limit: float = 1.0
-    """How far the model's predictions may be off before nothing rests on them, of what is allowed, [0.3, 10]."""
-    state_age_max: float = 5e-3
-    """s, a state that is older, or stamped so far ahead, is not acted upon, [0.001, 0.1]."""
+    contraction_rate: Annotated[float, quantity("1/s", 0.0, 10.0)] = 0.1
+    """lambda for gains of the certified range; the paper's 0.1."""
+    foreign_rate: Annotated[float, quantity("1/s", 0.0, 15.0)] = 8.0
+    """lambda for all other gains, whose loop the correction closes: how fast an error has to decay."""
+    noise_share: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
+    """What of the metric's own noise level counts as nothing; 0: correct noise as well."""
+    innovation_limit: Annotated[float, quantity("-", 0.3, 10.0)] = 1.0
+    """How far the model's predictions may be off before nothing rests on them, of what is allowed."""
+    state_age_max: Annotated[float, quantity("s", 0.001, 0.1)] = 5e-3
+    """A state that is older, or stamped so far ahead, is not acted upon."""
     bypass: bool = False
     """Correct nothing and say so in every correction: status BYPASSED."""
 

@@ -11,11 +11,12 @@ certificate to show.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 
+from hydro_bridge.settings import quantity
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.network import ENTRIES
 from hydro_filter.model.hidden_states import HIDDEN
@@ -27,20 +28,20 @@ from hydro_sim.model.hydraulics import rest_state
 class MetricDesign:
     """For which loops metrics are solved."""
 
-    gain_low: float = 10.0
-    """1/s, the certified range's lower end, [1, 100]."""
-    gain_high: float = 95.0
-    """1/s, its upper end, [1, 200]: the rollouts turn unstable some 20 1/s above."""
-    gain_step: float = 5.0
-    """1/s, between the table's gains, [0.5, 50]."""
-    own_decay: float = 0.3
-    """Share of a loop's own decay that its metric is solved for, [0, 0.95]."""
+    gain_low: Annotated[float, quantity("1/s", 1.0, 100.0)] = 10.0
+    """The certified range's lower end."""
+    gain_high: Annotated[float, quantity("1/s", 1.0, 200.0)] = 95.0
+    """The certified range's upper end: the rollouts turn unstable some 20 1/s above."""
+    gain_step: Annotated[float, quantity("1/s", 0.5, 50.0)] = 5.0
+    """Step between the table's gains."""
+    own_decay: Annotated[float, quantity("-", 0.0, 0.95)] = 0.3
+    """Share of a loop's own decay that its metric is solved for."""
     foreign_weights: tuple[float, ...] = (1e-2, 1e-2, 1e-2, 1.0, 1e-2, 1.0, 1e-2, 1e-2)
     """Of the loop coordinates' squares in the Riccati equation, each above 0; the Lyapunov equations have ones."""
-    effort: float = 1e-2
-    """Of the correction's square in it, in units of 0.14 of the valve's current, [1e-4, 100]."""
-    floor: float = 1e-6
-    """Smallest eigenvalue of M, over its largest entry, [1e-9, 1e-2]."""
+    effort: Annotated[float, quantity("-", 1e-4, 100.0)] = 1e-2
+    """Weight of the correction's square in it, in units of 0.14 of the valve's current."""
+    floor: Annotated[float, quantity("-", 1e-9, 1e-2)] = 1e-6
+    """Smallest eigenvalue of M, over its largest entry."""
 
 
 class Table(NamedTuple):

@@ -12,12 +12,12 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
 from hydro_bridge.files.tensors import LARGEST, UnsoundError, check_shapes
-from hydro_bridge.settings import check as check_settings
+from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric import network
 from hydro_filter.metric.design import MetricDesign, design_table
@@ -39,12 +39,12 @@ ARRAYS = ("center", "scale", "low", "high", "gains", "table")
 class Thresholds:
     """What was measured on held-out runs; `training.levels`."""
 
-    noise_size: float = 0.0
-    """v'Mv of the noise for gains of the certified range, [0, 1e6]."""
-    foreign_noise_size: float = 0.0
-    """The same in the metric for all other gains, [0, 1e6]."""
-    integral_allowance: float = 200.0
-    """N/s that the law's integral asks for on stable runs, [0, 1e6]."""
+    noise_size: Annotated[float, quantity("-", 0.0, 1e6)] = 0.0
+    """v'Mv of the noise for gains of the certified range."""
+    foreign_noise_size: Annotated[float, quantity("-", 0.0, 1e6)] = 0.0
+    """The same in the metric for all other gains."""
+    integral_allowance: Annotated[float, quantity("N/s", 0.0, 1e6)] = 200.0
+    """What the law's integral asks for on stable runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +148,7 @@ def _check(arrays: Mapping[str, FloatArray], floor: float, thresholds: Threshold
     gains = arrays["gains"]
     state, table = (STATES,), (len(gains) + 1, ENTRIES)
     check_shapes(arrays, {"center": state, "scale": state, "low": state, "high": state, "table": table})
-    check_settings(thresholds)
+    check(thresholds)
     if not (arrays["scale"] > 0.0).all():
         raise UnsoundError("scale holds a value that is not above 0")
     if not (arrays["low"] <= arrays["high"]).all():

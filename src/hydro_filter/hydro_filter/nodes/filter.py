@@ -260,9 +260,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--model", type=Path, metavar="FILE", help="the learned bench; default: the shipped one")
     for name in NUMBERS:
         docs = {
-            kind: describe(kind)[name].text.rstrip(".")
-            for kind in (LoopFilterSettings, FilterSettings)
-            if name in describe(kind)
+            kind: describe(kind)[name].text for kind in (LoopFilterSettings, FilterSettings) if name in describe(kind)
         }
         text = "; with the constant metric: ".join(dict.fromkeys(docs.values()))
         if list(docs) == [FilterSettings]:
@@ -273,7 +271,8 @@ def parser() -> argparse.ArgumentParser:
         type=int,
         default=1,
         metavar="N",
-        help="answer every Nth sample, by the constant metric; 10 is 100 Hz",
+        help="answer every Nth sample, by the constant metric; 10 is 100 Hz. A plant lets a correction act for "
+        "guard.correction_hold (0.003 s): set it to N ms there",
     )
     result.add_argument("--bypass", action="store_true", help=describe(FilterSettings)["bypass"].text)
     result.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")

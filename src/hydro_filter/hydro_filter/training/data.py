@@ -16,11 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
 from hydro_filter.model import displacement
 from hydro_filter.model.displacement import MEMORY_DTYPE
@@ -44,21 +46,21 @@ SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "referen
 class DataSettings:
     """What is rolled out."""
 
-    rollouts: int = 160
-    """How many, [8, 100000]."""
-    seconds: float = 3.0
-    """s, each, [2, 30]."""
-    windows: int = 20
-    """Of each rollout, [1, 1000]."""
-    horizon: int = 10
-    """Successive samples of a window, [1, 100] (Table training_metric)."""
-    gain_min: float = -40.0
-    """1/s, smallest K_p, [-40, 0]."""
-    gain_max: float = 300.0
-    """1/s, largest K_p, [1, 300]."""
-    integral_gain_max: float = 30.0
-    """1/s^2, largest K_i; the smallest is -5, [0, 100]."""
-    seed: int = 0
+    rollouts: Annotated[int, quantity("-", 8, 100000)] = 160
+    """Number of rollouts."""
+    seconds: Annotated[float, quantity("s", 2.0, 30.0)] = 3.0
+    """Length of each rollout."""
+    windows: Annotated[int, quantity("-", 1, 1000)] = 20
+    """Windows of each rollout."""
+    horizon: Annotated[int, quantity("-", 1, 100)] = 10
+    """Successive samples of a window (Table training_metric)."""
+    gain_min: Annotated[float, quantity("1/s", -40.0, 0.0)] = -40.0
+    """Smallest K_p."""
+    gain_max: Annotated[float, quantity("1/s", 1.0, 300.0)] = 300.0
+    """Largest K_p."""
+    integral_gain_max: Annotated[float, quantity("1/s^2", 0.0, 100.0)] = 30.0
+    """Largest K_i; the smallest is -5."""
+    seed: Annotated[int, quantity("-", 0, 9e15)] = 0
     """Of gains, references and noise."""
 
 

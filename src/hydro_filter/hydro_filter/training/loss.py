@@ -21,10 +21,11 @@ zero, the law divides by one side's g while the valve has the other's, and no me
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 
+from hydro_bridge.settings import quantity
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.metric.network import ENTRIES
 from hydro_filter.model.loop_model import LOOP
@@ -36,27 +37,28 @@ _ROWS, _COLUMNS = torch.tril_indices(LOOP, LOOP)
 class LossSettings:
     """Weights and rates."""
 
-    contraction_weight: float = 100.0
-    """W_l, [0, 1e6]."""
-    unstable_weight: float = 0.02
-    """Of unstable samples beside stable ones, [0, 100]. At 1 the network gives up stable gains for them."""
-    frobenius: float = 1e-3
-    """lambda_F, [0, 1]."""
-    trace: float = 1e-3
-    """lambda_tr, [0, 1]."""
-    log_det: float = 1e-3
-    """lambda_logdet, [0, 1]."""
-    knee: float = 10.0
-    """1/s, beyond which a violation counts by its logarithm, [1e-3, 1e6]."""
-    epsilon: float = 1e-6
-    """In log det, [0, 1]."""
-    rate: float = 0.1
-    """lambda [1/s] of the certified range, [0, 10]."""
-    foreign_rate: float = 8.0
-    """lambda [1/s] of all other gains, [0, 15]."""
-    margin: float = 0.15
-    """1/s on top of both in training, [0, 5]: what a state between the samples, or a bench that is not quite the model,
-    may take of the decay."""
+    contraction_weight: Annotated[float, quantity("-", 0.0, 1e6)] = 100.0
+    """W_l."""
+    unstable_weight: Annotated[float, quantity("-", 0.0, 100.0)] = 0.02
+    """Weight of unstable samples beside stable ones; at 1 the network gives up stable gains for them."""
+    frobenius: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
+    """lambda_F."""
+    trace: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
+    """lambda_tr."""
+    log_det: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-3
+    """lambda_logdet."""
+    knee: Annotated[float, quantity("1/s", 1e-3, 1e6)] = 10.0
+    """Violation beyond which its logarithm counts."""
+    epsilon: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-6
+    """In log det."""
+    rate: Annotated[float, quantity("1/s", 0.0, 10.0)] = 0.1
+    """lambda of the certified range."""
+    foreign_rate: Annotated[float, quantity("1/s", 0.0, 15.0)] = 8.0
+    """lambda of all other gains."""
+    margin: Annotated[float, quantity("1/s", 0.0, 5.0)] = 0.15
+    """On top of both in training: what a state between the samples, or a bench that is not quite the model, may
+    take of the decay.
+    """
 
 
 class Samples(NamedTuple):

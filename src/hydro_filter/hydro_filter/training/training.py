@@ -11,12 +11,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
 
 from hydro_bridge.files.tensors import check_numbers
+from hydro_bridge.settings import quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import GAIN_UNIT, INPUTS
@@ -31,15 +32,15 @@ from hydro_filter.training.loss import LossSettings, Network, Samples
 class TrainingSettings:
     """Table training_metric, but for epochs and learning rate."""
 
-    epochs: int = 400
-    """At most, [0, 100000]; the paper stopped after 3. 0: the solved metrics alone."""
-    batch: int = 1024
-    """Windows per step, [1, 100000]."""
-    learning_rate: float = 1e-4
-    """Of Adam, [1e-7, 1]; the paper's 1e-3 leaps away from the solved metrics that training starts from."""
-    patience: int = 40
-    """Epochs without a better validation before training stops, [1, 10000]."""
-    seed: int = 0
+    epochs: Annotated[int, quantity("-", 0, 100000)] = 400
+    """At most; the paper stopped after 3; 0: the solved metrics alone."""
+    batch: Annotated[int, quantity("-", 1, 100000)] = 1024
+    """Windows per step."""
+    learning_rate: Annotated[float, quantity("-", 1e-7, 1.0)] = 1e-4
+    """Of Adam; the paper's 1e-3 leaps away from the solved metrics that training starts from."""
+    patience: Annotated[int, quantity("-", 1, 10000)] = 40
+    """Epochs without a better validation before training stops."""
+    seed: Annotated[int, quantity("-", 0, 9e15)] = 0
     """Of first weights and shuffles."""
     loss: LossSettings = field(default_factory=LossSettings)
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
-from hydro_bridge.settings import check
+from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import ReferenceSignal
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
@@ -36,26 +37,28 @@ _SPREAD = {
 class Randomisation:
     """What is drawn anew for each episode, uniformly (spring: uniformly in its logarithm)."""
 
-    known_share: float = 0.125
-    """Share of the episodes that run on the bench as it is known. [0, 1]."""
-    spring_min: float = 5e3
-    """N/m. [1e3, 1e6]."""
-    spring_max: float = 5.5e4
-    """N/m. [1e3, 1e6]."""
-    supply_min: float = 9.5e6
-    """Pa. [1e6, 5e7]."""
-    supply_max: float = 17e6
-    """Pa; above the nominal pressure, for policies are worst at the edge of what they were trained on. [1e6, 5e7]."""
-    spread: float = 0.5
-    """Scale of the changes of what is known badly; 1: oil 20 %, mass 20 %, friction 50 %, valve 15 % ... [0, 1.5]."""
-    noise_min: float = 0.5
-    """Scale of the sensors' noise. [0, 10]."""
-    noise_max: float = 2.0
-    """Scale of the sensors' noise. [0, 10]."""
-    gain_delay_max: int = 2
-    """Samples until gains act, from 1 on. [1, 10]."""
-    dead_time_max: int = 1
-    """Samples between the box and the valve, from 0 on. [0, 8]."""
+    known_share: Annotated[float, quantity("-", 0.0, 1.0)] = 0.125
+    """Share of the episodes that run on the bench as it is known."""
+    spring_min: Annotated[float, quantity("N/m", 1e3, 1e6)] = 5e3
+    """Smallest spring stiffness."""
+    spring_max: Annotated[float, quantity("N/m", 1e3, 1e6)] = 5.5e4
+    """Largest spring stiffness."""
+    supply_min: Annotated[float, quantity("Pa", 1e6, 5e7)] = 9.5e6
+    """Lowest supply pressure."""
+    supply_max: Annotated[float, quantity("Pa", 1e6, 5e7)] = 17e6
+    """Highest supply pressure, above the nominal one, for policies are worst at the edge of what they were trained
+    on.
+    """
+    spread: Annotated[float, quantity("-", 0.0, 1.5)] = 0.5
+    """Scale of the changes of what is known badly; 1: oil 20 %, mass 20 %, friction 50 %, valve 15 % ..."""
+    noise_min: Annotated[float, quantity("-", 0.0, 10.0)] = 0.5
+    """Smallest scale of the sensors' noise."""
+    noise_max: Annotated[float, quantity("-", 0.0, 10.0)] = 2.0
+    """Largest scale of the sensors' noise."""
+    gain_delay_max: Annotated[int, quantity("-", 1, 10)] = 2
+    """Samples until gains act, from 1 on."""
+    dead_time_max: Annotated[int, quantity("-", 0, 8)] = 1
+    """Samples between the box and the valve, from 0 on."""
 
     def __post_init__(self) -> None:
         check(self)

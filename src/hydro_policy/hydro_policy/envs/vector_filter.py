@@ -6,7 +6,7 @@ A kind is a NamedTuple and a compiled `correct` on it, found by its type: none, 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +21,8 @@ from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.displacement import MEMORY_DTYPE
 from hydro_sim.model.bench import Bench
 
-FILTERS = ("none", "constant", "learned")
+FilterName = Literal["none", "constant", "learned"]
+FILTERS: tuple[FilterName, ...] = get_args(FilterName)
 """Kinds, by name."""
 
 _ARMED = np.uint32(Flag.ARMED)

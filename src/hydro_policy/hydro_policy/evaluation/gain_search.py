@@ -11,11 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
 from hydro_bridge.safety.readiness import Requirement
-from hydro_bridge.settings import check
+from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_policy.evaluation.session import EvaluationSession
@@ -32,22 +33,22 @@ Gains = tuple[float, float]
 class GridSettings:
     """Where the grid lies."""
 
-    kp_min: float = 60.0
-    """1/s, where K_p begins to rise: not so low that the monitor stops a run for its lag. [0, 500]."""
-    kp_max: float = 300.0
-    """1/s, K_p is never above. [0, 500]."""
-    kp_step: float = 30.0
-    """1/s, coarse. [1, 100]."""
-    ki_values: tuple[float, ...] = (15.0, 45.0)
-    """1/s^2, coarse; the fine steps begin at half their distance."""
-    ki_min: float = 5.0
-    """1/s^2, K_i is never below. [0, 500]."""
-    ki_max: float = 100.0
-    """1/s^2, K_i is never above. [0, 500]."""
-    refinements: int = 2
-    """Halvings of the step. [0, 5]."""
-    hopeless: float = 2.0
-    """K_p rises no further where the score is this much above the best: the loop cycles already. [1, 100]."""
+    kp_min: Annotated[float, quantity("1/s", 0.0, 500.0)] = 60.0
+    """K_p begins to rise there: not so low that the monitor stops a run for its lag."""
+    kp_max: Annotated[float, quantity("1/s", 0.0, 500.0)] = 300.0
+    """K_p is never above."""
+    kp_step: Annotated[float, quantity("1/s", 1.0, 100.0)] = 30.0
+    """Coarse step of K_p."""
+    ki_values: tuple[Annotated[float, quantity("1/s^2", 0.0, 500.0)], ...] = (15.0, 45.0)
+    """Coarse values of K_i; the fine steps begin at half their distance."""
+    ki_min: Annotated[float, quantity("1/s^2", 0.0, 500.0)] = 5.0
+    """K_i is never below."""
+    ki_max: Annotated[float, quantity("1/s^2", 0.0, 500.0)] = 100.0
+    """K_i is never above."""
+    refinements: Annotated[int, quantity("-", 0, 5)] = 2
+    """Halvings of the step."""
+    hopeless: Annotated[float, quantity("-", 1.0, 100.0)] = 2.0
+    """K_p rises no further where the score is this much above the best: the loop cycles already."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -31,9 +31,10 @@ from hydro_bridge.signals import FloatArray
 from hydro_policy.learner_process.shared_memory import SharedBlob
 from hydro_policy.runs.checkpoint import save_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
-from hydro_policy.sac.algorithm import Sac, SacSettings
+from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.replay import ReplayBuffer
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import actor_parameters, dump, restore
 from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
 from hydro_sim.files.stamping import stamped

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from hydro_bridge.errors import UserError
 from hydro_bridge.signals import FloatArray
 from hydro_policy.learner_process.learner import (
     CHECKPOINTS,
@@ -36,7 +37,7 @@ RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many sec
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
-class LearnerError(Exception):
+class LearnerError(UserError):
     """The learner keeps dying, cannot begin, or cannot write a checkpoint."""
 
 

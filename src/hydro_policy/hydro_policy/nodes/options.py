@@ -18,6 +18,9 @@ from hydro_bridge.ros import declare_parameters
 from hydro_policy.nodes.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
 
+SCRATCH = "scratch"
+"""What `--from` takes beside a run's folder: no agent."""
+
 _PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "base_gains", "filter", "rearm")
 _NEEDS = {
     "truth": ("emulator",),

@@ -7,15 +7,18 @@ import argparse
 from dataclasses import replace
 from math import isclose
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_policy.evaluation.controllers import policy_file
 from hydro_policy.nodes.options import plant_options
-from hydro_policy.runs.initial_agent import Start
 from hydro_policy.task.mdp import BASE
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.files.pairing import Believed, MadeFor, refuse, unfit
 from hydro_sim.files.stamping import stamp_of
+
+if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without
+    from hydro_policy.runs.initial_agent import Start
 
 PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
 

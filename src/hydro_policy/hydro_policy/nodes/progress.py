@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rclpy.clock import Clock, ClockType
 from tqdm import tqdm
@@ -14,10 +14,12 @@ from hydro_bridge.cli.console import progress
 from hydro_bridge.ros import TRAINING, TRAINING_QOS, DiagnosticsPublisher, Level, Status
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.sessions.episode import Phase
-from hydro_policy.sessions.training import TrainingSession
+
+if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without
+    from hydro_policy.learner_process.supervisor import LearnerSupervisor
+    from hydro_policy.sessions.training import TrainingSession
 
 _REDRAW = 4  # ticks of 50 ms
 

@@ -11,16 +11,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import rclpy
-import torch
 
 from hydro_bridge.cli.console import command
 from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
 from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_policy.learner_process.supervisor import LearnerError
-from hydro_policy.nodes.options import add_plant_options, as_begun
-from hydro_policy.nodes.trainer_run import train
-from hydro_policy.nodes.trainer_start import SCRATCH
+from hydro_policy.nodes.options import SCRATCH, add_plant_options, as_begun
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration_of
 from hydro_policy.runs.run import RunDirectory
 
@@ -114,13 +110,14 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
     return options
 
 
-@command(ValueError, FileExistsError, CompanionError, LearnerError, NotReadyError)
+@command(ValueError, FileExistsError, CompanionError, NotReadyError)
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
     options = asked(own)
     options.configuration = options.configuration or "paper"
-    torch.set_num_threads(1)
+    from hydro_policy.nodes.trainer_run import train  # with torch, which takes seconds: not for --help or a slip
+
     start_ros(ros)
     try:
         return train(options)

@@ -8,6 +8,8 @@ import sys
 import time
 from contextlib import ExitStack
 
+import torch
+
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.safety.readiness import Readiness
 from hydro_policy.evaluation.session import EvaluationSession
@@ -35,6 +37,7 @@ from hydro_policy.supervision import requirements
 def train(options: argparse.Namespace) -> int:
     """Prepare, train, evaluate; whatever happens: disarm, checkpoint, end the companions, in this order."""
     began = time.monotonic()
+    torch.set_num_threads(1)
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("trainer")
         stack.callback(node.destroy_node)

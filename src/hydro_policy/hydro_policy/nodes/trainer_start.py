@@ -20,7 +20,7 @@ from hydro_policy.learner_process.learner import SaveRequest, write_run
 from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import asked_filter, guard_range, uncovered
-from hydro_policy.nodes.options import declare_settings, plant_options, plant_words
+from hydro_policy.nodes.options import SCRATCH, declare_settings, plant_options, plant_words
 from hydro_policy.nodes.planned import made_on, planned, refuse_resumed, refuse_start, surprise
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
@@ -35,7 +35,6 @@ from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.files.pairing import Believed
 
-SCRATCH = "scratch"
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
 """Bench time is dear: more than the paper's 1 from scratch. An agent that is good already unlearns by that."""
 

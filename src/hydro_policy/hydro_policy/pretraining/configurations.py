@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hydro_policy.runs.run import TrainingSettings
-from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
 
 WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)

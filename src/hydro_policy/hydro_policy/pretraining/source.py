@@ -12,8 +12,11 @@ from typing import Any
 import yaml
 
 from hydro_bridge.cli.console import UserError
+from hydro_bridge.files.settings_file import from_mapping, read_yaml
+from hydro_bridge.settings import SettingsError
 from hydro_filter.controller.factory import Choice
 from hydro_policy.envs.randomisation import Randomisation
+from hydro_policy.envs.vector_filter import FilterName
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run import TrainingSettings
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
@@ -39,8 +42,7 @@ class Source:
     base_gains: list[float] | None = None
     """K_p [1/s], K_i [1/s^2] of the box; None: the paper's."""
     randomise: bool = False
-    filter: str = "none"
-    """A name of `vector_filter.FILTERS`."""
+    filter: FilterName = "none"
     benches: int = 8
     integral: Integral = "bumpless"
     """Form of the force law's integral, `BoxConfig.integral`."""
@@ -125,6 +127,6 @@ def load_source(folder: Path) -> Source:
         The folder holds no pretraining.
     """
     try:
-        return Source(**{"integral": "paper", **yaml.safe_load((folder / SOURCE).read_text())})  # what older runs had
-    except (OSError, TypeError, yaml.YAMLError) as error:
+        return from_mapping(Source, {"integral": "paper", **read_yaml(folder / SOURCE)}, SOURCE)  # older runs had that
+    except SettingsError as error:
         raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error

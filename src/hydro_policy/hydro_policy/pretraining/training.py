@@ -17,17 +17,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
-from hydro_bridge.settings import check
+from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import ReferenceSignal
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.environment import Environment, Transitions
 from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
 from hydro_policy.envs.vector_env import VectorBench
-from hydro_policy.envs.vector_filter import fleet_filter
+from hydro_policy.envs.vector_filter import FilterName, fleet_filter
 from hydro_policy.pretraining.examination import Examination
 from hydro_policy.runs.checkpoint import Checkpoint
 from hydro_policy.runs.run import TrainingSettings
@@ -51,13 +51,13 @@ class PretrainSettings:
     """A pretraining: the run's own settings, and what it runs on."""
 
     training: TrainingSettings = field(default_factory=TrainingSettings)
-    benches: int = 8
-    """Benches side by side; each plays its share of the episodes. [1, 256]."""
+    benches: Annotated[int, quantity("-", 1, 256)] = 8
+    """Benches side by side; each plays its share of the episodes."""
     randomisation: Randomisation | None = None
     """None: the same bench always."""
-    examined: int = 8
-    """Drawn benches that a policy is examined on besides the known one, if benches are drawn. [0, 256]."""
-    filter: str = "none"
+    examined: Annotated[int, quantity("-", 0, 256)] = 8
+    """Drawn benches that a policy is examined on besides the known one, if benches are drawn."""
+    filter: FilterName = "none"
     """The filter between policy and box: none, constant, learned (`fleet_filter`)."""
     box: BoxConfig = field(default_factory=BoxConfig)
     """Base gains, limits and form of the integral of the boxes."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
-from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import as_beginning, settings_of
 from hydro_policy.task.mdp import GainRange
 from hydro_sim.files.pairing import MadeFor

@@ -17,15 +17,16 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import yaml
 
-from hydro_bridge.settings import check
+from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_policy.task.cases import ExamSettings
 from hydro_policy.supervision.monitor import MonitorSettings
-from hydro_policy.sac.algorithm import SacSettings
+from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
 from hydro_sim.files.pairing import MadeFor
 
@@ -34,16 +35,16 @@ from hydro_sim.files.pairing import MadeFor
 class TrainingSettings:
     """A run: how long, how much is learnt per step, how much is remembered."""
 
-    episodes: int = 160
-    """Episodes of the run (paper: 160). [1, 1e6]."""
-    updates_per_step: float = 1.0
-    """Gradient updates owed per policy step; the learner catches up in pauses. [0, 100]."""
-    warmup_steps: int = 500
-    """Policy steps before learning starts; they act with the initial, broad policy. [1, 1e6]."""
-    replay_capacity: int = 288_000
-    """Transitions remembered (the paper's whole training). [65, 1e8]."""
-    seed: int = 0
-    """Seed of references and of exploration in the actor. [0, 9e15]."""
+    episodes: Annotated[int, quantity("-", 1, 1e6)] = 160
+    """Episodes of the run (paper: 160)."""
+    updates_per_step: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
+    """Gradient updates owed per policy step; the learner catches up in pauses."""
+    warmup_steps: Annotated[int, quantity("-", 1, 1e6)] = 500
+    """Policy steps before learning starts; they act with the initial, broad policy."""
+    replay_capacity: Annotated[int, quantity("-", 65, 1e8)] = 288_000
+    """Transitions remembered (the paper's whole training)."""
+    seed: Annotated[int, quantity("-", 0, 9e15)] = 0
+    """Seed of references and of exploration in the actor."""
     sac: SacSettings = field(default_factory=SacSettings)
     task: TaskSettings = field(default_factory=TaskSettings)
     exam: ExamSettings = field(default_factory=ExamSettings)
@@ -123,28 +124,15 @@ class RunDirectory:
             There is none, or it does not hold the settings of a run.
         """
         try:
-            values: dict[str, Any] = yaml.safe_load(self.config.read_text())
+            values = read_yaml(self.config)
             values.pop("plant", None)
-            task, sac = values.pop("task"), values.pop("sac")
-            gains = GainRange(**_numbers(task.pop("gains")))
-            made = values.pop("made", None)
-            parts: dict[str, Any] = {
-                "made": MadeFor(**made) if made else None,
-                "sac": SacSettings(**_numbers(sac)),
-                "task": TaskSettings(**_numbers(task), gains=gains),
-                "exam": ExamSettings(**_numbers(values.pop("exam", {}))),  # runs of the first version had neither
-                "monitor": MonitorSettings(**_numbers(values.pop("monitor", {}))),
-            }
-            return TrainingSettings(**_numbers(values), **parts)
-        except (OSError, KeyError, TypeError, AttributeError, ValueError, yaml.YAMLError) as error:
+            if not values:
+                raise SettingsError("it is empty")
+            return from_mapping(TrainingSettings, values, self.config.name)
+        except ValueError as error:
             raise ValueError(f"{self.path} holds no run to resume: {error}") from error
 
 
 def new_run(parent: Path, name: str | None) -> RunDirectory:
     """runs/NAME, by default named after date and time."""
     return RunDirectory(parent / (name or datetime.now().strftime("%Y%m%d-%H%M%S")))
-
-
-def _numbers(values: dict[str, Any]) -> dict[str, Any]:
-    """PyYAML reads 1e-3 as text; numbers are numbers here."""
-    return {key: float(value) if isinstance(value, str) else value for key, value in values.items()}

@@ -18,39 +18,8 @@ from hydro_bridge.signals import FloatArray
 from hydro_policy.sac import kernel, network_kernel
 from hydro_policy.sac.mlp import FlatAdam, StackedMlp
 from hydro_policy.sac.replay import Batch, ReplayBuffer
+from hydro_policy.sac.settings import SacSettings
 from hydro_sim.neural.mlp import Layers
-
-
-@dataclass(frozen=True, kw_only=True)
-class SacSettings:
-    """Settings of the algorithm (paper Table training_agent, where it gives a value)."""
-
-    hidden_size: int = 32
-    """Units in each of the two hidden layers of the actor and of each critic. [1, 1024]."""
-    actor_learning_rate: float = 1e-3
-    """Adam's step size for the actor. [1e-7, 0.1]."""
-    critic_learning_rate: float = 1e-3
-    """Adam's step size for the critics. [1e-7, 0.1]."""
-    discount: float = 0.99
-    """gamma: what a reward one step later is worth; 0.99 at 100 Hz looks about 1 s ahead. [0, 0.99999]."""
-    target_rate: float = 0.005
-    """tau: share by which the target critics move to the critics at each update. [1e-6, 1]."""
-    initial_entropy_coefficient: float = 0.005
-    """alpha at the start: what a nat of entropy is worth in reward. [1e-6, 10]."""
-    entropy_learning_rate: float = 1e-3
-    """Adam's step size for log(alpha); 0 keeps alpha fixed. [0, 0.1]."""
-    target_entropy: float = -2.0
-    """Entropy in nats that alpha is steered to; minus the number of actions is usual. [-10, 2]."""
-    batch_size: int = 256
-    """Transitions per update. [1, 65536]."""
-    reward_scale: float = 0.02
-    """Factor on the reward before learning, so that the critics' values are of order one to a hundred. [1e-6, 100]."""
-    log_std_min: float = -5.0
-    """Lower bound of the logarithm of the policy's standard deviation. [-20, 0]."""
-    log_std_max: float = 2.0
-    """Upper bound of the same. [0, 4]."""
-    seed: int = 0
-    """Seed of the initial weights, of the exploration in updates and of the batches drawn. [0, 9e15]."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from hydro_bridge.signals import FloatArray
-from hydro_policy.sac.replay import ReplayBuffer
+
+if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without
+    from hydro_policy.sac.replay import ReplayBuffer
 
 
 class RollingLearner(Protocol):

@@ -15,9 +15,11 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
+from hydro_bridge.settings import quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, CorrectionStatus
 from hydro_policy.task.step_aggregator import Step
 
@@ -25,6 +27,8 @@ _EVALUATED = frozenset(
     set(CorrectionStatus) - {CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.MISMATCH}
 )
 _TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.trial.gammas`
+_RECOVERY = 20
+"""Steps after one that was held whose u' is not the policy's doing: the force comes back from what base gains left."""
 _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
 
@@ -32,18 +36,18 @@ _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 class MonitorSettings:
     """Limits; training_figures.md gives the measurements on good and bad runs that the defaults stand between."""
 
-    peak_error: float = 300.0
-    """N, |e| in the mean over a policy step. [1, 1e5]."""
-    chatter: float = 0.7
-    """A/s, RMS of u' over the window. [1e-3, 1e3]."""
-    chatter_window: float = 0.1
-    """s that chatter is taken over. [0.02, 10]."""
-    violations: float = 0.5
-    """Share of the window's samples with M_c > 0 although the filter corrected; 1 never stops. [0, 1]."""
-    violations_window: float = 0.5
-    """s that violations are taken over. [0.02, 10]."""
-    rollbacks_max: int = 3
-    """Rollbacks without a newly accepted policy in between before the run ends. [0, 1000]."""
+    peak_error: Annotated[float, quantity("N", 1.0, 1e5)] = 300.0
+    """|e| in the mean over a policy step."""
+    chatter: Annotated[float, quantity("A/s", 1e-3, 1e3)] = 0.7
+    """RMS of u' over the window."""
+    chatter_window: Annotated[float, quantity("s", 0.02, 10.0)] = 0.1
+    """Length of the window that chatter is taken over."""
+    violations: Annotated[float, quantity("-", 0.0, 1.0)] = 0.5
+    """Share of the window's samples with M_c > 0 although the filter corrected; 1 never stops."""
+    violations_window: Annotated[float, quantity("s", 0.02, 10.0)] = 0.5
+    """Length of the window that violations are taken over."""
+    rollbacks_max: Annotated[int, quantity("-", 0, 1000)] = 3
+    """Rollbacks without a newly accepted policy in between before the run ends."""
 
 
 class SafetyMonitor:
@@ -55,7 +59,7 @@ class SafetyMonitor:
         squares, violated = (max(round(length / _STEP), 1) for length in lengths)
         self._squares: deque[tuple[float, int]] = deque(maxlen=squares)  # of u' [A/s], and of how many, per step
         self._violated: deque[tuple[int, int]] = deque(maxlen=violated)
-        self._failed = self._answered = 0
+        self._failed = self._answered = self._recovering = 0
         self.peak = 0.0
         """N, largest |e| of a step since the reset."""
 
@@ -90,7 +94,12 @@ class SafetyMonitor:
             return "a measurement is not finite"
         if step.held:
             self.reset()
+            self._recovering = _RECOVERY
             return None
+        if self._recovering:
+            self._recovering -= 1
+            self._failed = self._answered = 0
+            return self._verdict(abs(float(step.error.mean())))
         slope = np.diff(step.current) / SAMPLE_PERIOD
         self._squares.append((float(slope @ slope), len(slope)))
         self._violated.append((self._failed, self._answered))

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
+from hydro_bridge.settings import quantity
 from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, ReferenceSignal, Waveform
 
 ACTIONS = 2
@@ -51,14 +53,16 @@ _PLANT = len(PLANT_FIELDS)
 class GainRange:
     """What the action may do to the gains: [-1, 1] covers [min, max] (paper Table training_agent)."""
 
-    delta_kp_min: float = 0.0
-    """1/s. [-300, 300]."""
-    delta_kp_max: float = 75.0
-    """1/s, above delta_kp_min, [-300, 300]; with the paper's base gain 15, 285 gives the wide authority K_p <= 300."""
-    delta_ki_min: float = 0.0
-    """1/s^2. [-100, 100]."""
-    delta_ki_max: float = 10.0
-    """1/s^2, above delta_ki_min, [-100, 100]."""
+    delta_kp_min: Annotated[float, quantity("1/s", -300.0, 300.0)] = 0.0
+    """Smallest change of K_p."""
+    delta_kp_max: Annotated[float, quantity("1/s", -300.0, 300.0)] = 75.0
+    """Largest change of K_p, above delta_kp_min; with the paper's base gain 15, 285 gives the wide authority K_p <=
+    300.
+    """
+    delta_ki_min: Annotated[float, quantity("1/s^2", -100.0, 100.0)] = 0.0
+    """Smallest change of K_i."""
+    delta_ki_max: Annotated[float, quantity("1/s^2", -100.0, 100.0)] = 10.0
+    """Largest change of K_i, above delta_ki_min."""
 
     def shifted(self, kp: float, ki: float) -> GainRange:
         """The range with so much added to its ends: the same gains in all on a box with that much lower base gains."""
@@ -89,28 +93,28 @@ class GainRange:
 class TaskSettings:
     """Reward, gains, episodes (paper eq. reward, Table training_agent; units from physics.md)."""
 
-    error_weight: float = 100.0
-    """Q_1, on the square of e / force_scale. [0, 1e6]."""
-    error_rate_weight: float = 4000.0
-    """Q_2, on the square of e' / force_rate_scale. [0, 1e6]."""
-    force_scale: float = 300.0
-    """N. [1, 1e5]."""
-    force_rate_scale: float = 300.0 * 2.0 * math.pi * 2.0
-    """N/s: 300 N at 2 Hz. [1, 1e6]."""
-    reward_power: float = 2.0
-    """2: the paper's square; 1: its root, which weighs small errors on slow references more. [0.1, 2]."""
-    trip_penalty: float = 1000.0
-    """Taken from the reward when the box trips (force limit, sensor fault), which ends the episode. [0, 1e6]."""
-    steps_per_episode: int = 1800
-    """Policy steps, 10 ms each. [10, 1e6]."""
-    amplitude_min: float = 200.0
-    """N. [0, 1000]."""
-    amplitude_max: float = 300.0
-    """N. [0, 1000]."""
-    frequency_min: float = 0.5
-    """Hz. [0.05, 10]."""
-    frequency_max: float = 2.0
-    """Hz. [0.05, 10]."""
+    error_weight: Annotated[float, quantity("-", 0.0, 1e6)] = 100.0
+    """Q_1, on the square of e / force_scale."""
+    error_rate_weight: Annotated[float, quantity("-", 0.0, 1e6)] = 4000.0
+    """Q_2, on the square of e' / force_rate_scale."""
+    force_scale: Annotated[float, quantity("N", 1.0, 1e5)] = 300.0
+    """Of the error in the reward."""
+    force_rate_scale: Annotated[float, quantity("N/s", 1.0, 1e6)] = 300.0 * 2.0 * math.pi * 2.0
+    """Of the error's rate in the reward: 300 N at 2 Hz."""
+    reward_power: Annotated[float, quantity("-", 0.1, 2.0)] = 2.0
+    """Of the reward: 2 is the paper's square, 1 its root, which weighs small errors on slow references more."""
+    trip_penalty: Annotated[float, quantity("-", 0.0, 1e6)] = 1000.0
+    """Taken from the reward when the box trips (force limit, sensor fault), which ends the episode."""
+    steps_per_episode: Annotated[int, quantity("-", 10, 1e6)] = 1800
+    """Policy steps, 10 ms each."""
+    amplitude_min: Annotated[float, quantity("N", 0.0, 1000.0)] = 200.0
+    """Smallest amplitude of a reference."""
+    amplitude_max: Annotated[float, quantity("N", 0.0, 1000.0)] = 300.0
+    """Largest amplitude of a reference."""
+    frequency_min: Annotated[float, quantity("Hz", 0.05, 10.0)] = 0.5
+    """Lowest frequency of a reference."""
+    frequency_max: Annotated[float, quantity("Hz", 0.05, 10.0)] = 2.0
+    """Highest frequency of a reference."""
     gains: GainRange = field(default_factory=GainRange)
 
     def reward(self, error: FloatArray, error_rate: FloatArray) -> float:

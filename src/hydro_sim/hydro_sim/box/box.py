@@ -18,17 +18,18 @@ person or the trainer must arm anew. Outcomes: the failure table of failures.md.
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Literal, get_args
+from typing import Annotated, Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.serial.frames import INTEGRAL_FORMS, BoxInfo
-from hydro_bridge.settings import SettingsError, check
+from hydro_bridge.serial.frames import INTEGRAL_FORMS, BoxDetails, BoxInfo
+from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.signals import STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim.box import kernel
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.sensors import Sensors
 
 RATE_RANGE = 1e8
 """N/s, magnitude that a differentiated force can have: a load cell's full range within a tenth of a sample."""
@@ -47,36 +48,36 @@ EMULATED_BOX = "hydro emulator"
 class BoxConfig:
     """Settings of the box. The gain limits are the box's own, wider than what the guard lets a policy ask for."""
 
-    base_kp: float = 15.0
-    """K_p [1/s], [0, 500] (Table training_agent)."""
-    base_ki: float = 5.0
-    """K_i [1/s^2], [0, 500] (Table training_agent)."""
-    delta_kp_min: float = -55.0
-    """1/s, [-500, 0]."""
-    delta_kp_max: float = 285.0
-    """1/s, [0, 500]."""
-    delta_ki_min: float = -25.0
-    """1/s^2, [-500, 0]."""
-    delta_ki_max: float = 95.0
-    """1/s^2, [0, 500]."""
-    delta_u_max: float = 0.1
-    """A, magnitude of the correction, [0, 1]."""
-    load_force_limit: float = 700.0
-    """N, magnitude beyond which the box trips, [1, 1e5]; the nominal spring reaches the stroke's end at 800 N."""
-    hold_timeout: float = 0.05
-    """s without a command: base gains and no correction, [0.002, 1]."""
-    trip_timeout: float = 0.2
-    """s without a command: trip, [0.002, 5], not below `hold_timeout`."""
-    gain_floor_share: float = 0.1
-    """Smallest g that the force law believes, over g of the still bench, [0.01, 1]."""
-    force_range: float = 5000.0
-    """N, magnitude that a load cell can show, [1, 1e6]."""
-    pressure_min: float = -0.5e6
-    """Pa, lowest that a pressure sensor can show, [-1e7, 0]."""
-    pressure_max: float = 25e6
-    """Pa, highest that a pressure sensor can show, [1e6, 1e9]."""
-    position_margin: float = 5e-3
-    """m, how far outside the stroke the encoder can stand, [0, 1]."""
+    base_kp: Annotated[float, quantity("1/s", 0.0, 500.0)] = 15.0
+    """K_p (Table training_agent)."""
+    base_ki: Annotated[float, quantity("1/s^2", 0.0, 500.0)] = 5.0
+    """K_i (Table training_agent)."""
+    delta_kp_min: Annotated[float, quantity("1/s", -500.0, 0.0)] = -55.0
+    """Smallest change of K_p."""
+    delta_kp_max: Annotated[float, quantity("1/s", 0.0, 500.0)] = 285.0
+    """Largest change of K_p."""
+    delta_ki_min: Annotated[float, quantity("1/s^2", -500.0, 0.0)] = -25.0
+    """Smallest change of K_i."""
+    delta_ki_max: Annotated[float, quantity("1/s^2", 0.0, 500.0)] = 95.0
+    """Largest change of K_i."""
+    delta_u_max: Annotated[float, quantity("A", 0.0, 1.0)] = 0.1
+    """Magnitude of the correction."""
+    load_force_limit: Annotated[float, quantity("N", 1.0, 1e5)] = 700.0
+    """Magnitude beyond which the box trips; the nominal spring reaches the stroke's end at 800 N."""
+    hold_timeout: Annotated[float, quantity("s", 0.002, 1.0)] = 0.05
+    """Without a command, after which base gains and no correction hold."""
+    trip_timeout: Annotated[float, quantity("s", 0.002, 5.0)] = 0.2
+    """Without a command, after which the box trips; not below `hold_timeout`."""
+    gain_floor_share: Annotated[float, quantity("-", 0.01, 1.0)] = 0.1
+    """Smallest g that the force law believes, over g of the still bench."""
+    force_range: Annotated[float, quantity("N", 1.0, 1e6)] = 5000.0
+    """Magnitude that a load cell can show."""
+    pressure_min: Annotated[float, quantity("Pa", -1e7, 0.0)] = -0.5e6
+    """Lowest that a pressure sensor can show."""
+    pressure_max: Annotated[float, quantity("Pa", 1e6, 1e9)] = 25e6
+    """Highest that a pressure sensor can show."""
+    position_margin: Annotated[float, quantity("m", 0.0, 1.0)] = 5e-3
+    """How far outside the stroke the encoder can stand."""
     feedback: Literal["load", "hydraulic"] = "load"
     """Force in the tracking error; the paper writes `hydraulic` once, its objective is `load`."""
     integral: Integral = "bumpless"
@@ -84,10 +85,6 @@ class BoxConfig:
 
     def __post_init__(self) -> None:
         check(self)
-        if self.integral not in get_args(Integral):
-            raise SettingsError(f"integral is {self.integral!r}, allowed are 'bumpless' and 'paper'")
-        if self.feedback not in ("load", "hydraulic"):
-            raise SettingsError(f"feedback is {self.feedback!r}, allowed are 'load' and 'hydraulic'")
         if self.hold_timeout > self.trip_timeout:
             raise SettingsError(f"hold_timeout {self.hold_timeout:g} s is above trip_timeout {self.trip_timeout:g} s")
 
@@ -165,6 +162,17 @@ def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
     """What a box of these settings says of itself, under this name."""
     settings = {entry.name: getattr(config, entry.name) for entry in fields(BoxInfo) if hasattr(config, entry.name)}
     return BoxInfo(name=name, valve_current_max=bench.valve_current_max, **settings)
+
+
+def box_details(bench: Bench, config: BoxConfig, ages: Sensors, epoch: int) -> BoxDetails:
+    """What a box of these settings says besides; `ages` of its rates, `epoch` of its power-on."""
+    names = ("feedback", "load_force_limit", "force_range", "pressure_min", "pressure_max", "hold_timeout")
+    return BoxDetails(
+        epoch=epoch, bench_digest=bench.digest, trip_timeout=config.trip_timeout,
+        position_min=-config.position_margin, position_max=bench.stroke + config.position_margin,
+        force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age,
+        **{name: getattr(config, name) for name in names},
+    )  # fmt: skip
 
 
 def fill_command(record: npt.NDArray[np.void], command: Command) -> None:

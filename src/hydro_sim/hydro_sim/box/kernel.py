@@ -34,7 +34,7 @@ COMMAND_DTYPE = np.dtype(
     [("arm", np.bool_), ("filter_fresh", np.bool_), *_COMMANDED, ("reference", reference.SIGNAL_DTYPE)], align=True
 )
 STATE_DTYPE = np.dtype(
-    [("sequence", np.uint32), ("faults", np.uint32), ("refused", np.int64)]
+    [("sequence", np.uint32), ("faults", np.uint32), ("refused", np.int64), ("refused_references", np.int64)]
     + [(name, np.bool_) for name in ("arm_wanted", "disarm_seen", "armed", "tripped", "filter_fresh")]
     + [*_COMMANDED, ("received_at", np.float64), ("integral", np.float64), ("reference", reference.REFERENCE_DTYPE)]
     + [("armed_at", np.float64), ("excess", np.float64)],
@@ -42,6 +42,9 @@ STATE_DTYPE = np.dtype(
 )
 """All that the box remembers; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
 faults that tripped it, `excess` [N] is by how much the load force stood beyond its limit when the box was armed."""
+
+CORRECTION_HOLD = 3.5e-3
+"""s for which a command's correction acts: it was decided for one sample, and is an impulse if held (decision 64)."""
 
 RECOVERY = 1.0
 """s after arming within which a load force that began beyond its limit must come back."""
@@ -53,7 +56,8 @@ RECOVERY_MARGIN = 20.0
 def reset(states):
     """As after power-up; `states` of shape (1,)."""
     state = states[0]
-    state.sequence, state.faults, state.refused = np.uint32(0), np.uint32(0), 0
+    state.sequence, state.faults = np.uint32(0), np.uint32(0)
+    state.refused = state.refused_references = 0
     state.arm_wanted = state.disarm_seen = state.armed = state.tripped = state.filter_fresh = False
     state.delta_kp = state.delta_ki = state.delta_u = state.integral = 0.0
     state.received_at = state.armed_at = -math.inf
@@ -81,6 +85,7 @@ def receive(settings, states, commands, time):
             state.reference.wanted.frequency = 1.0  # it has none, whatever was sent: none reaches the derivative
     else:
         state.refused += 1
+        state.refused_references += 1
 
 
 @njit(cache=True)
@@ -192,7 +197,7 @@ def _control(bench, limits, state, measurement, late, time, output):
     if not math.isfinite(nominal):  # nothing that was admitted leads here; the valve must not depend on that
         state.armed, state.tripped = False, True
         return False
-    unlimited = nominal if late else nominal + state.delta_u
+    unlimited = nominal if late or time - state.received_at > CORRECTION_HOLD else nominal + state.delta_u
     current = min(max(unlimited, -bench.valve_current_max), bench.valve_current_max)
     form, step = limits.integral_form, SAMPLE_PERIOD
     state.integral = force_law.integrate(form, state.integral, error, k_i, unlimited, current, step)

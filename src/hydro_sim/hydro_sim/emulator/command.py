@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import argparse
+import secrets
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,11 +16,15 @@ import yaml
 from hydro_bridge.bags.recording import RecordingError
 from hydro_bridge.cli.console import writable, writable_folder
 from hydro_bridge.errors import explained
+from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.process import endings
 from hydro_bridge.process.realtime import drop_realtime
-from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_info
+from hydro_bridge.settings import SettingsError
+from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_details, box_info
+from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator import jobs
 from hydro_sim.emulator.control import ControlPipe
+from hydro_sim.emulator.firmware import FirmwareLink, FirmwareMachine
 from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal, default_link
@@ -27,7 +32,6 @@ from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.realtime import Log, RealTime, raise_priority
 from hydro_sim.emulator.truth.config import truth_to_mapping
 from hydro_sim.model.bench import Bench
-from hydro_sim.yaml_settings import ConfigError, from_mapping, read_yaml
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -36,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with endings.raised():
             _run(options)
-    except (ConfigError, RecordingError, ValueError, OSError) as error:
+    except (SettingsError, RecordingError, ValueError, OSError) as error:
         endings.complain(explained(error))
         return 2
     except endings.Ended as ended:  # before it serves, or because it spins
@@ -50,6 +54,8 @@ def _run(options: argparse.Namespace) -> None:
     if options.print_truth:
         print(yaml.safe_dump(truth_to_mapping(jobs.truth(options.truth)), sort_keys=False), end="")
     elif options.offline or options.batch:
+        if options.firmware != "python":
+            raise SettingsError("--firmware is for a serial line: offline the Python box runs")
         for job in _jobs(options):
             jobs.run(job)
     else:
@@ -73,6 +79,10 @@ def _parser() -> argparse.ArgumentParser:
     line.add_argument("--link", type=Path, metavar="PATH", help=f"where the port appears (default: {default_link()})")
     presets = ", ".join(PRESETS)
     line.add_argument("--faults", default="clean", metavar="FILE", help=f"what goes wrong: a file, or one of {presets}")
+    line.add_argument(
+        "--firmware", choices=("python", "c", "c-single"), default="python", help="what runs as the box: the compiled "
+        "Python one, or the one in C (firmware/) in double or in single precision (default: python)",
+    )  # fmt: skip
     line.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders such as 'unplug 2'")
     offline = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
     offline.add_argument("--offline", action="store_true")
@@ -86,10 +96,10 @@ def _jobs(options: argparse.Namespace) -> list[jobs.Job]:
     if options.batch:
         entries = read_yaml(options.batch).get("jobs")
         if not isinstance(entries, list):
-            raise ConfigError(f"{options.batch} must hold a list under the key jobs")
+            raise SettingsError(f"{options.batch} must hold a list under the key jobs")
         return [from_mapping(jobs.Job, entry, f"jobs[{index}]") for index, entry in enumerate(entries)]
     if not options.out:
-        raise ConfigError("--offline needs --out, the folder of the recording")
+        raise SettingsError("--offline needs --out, the folder of the recording")
     keys = ("out", "truth", "schedule", "bench", "noise_free", "seconds", "seed", "integral")
     return [
         from_mapping(jobs.Job, {**{key: getattr(options, key) for key in keys}, "out": str(options.out)}, "emulator")
@@ -98,18 +108,28 @@ def _jobs(options: argparse.Namespace) -> list[jobs.Job]:
 
 def _serve(options: argparse.Namespace) -> None:
     if options.out or options.schedule:
-        raise ConfigError("--out and --schedule record offline: add --offline")
+        raise SettingsError("--out and --schedule record offline: add --offline")
     if options.seconds is not None and not 0.001 <= options.seconds < float("inf"):
-        raise ConfigError(f"--seconds {options.seconds:g}: 0.001 s or more is meant")
+        raise SettingsError(f"--seconds {options.seconds:g}: 0.001 s or more is meant")
     if options.seed < 0:
-        raise ConfigError(f"--seed {options.seed}: 0 or more is meant")
+        raise SettingsError(f"--seed {options.seed}: 0 or more is meant")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    box = BoxConfig(integral=options.integral)
-    machine = Machine(jobs.truth(options.truth), bench, box, options.seed)
-    machine.warm_up()
-    faults = load_faults(options.faults)
-    terminal = Terminal(options.link or default_link())
-    link = BoxLink(terminal, box_info(bench, box, EMULATED_BOX), faults, options.seed)
+    box, truth = BoxConfig(integral=options.integral), jobs.truth(options.truth)
+    faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)
+    machine: Machine
+    link: BoxLink
+    if options.firmware == "python":
+        machine = Machine(truth, bench, box, options.seed)
+        machine.warm_up()
+        details = box_details(bench, box, machine.sensors, epoch)
+        info, terminal = box_info(bench, box, EMULATED_BOX), Terminal(options.link or default_link())
+        link = BoxLink(terminal, info, faults, options.seed, details, lambda: machine.refused)
+    else:
+        precision: Precision = "single" if options.firmware == "c-single" else "double"
+        machine = FirmwareMachine(truth, bench, box, options.seed, precision, epoch)
+        machine.warm_up()
+        terminal = Terminal(options.link or default_link())
+        link = FirmwareLink(terminal, machine.firmware, box_info(bench, box, EMULATED_BOX), faults, options.seed)
     control = ControlPipe(options.control) if options.control else None
     log = Log() if options.noise_free else None
     status = _show if sys.stderr.isatty() else None
@@ -132,7 +152,7 @@ def _serve(options: argparse.Namespace) -> None:
         f"{timing.samples} samples, {timing.late} late by more than 1 ms (worst {1e3 * timing.worst:.2f} ms, "
         f"{timing.skipped:.1f} s skipped), {timing.cpu / max(timing.samples * 1e-3, 1e-3):.3f} s of CPU per second"
     )
-    refused = int(machine.box["refused"][0])
+    refused = machine.refused[0]
     print(link.summary() + (f"; {refused} values refused by the box" if refused else ""), flush=True)
 
 

@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from hydro_bridge.settings import SettingsError
 from hydro_sim.emulator.line.faults import CHANCES, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
-from hydro_sim.yaml_settings import ConfigError
 
 ORDERS = (*CHANCES, "stall", "unplug", "clear", "reboot")
 
@@ -27,10 +27,10 @@ class ControlPipe:
             if not path.exists():
                 os.mkfifo(path, 0o600)
             if not stat.S_ISFIFO(path.stat().st_mode):
-                raise ConfigError(f"{path} exists and is no named pipe: give another place with --control")
+                raise SettingsError(f"{path} exists and is no named pipe: give another place with --control")
             self._file = os.open(path, os.O_RDWR | os.O_NONBLOCK)  # for writing too: no end of file between writers
         except OSError as error:
-            raise ConfigError(f"{path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
+            raise SettingsError(f"{path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
         self._rest = b""
 
     def lines(self) -> Iterator[str]:
@@ -53,12 +53,12 @@ def obey(order: str, machine: Machine, link: BoxLink, now: float) -> None:
 
     Raises
     ------
-    ConfigError
+    SettingsError
         If it is not an order.
     """
     word, *rest = order.split() or [""]
     if word not in ORDERS or len(rest) != (0 if word in ("clear", "reboot") else 1):
-        raise ConfigError(f"order {order!r} is none of: {', '.join(ORDERS)}; all but clear and reboot take a number")
+        raise SettingsError(f"order {order!r} is none of: {', '.join(ORDERS)}; all but clear and reboot take a number")
     number = _number(rest[0]) if rest else 0.0
     if word == "clear":
         link.set_faults(LinkFaults())
@@ -70,7 +70,7 @@ def obey(order: str, machine: Machine, link: BoxLink, now: float) -> None:
     elif word == "unplug":
         link.unplug(number, now)
     elif number > 1.0:
-        raise ConfigError(f"order {order!r}: a chance is within [0, 1]")
+        raise SettingsError(f"order {order!r}: a chance is within [0, 1]")
     else:
         link.set_faults(replace(link.up.faults, **{word: number}))  # type: ignore[arg-type]
 
@@ -80,4 +80,4 @@ def _number(text: str) -> float:
         number = float(text)
         if 0.0 <= number < 1e6:
             return number
-    raise ConfigError(f"order: {text!r} is not a number of 0 or more")
+    raise SettingsError(f"order: {text!r} is not a number of 0 or more")

@@ -7,17 +7,18 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import yaml
 
 from hydro_bridge.bags.recording import BagWriter
-from hydro_sim.box.box import BoxConfig
+from hydro_bridge.settings import quantity
+from hydro_sim.box.box import BoxConfig, Integral
 from hydro_sim.emulator.offline import Recording, record_offline, roomy
 from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, fit_to
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, profile
 from hydro_sim.excitation.schedules import Segment, load_schedule
 from hydro_sim.model.bench import Bench
-from hydro_sim.yaml_settings import choice, quantity
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,9 +30,9 @@ class Job:
     schedule: str | None = None  # absent: 20 s with something of everything
     bench: str | None = None  # what the box believes; absent: the nominal bench
     noise_free: str | None = None  # .npz for scoring; absent: none
-    seconds: float | None = quantity(None, unit="s", low=1e-3, high=36000.0)  # absent: the schedule once
-    seed: int = quantity(0, low=0, high=2**62)
-    integral: str = choice("bumpless", "bumpless", "paper")  # form of the force law's integral
+    seconds: Annotated[float, quantity("s", 1e-3, 36000.0)] | None = None  # absent: the schedule once
+    seed: Annotated[int, quantity("-", 0, 2**62)] = 0
+    integral: Integral = "bumpless"  # form of the force law's integral
 
 
 def run(job: Job) -> Recording:
@@ -42,7 +43,7 @@ def run(job: Job) -> Recording:
     segments: Sequence[Segment] = load_schedule(job.schedule) if job.schedule else DEFAULT_SCHEDULE
     if job.seconds is not None:
         segments = fit_to(segments, job.seconds)
-    box = roomy(segments, BoxConfig(integral=job.integral))  # type: ignore[arg-type]
+    box = roomy(segments, BoxConfig(integral=job.integral))
     recording = record_offline(config, segments, bench=bench, box=box, seed=job.seed)
     write_bag(job.out, recording, bench)
     if job.noise_free:

@@ -16,6 +16,7 @@ from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.sensors import Sensors
 
 
 @njit(cache=True)
@@ -69,12 +70,19 @@ class Machine:
         self.plant = truth.TruthPlant(config, seed)
         self.records = (self.plant.parameters, self.plant.differentiation, self.plant.state, self.plant.chain)
         self.bench = believed.constants()
+        ages = config.sensors
+        self.sensors = Sensors(force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age)
         self.settings = (box or BoxConfig()).constants(believed)
         self.box = np.zeros(1, kernel.STATE_DTYPE)
         kernel.reset(self.box)
         self.clean, self.physical = np.empty(len(PLANT_FIELDS)), np.empty(len(truth.TRUTH_FIELDS))
         self.samples = 0  # since the last power-up
         self._command = np.zeros(1, kernel.COMMAND_DTYPE)
+
+    @property
+    def refused(self) -> tuple[int, int]:
+        """Values, and references, that the box refused since its power-up."""
+        return int(self.box["refused"][0]), int(self.box["refused_references"][0])
 
     @property
     def time(self) -> float:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_bridge.process.realtime import limit_run
+from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, FloatArray
 from hydro_sim.emulator.control import ControlPipe, obey
 from hydro_sim.emulator.line.faults import LinkFaults
@@ -22,7 +23,6 @@ from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.offline import Recording, noise_free_states
 from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
-from hydro_sim.yaml_settings import ConfigError
 
 _PERIOD_NS = round(SAMPLE_PERIOD * 1e9)
 _GIVE_UP_NS = 100 * _PERIOD_NS  # behind by more than this (the machine slept): do not catch up
@@ -141,7 +141,7 @@ class RealTime:
         for order in self.control.lines():
             try:
                 obey(order, self.machine, self.link, now)
-            except ConfigError as error:
+            except SettingsError as error:
                 print(f"error: {error}", file=sys.stderr)
 
     def _line(self) -> str:

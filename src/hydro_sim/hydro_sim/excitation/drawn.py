@@ -9,7 +9,7 @@ from math import log, pi
 import numpy as np
 
 from hydro_bridge.signals import Waveform
-from hydro_sim.excitation.schedules import Segment
+from hydro_sim.excitation.schedules import Segment, name_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +64,6 @@ def _segment(seconds: float, limits: Range, generator: np.random.Generator) -> S
     numbers = (round(float(number), 4) for number in (amplitude, offset, frequency, phase, kp, ki))
     amplitude, offset, frequency, phase, kp, ki = numbers
     return Segment(
-        seconds=seconds, waveform=waveform.name.lower(), amplitude=amplitude, offset=offset, frequency=frequency,
+        seconds=seconds, waveform=name_of(waveform), amplitude=amplitude, offset=offset, frequency=frequency,
         phase=phase, kp=kp, ki=ki,
     )  # fmt: skip

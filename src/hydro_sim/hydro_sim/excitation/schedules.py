@@ -10,26 +10,36 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal, cast
 
 import yaml
 
+from hydro_bridge.files.settings_file import from_mapping, read_yaml, to_mapping
+from hydro_bridge.settings import SettingsError, quantity
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_sim.yaml_settings import ConfigError, choice, from_mapping, quantity, read_yaml, to_mapping
+
+WaveformName = Literal["hold", "sine", "multisine", "smooth_step"]
+"""`Waveform` in YAML."""
+
+
+def name_of(waveform: int) -> WaveformName:
+    """A `Waveform`'s name in YAML."""
+    return cast("WaveformName", Waveform(waveform).name.lower())
 
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
     """A stretch of a recording: one reference and one pair of gains (in all, not added to the box's)."""
 
-    seconds: float = quantity(unit="s", low=1e-3, high=36000.0)
-    waveform: str = choice("sine", *(waveform.name.lower() for waveform in Waveform))
-    amplitude: float = quantity(0.0, unit="N", low=0.0, high=5000.0)
-    offset: float = quantity(0.0, unit="N", low=-5000.0, high=5000.0)
-    frequency: float = quantity(1.0, unit="Hz", low=1e-3, high=100.0)
-    phase: float = quantity(0.0, unit="rad", low=-100.0, high=100.0)
-    kp: float = quantity(90.0, unit="1/s", low=-500.0, high=500.0)
-    ki: float = quantity(15.0, unit="1/s^2", low=-500.0, high=500.0)
-    delta_u: float = quantity(0.0, unit="A", low=-0.1, high=0.1)
+    seconds: Annotated[float, quantity("s", 1e-3, 36000.0)]
+    waveform: WaveformName = "sine"
+    amplitude: Annotated[float, quantity("N", 0.0, 5000.0)] = 0.0
+    offset: Annotated[float, quantity("N", -5000.0, 5000.0)] = 0.0
+    frequency: Annotated[float, quantity("Hz", 1e-3, 100.0)] = 1.0
+    phase: Annotated[float, quantity("rad", -100.0, 100.0)] = 0.0
+    kp: Annotated[float, quantity("1/s", -500.0, 500.0)] = 90.0
+    ki: Annotated[float, quantity("1/s^2", -500.0, 500.0)] = 15.0
+    delta_u: Annotated[float, quantity("A", -0.1, 0.1)] = 0.0
 
     @property
     def signal(self) -> ReferenceSignal:
@@ -47,7 +57,7 @@ class Segment:
         """A segment that tracks `signal` for `seconds` with gains `kp` [1/s] and `ki` [1/s^2]."""
         return cls(
             seconds=seconds,
-            waveform=Waveform(signal.waveform).name.lower(),
+            waveform=name_of(signal.waveform),
             amplitude=signal.amplitude,
             offset=signal.offset,
             frequency=signal.frequency,
@@ -62,17 +72,17 @@ def load_schedule(path: str | Path) -> list[Segment]:
 
     Raises
     ------
-    ConfigError
+    SettingsError
         If the file cannot be read or a segment has an unknown key or a value out of range.
     """
     return schedule_from(read_yaml(path), Path(path).name)
 
 
 def schedule_from(data: object, where: str) -> list[Segment]:
-    """Segments from plain YAML data; raises ConfigError like `load_schedule`."""
+    """Segments from plain YAML data; raises SettingsError like `load_schedule`."""
     entries = data.get("segments") if isinstance(data, dict) and set(data) == {"segments"} else None
     if not isinstance(entries, list) or not entries:
-        raise ConfigError(f"{where} must hold one list of segments under the key segments")
+        raise SettingsError(f"{where} must hold one list of segments under the key segments")
     return [from_mapping(Segment, entry, f"{where}.segments[{index}]") for index, entry in enumerate(entries)]
 
 

@@ -19,8 +19,7 @@ import numpy.typing as npt
 import yaml
 
 from hydro_bridge.files import bench_file
-from hydro_sim.model.effects import program
-from hydro_sim.model.effects.record import EFFECTS_DTYPE
+from hydro_sim.model.effects import catalogue
 
 
 def _quantity(unit: str, low: float, high: float) -> Any:
@@ -82,7 +81,7 @@ class Bench:
             raise ValueError(
                 f"tank_pressure {self.tank_pressure:g} Pa is not below supply_pressure {self.supply_pressure:g} Pa"
             )
-        program.check(self.effects)
+        catalogue.check(self.effects)
 
     @property
     def valve_gain(self) -> float:
@@ -149,9 +148,8 @@ class Bench:
         numbers, record = self._with_corrected_numbers(), np.zeros(1, BENCH_DTYPE)
         for name in record.dtype.names or ():
             value = getattr(numbers, name, None)
-            record[name] = 0.0 if value is None or name == "effects" else value
+            record[name] = 0.0 if value is None else value
         record["load_cell_omega"] = 2.0 * pi * (numbers.load_cell_bandwidth or 0.0)
-        record["effects"] = program.program(self.effects)
         return record
 
     def _with_corrected_numbers(self) -> Bench:
@@ -159,16 +157,16 @@ class Bench:
         quantities = [entry for entry in fields(self) if entry.metadata]
         limits = {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in quantities}
         believed = {name: getattr(self, name) for name in limits}
-        numbers: dict[str, Any] = program.corrected(believed, limits, self.effects)
+        numbers: dict[str, Any] = catalogue.corrected(believed, limits, self.effects)
         return replace(self, effects=(), **numbers)
 
 
 BENCH_DTYPE = np.dtype(
     [(entry.name, np.float64) for entry in fields(Bench) if entry.metadata and entry.name != "load_cell_bandwidth"]
-    + [("valve_gain", np.float64), ("load_cell_omega", np.float64), ("effects", EFFECTS_DTYPE)]
+    + [("valve_gain", np.float64), ("load_cell_omega", np.float64)]
 )
 """The bench for compiled code, SI units; `valve_gain` is K_v, `load_cell_omega` [rad/s] is 0 for an ideal load cell.
-Effects that are wrong numbers of the bench file are in the numbers, the others in `effects`."""
+Effects that are wrong numbers of the bench file are in the numbers; the others are the model's (`bench_model`)."""
 
 
 def _required(entry: Any) -> bool:

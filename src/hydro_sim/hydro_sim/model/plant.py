@@ -8,16 +8,15 @@ learned model predicts all eight at once.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
 
-from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_sim.model import hydraulics, sensors
+from hydro_bridge.signals import FloatArray
+from hydro_sim.model import machine_code, sensors
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects import integration, sensing
-from hydro_sim.model.effects.record import MEMORY_DTYPE
+from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
 
 
@@ -31,15 +30,18 @@ class Plant(Protocol):
         """Hold the valve current [A] for one sample; returns the measurement x after it, shape (8,)."""
 
 
-PLANT_STATE_DTYPE = np.dtype(
-    [("y", np.float64, (hydraulics.STATES,)), ("x", np.float64, (8,)), ("last", CONDITIONING_DTYPE)]
-    + [("memory", MEMORY_DTYPE)]
-)
-"""All that an analytic plant remembers: physical state y, measurement x, the differentiators' last samples, effects."""
+STATES_MAX, COEFFICIENTS_MAX = 128, 320
+"""What a record holds: more than `effects.catalogue.CAPACITY` effects need."""
+
+MODEL_DTYPE = np.dtype([("address", np.int64), ("k", np.float64, (COEFFICIENTS_MAX,))])
+"""A model for compiled code: where its `bench_sample` lies in this process, and its coefficients."""
+
+PLANT_STATE_DTYPE = np.dtype([("y", np.float64, (STATES_MAX,)), ("x", np.float64, (8,)), ("last", CONDITIONING_DTYPE)])
+"""All that an analytic plant remembers: the model's state y, measurement x, the differentiators' last samples."""
 
 
 class AnalyticPlant:
-    """The equations of `hydro_sim.model.hydraulics` behind the sensors of `hydro_sim.model.sensors`.
+    """The bench's model (`hydro_sim.model.bench_model`) behind the sensors of `hydro_sim.model.sensors`.
 
     Parameters
     ----------
@@ -54,7 +56,9 @@ class AnalyticPlant:
     def __init__(self, bench: Bench, *, noise: float = 1.0, settings: Sensors | None = None) -> None:
         if not 0.0 <= noise < np.inf:
             raise ValueError(f"noise scale {noise!r} is not a number of 0 or more")
-        self.constants = bench.constants()
+        self.model = BenchModel(bench)
+        self.constants = np.zeros(1, MODEL_DTYPE)
+        self.constants["address"] = self.model.address
         self.sensors = (settings or Sensors()).constants(noise)
         self.state = np.zeros(1, PLANT_STATE_DTYPE)
         self.noise = Noise(0)
@@ -63,8 +67,9 @@ class AnalyticPlant:
     def reset(self, seed: int) -> FloatArray:
         """See `Plant.reset`."""
         self.noise = Noise(seed)
-        self.state["y"] = hydraulics.rest_state(self.constants[0])
-        begin(self.constants, self.sensors, self.state, self.noise.row())
+        k, y, readings = self.model.begin(self.model.values)
+        self.constants["k"][0, : len(k)], self.state["y"][0, : len(y)] = k, y
+        begin(self.sensors, self.state, self.noise.row(), readings)
         return self.measurement()
 
     def step(self, valve_current: float) -> FloatArray:
@@ -77,31 +82,26 @@ class AnalyticPlant:
         return self.state["x"][0].copy()
 
     def physical_state(self) -> FloatArray:
-        """The present y of `hydro_sim.model.hydraulics`, shape (6,), a copy: the truth behind the sensors."""
-        return self.state["y"][0].copy()
+        """The textbook's states y of `hydro_sim.model.assembly`, shape (6,), a copy: the truth behind the sensors."""
+        return self.state["y"][0, :TEXTBOOK].copy()
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """In another process the model lies elsewhere."""
+        vars(self).update(state)
+        self.constants["address"] = self.model.address
 
 
 @njit(cache=True)
-def begin(constants, sensor_constants, state, noise):
-    """First sample: `constants`, `sensor_constants`, `state` of shape (1,), `noise` of shape (5,)."""
-    bench, raw = constants[0], np.empty(5)
-    integration.read(bench, state[0].y, raw)
-    if bench.effects.active:
-        integration.begin(bench, state[0].memory, state[0].y, raw)
-    sensors.sense(sensor_constants[0], noise, raw)
-    sensors.restart(state[0].last, raw, state[0].x)
+def begin(sensor_constants, state, noise, readings):
+    """First sample: `sensor_constants`, `state` of shape (1,), `noise` and true `readings` of shape (5,)."""
+    sensors.sense(sensor_constants[0], noise, readings)
+    sensors.restart(state[0].last, readings, state[0].x)
 
 
 @njit(cache=True)
 def advance(constants, sensor_constants, state, noise, valve_current):
-    """One sample of 1 ms in place; shapes as in `begin`. What `AnalyticPlant.step` and the offline loop both run."""
-    bench, raw = constants[0], np.empty(5)
-    if bench.effects.active:
-        integration.advance(bench, state[0].memory, state[0].y, valve_current)
-    else:
-        hydraulics.advance(bench, state[0].y, valve_current, SAMPLE_PERIOD, hydraulics.SUBSTEPS)
-    integration.read(bench, state[0].y, raw)
-    if bench.effects.active:
-        sensing.show(bench.effects, state[0].memory, raw)
+    """One sample of 1 ms in place; `constants` as `MODEL_DTYPE`, shapes as in `begin`. Every simulation runs this."""
+    raw = np.empty(5)
+    machine_code.sample(constants[0].address, constants[0].k, state[0].y, valve_current, raw)
     sensors.sense(sensor_constants[0], noise, raw)
     sensors.condition(sensor_constants[0], state[0].last, raw, state[0].x)

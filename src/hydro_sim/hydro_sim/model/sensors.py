@@ -15,12 +15,13 @@ setting. The velocity's is 1 ms because the force law cancels the velocity term 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from hydro_bridge.settings import check
+from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 
 RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
@@ -38,16 +39,16 @@ CONDITIONING_DTYPE = np.dtype([("force_h", np.float64), ("force_l", np.float64),
 class Sensors:
     """What the sensors add (one 1 kHz sample, standard deviation) and how the box differentiates."""
 
-    force_noise: float = 0.6
-    """N, both load cells, [0, 100]."""
-    pressure_noise: float = 6e3
-    """Pa, [0, 1e6]."""
-    position_step: float = 1e-6
-    """m, the encoder's step, [0, 1e-3]; 0: not quantised."""
-    force_rate_age: float = 2e-3
-    """s, [0.0005, 0.02]."""
-    velocity_age: float = 1e-3
-    """s, [0.0005, 0.02]."""
+    force_noise: Annotated[float, quantity("N", 0.0, 100.0)] = 0.6
+    """Standard deviation, both load cells."""
+    pressure_noise: Annotated[float, quantity("Pa", 0.0, 1e6)] = 6e3
+    """Standard deviation."""
+    position_step: Annotated[float, quantity("m", 0.0, 1e-3)] = 1e-6
+    """The encoder's step; 0: not quantised."""
+    force_rate_age: Annotated[float, quantity("s", 0.0005, 0.02)] = 2e-3
+    """Age of the force's rate."""
+    velocity_age: Annotated[float, quantity("s", 0.0005, 0.02)] = 1e-3
+    """Age of the velocity."""
 
     def __post_init__(self) -> None:
         check(self)

@@ -21,11 +21,11 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 from hydro_bridge.link.clock import set_by
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_bridge.settings import check
+from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray
 from hydro_sim.box.box import Box
 from hydro_sim.model.plant import Plant
@@ -45,16 +45,16 @@ class SimSettings:
     """Path of a bench.yaml or a diagnosis' corrected.yaml; empty: the one that comes with hydro_sim."""
     box_bench: str = ""
     """Path of the bench.yaml that the box's force law believes; empty: the same as `bench`."""
-    speed: float = 1.0
-    """Simulated seconds per second, [0, 100]; 0: in lock-step with filter and trainer, as fast as they answer."""
-    noise: float = 1.0
-    """Scale of the sensors' noise and quantisation, [0, 100]."""
-    seed: int = 0
-    """Of the noise, [0, 4294967295]."""
-    silence_max: float = 5.0
-    """s that lock-step waits for a peer, [0.1, 600]."""
-    correction_every: int = 1
-    """Samples per correction in lock-step, [1, 100], as the filter is set."""
+    speed: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
+    """Simulated seconds per second; 0: in lock-step with filter and trainer, as fast as they answer."""
+    noise: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0
+    """Scale of the sensors' noise and quantisation."""
+    seed: Annotated[int, quantity("-", 0, 4294967295)] = 0
+    """Seed of the noise."""
+    silence_max: Annotated[float, quantity("s", 0.1, 600.0)] = 5.0
+    """How long lock-step waits for a peer."""
+    correction_every: Annotated[int, quantity("-", 1, 100)] = 1
+    """Samples per correction in lock-step, as the filter is set."""
 
     def __post_init__(self) -> None:
         check(self)

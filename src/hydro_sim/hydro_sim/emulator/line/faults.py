@@ -9,32 +9,34 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
-from hydro_sim.yaml_settings import ConfigError, from_mapping, quantity, read_yaml
+from hydro_bridge.files.settings_file import from_mapping, read_yaml
+from hydro_bridge.settings import SettingsError, quantity
 
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
     """Something that happens once."""
 
-    at: float = quantity(unit="s", low=0.0, high=1e6)  # after the start of the emulator
-    stall: float = quantity(0.0, unit="s", low=0.0, high=60.0)  # nothing passes for so long, then all that waited
-    unplug: float = quantity(0.0, unit="s", low=0.0, high=3600.0)  # the port is gone for so long
+    at: Annotated[float, quantity("s", 0.0, 1e6)]  # after the start of the emulator
+    stall: Annotated[float, quantity("s", 0.0, 60.0)] = 0.0  # nothing passes for so long, then all that waited
+    unplug: Annotated[float, quantity("s", 0.0, 3600.0)] = 0.0  # the port is gone for so long
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkFaults:
     """Chances per frame, both directions alike, and events. All zero: a clean line."""
 
-    corrupt: float = quantity(0.0, low=0.0, high=1.0)  # one to eight bits flip
-    lose: float = quantity(0.0, low=0.0, high=1.0)  # one byte is missing
-    truncate: float = quantity(0.0, low=0.0, high=1.0)  # the end is missing
-    drop: float = quantity(0.0, low=0.0, high=1.0)  # all of it is missing
-    duplicate: float = quantity(0.0, low=0.0, high=1.0)  # it comes twice
-    reorder: float = quantity(0.0, low=0.0, high=1.0)  # it comes after the next
-    noise: float = quantity(0.0, low=0.0, high=1.0)  # up to 64 random bytes before it
+    corrupt: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # one to eight bits flip
+    lose: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # one byte is missing
+    truncate: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # the end is missing
+    drop: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # all of it is missing
+    duplicate: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # it comes twice
+    reorder: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # it comes after the next
+    noise: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # up to 64 random bytes before it
     events: tuple[Event, ...] = ()
 
 
@@ -56,11 +58,11 @@ CHANCES = ("corrupt", "lose", "truncate", "drop", "duplicate", "reorder", "noise
 
 
 def load_faults(name: str) -> LinkFaults:
-    """`LinkFaults` of a preset's name or a YAML file; raises ConfigError if it is neither."""
+    """`LinkFaults` of a preset's name or a YAML file; raises SettingsError if it is neither."""
     if name in PRESETS:
         return PRESETS[name]
     if not Path(name).exists():
-        raise ConfigError(f"--faults {name} is neither a file nor one of {', '.join(PRESETS)}")
+        raise SettingsError(f"--faults {name} is neither a file nor one of {', '.join(PRESETS)}")
     return from_mapping(LinkFaults, read_yaml(name), Path(name).name)
 
 

@@ -3,11 +3,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydro_bridge.serial.protocol import BoxInfo, CommandFrame, Frame, Hello, encode_hello, encode_state
+from hydro_bridge.serial.protocol import (
+    VERSION,
+    VERSION_MIN,
+    BoxDetails,
+    BoxInfo,
+    CommandFrame,
+    Frame,
+    Hello,
+    encode_details,
+    encode_hello,
+    encode_state,
+)
 from hydro_bridge.serial.stream import Decoder
 from hydro_bridge.signals import Command
 from hydro_sim.emulator.line.faults import CHANCES, FaultyLine, LinkFaults
@@ -57,11 +69,25 @@ class BoxLink:
         What the box says about itself.
     faults, seed
         What goes wrong, and its chances' seed.
+    details
+        What it says besides to a host of version 2; its epoch counts up at each reboot.
+    refused
+        Gives how many values and references the box refused since its power-on.
     """
 
-    def __init__(self, terminal: Terminal, info: BoxInfo, faults: LinkFaults, seed: int = 0) -> None:
+    def __init__(
+        self,
+        terminal: Terminal,
+        info: BoxInfo,
+        faults: LinkFaults,
+        seed: int = 0,
+        details: BoxDetails | None = None,
+        refused: Callable[[], tuple[int, int]] = lambda: (0, 0),
+    ) -> None:
         self.terminal = terminal
-        self.info = info
+        self.info, self.details = info, details or BoxDetails(epoch=1)
+        self.version = VERSION_MIN
+        self._refused = refused
         self.report = LinkReport()
         self.decoder = Decoder()
         up, down = np.random.default_rng(seed).spawn(2)
@@ -97,6 +123,8 @@ class BoxLink:
         """The box was power-cycled: it greets anew and knows no command."""
         self.last_command = 0
         self._order.reset()
+        self.details = replace(self.details, epoch=self.details.epoch % 0xFFFFFFFF + 1)
+        self.version, self._hellos = VERSION_MIN, 0
         self._greeting = True
 
     def poll(self, now: float) -> Command | None:
@@ -105,17 +133,15 @@ class BoxLink:
         What comes behind a greeting in the same millisecond waits for the next: the disarm is not to be overtaken. A
         greeting behind it makes it void: nothing piles up, however many come.
         """
-        if not self.terminal.plugged:
-            if now < self._replug_at:
-                return None
-            self.terminal.plug()
-        data = self.down.carry(self.terminal.read(), now)
+        data = self._arrived(now)
         frames, self._waiting = [*self._waiting, *(self.decoder.feed(data) if data else ())], []
         newest, greeted = None, False
         for frame in frames:
             if isinstance(frame, Hello) and frame.info is None:
                 self._order.reset()
                 self._greeting = greeted = True
+                self.version = max(VERSION_MIN, min(VERSION, frame.version_max))
+                self._hellos = max(self._hellos, 1)  # an answer, no power-on
                 self._waiting.clear()
                 self.report.hellos += 1
             elif isinstance(frame, CommandFrame) and greeted:
@@ -127,20 +153,34 @@ class BoxLink:
                 self.report.refused += 1
         return Command() if greeted else newest
 
+    def _arrived(self, now: float) -> bytes:
+        """Bytes that have come down the line by `now` [s]; plugs in again when it is time."""
+        if not self.terminal.plugged:
+            if now < self._replug_at:
+                return b""
+            self.terminal.plug()
+        return self.down.carry(self.terminal.read(), now)
+
     def send(self, sample: np.void, now: float) -> None:
         """Send one sample, a record of `STATE_DTYPE`, without ever waiting."""
         if not self.terminal.opened:
             self.report.unheard += 1
             self._unwritten = b""
             return
+        self._write(self.up.carry(self._frames(sample), now))
+
+    def _frames(self, sample: np.void) -> bytes:
+        """What goes up with this sample."""
         box_time, sequence, *values, flags = sample.item()
         time_us = round(box_time * 1e6)
-        frame = encode_state(sequence, time_us, values, flags, self.last_command)
+        refused = self._refused() if self.version > VERSION_MIN else None
+        frame = encode_state(sequence, time_us, values, flags, self.last_command, refused)
         if self._greeting:
+            details = encode_details(self._hellos, time_us, self.details) if self.version > VERSION_MIN else b""
+            frame = encode_hello(self._hellos, time_us, self.info) + details + frame
             self._hellos += 1
             self._greeting = False
-            frame = encode_hello(self._hellos, time_us, self.info) + frame
-        self._write(self.up.carry(frame, now))
+        return frame
 
     def _write(self, data: bytes) -> None:
         """A frame begun is finished before the next; a frame that finds the line full is dropped whole."""

@@ -11,7 +11,7 @@ import tempfile
 import tty
 from pathlib import Path
 
-from hydro_sim.yaml_settings import ConfigError
+from hydro_bridge.settings import SettingsError
 
 _READ_SIZE = 65536
 
@@ -31,13 +31,13 @@ class Terminal:
 
     Raises
     ------
-    ConfigError
+    SettingsError
         If `path` is taken by something that is no link, or its folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:
         if os.path.lexists(path) and not path.is_symlink():
-            raise ConfigError(f"{path} exists and is no link: give another place with --link")
+            raise SettingsError(f"{path} exists and is no link: give another place with --link")
         self.path = path
         self._master: int | None = None
         self._port = ""
@@ -75,7 +75,7 @@ class Terminal:
             scratch.symlink_to(self._port)
             os.replace(scratch, self.path)
         except OSError as error:
-            raise ConfigError(f"{self.path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
+            raise SettingsError(f"{self.path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
 
     def unplug(self) -> None:
         """Take the port away: whoever has it open sees a hang-up, the link is gone."""

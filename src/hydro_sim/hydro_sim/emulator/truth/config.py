@@ -6,8 +6,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
+from hydro_bridge.files.settings_file import from_mapping, read_yaml, to_mapping, unknown_key
+from hydro_bridge.settings import SettingsError, quantity
 from hydro_sim.emulator.truth.effects import (
     Effects,
     FrictionCoulomb,
@@ -18,7 +20,6 @@ from hydro_sim.emulator.truth.effects import (
     ValveLag,
 )
 from hydro_sim.emulator.truth.outside import Outside
-from hydro_sim.yaml_settings import ConfigError, from_mapping, quantity, read_yaml, to_mapping, unknown_key
 
 T = TypeVar("T")
 
@@ -27,24 +28,24 @@ T = TypeVar("T")
 class TruthBench:
     """The truth's own copy of the bench; effects come on top of it."""
 
-    bulk_modulus: float = quantity(1.34e9, unit="Pa", low=1e7, high=1e10)
-    piston_area: float = quantity(2e-4, unit="m2", low=1e-6, high=1.0)
-    area_ratio: float = quantity(0.609, low=0.05, high=1.0)
-    stroke: float = quantity(0.08, unit="m", low=1e-3, high=10.0)
-    supply_pressure: float = quantity(16e6, unit="Pa", low=1e5, high=1e8)
-    tank_pressure: float = quantity(0.0, unit="Pa", low=0.0, high=5e6)
-    valve_nominal_flow: float = quantity(1.67e-4, unit="m3/s", low=1e-7, high=1.0)
-    valve_nominal_current: float = quantity(0.05, unit="A", low=1e-4, high=100.0)
-    valve_nominal_pressure_drop: float = quantity(7e6, unit="Pa", low=1e4, high=1e8)
-    valve_current_max: float = quantity(0.05, unit="A", low=1e-4, high=100.0)
-    dead_volume_a: float = quantity(2e-4, unit="m3", low=1e-7, high=1.0)
-    dead_volume_b: float = quantity(2e-4, unit="m3", low=1e-7, high=1.0)
-    moving_mass: float = quantity(1.2, unit="kg", low=0.05, high=1e4)
-    viscous_friction: float = quantity(60.0, unit="N s/m", low=0.0, high=1e5)
-    spring_stiffness: float = quantity(2e4, unit="N/m", low=0.0, high=1e8)
-    spring_rest_position: float = quantity(0.04, unit="m", low=0.0, high=10.0)
-    load_cell_bandwidth: float | None = quantity(25.0, unit="Hz", low=2.0, high=2000.0)  # null: ideal amplifier
-    load_cell_damping: float = quantity(0.7071067811865476, low=0.3, high=2.0)
+    bulk_modulus: Annotated[float, quantity("Pa", 1e7, 1e10)] = 1.34e9
+    piston_area: Annotated[float, quantity("m2", 1e-6, 1.0)] = 2e-4
+    area_ratio: Annotated[float, quantity("-", 0.05, 1.0)] = 0.609
+    stroke: Annotated[float, quantity("m", 1e-3, 10.0)] = 0.08
+    supply_pressure: Annotated[float, quantity("Pa", 1e5, 1e8)] = 16e6
+    tank_pressure: Annotated[float, quantity("Pa", 0.0, 5e6)] = 0.0
+    valve_nominal_flow: Annotated[float, quantity("m3/s", 1e-7, 1.0)] = 1.67e-4
+    valve_nominal_current: Annotated[float, quantity("A", 1e-4, 100.0)] = 0.05
+    valve_nominal_pressure_drop: Annotated[float, quantity("Pa", 1e4, 1e8)] = 7e6
+    valve_current_max: Annotated[float, quantity("A", 1e-4, 100.0)] = 0.05
+    dead_volume_a: Annotated[float, quantity("m3", 1e-7, 1.0)] = 2e-4
+    dead_volume_b: Annotated[float, quantity("m3", 1e-7, 1.0)] = 2e-4
+    moving_mass: Annotated[float, quantity("kg", 0.05, 1e4)] = 1.2
+    viscous_friction: Annotated[float, quantity("N s/m", 0.0, 1e5)] = 60.0
+    spring_stiffness: Annotated[float, quantity("N/m", 0.0, 1e8)] = 2e4
+    spring_rest_position: Annotated[float, quantity("m", 0.0, 10.0)] = 0.04
+    load_cell_bandwidth: Annotated[float, quantity("Hz", 2.0, 2000.0)] | None = 25.0  # null: ideal amplifier
+    load_cell_damping: Annotated[float, quantity("-", 0.3, 2.0)] = 0.7071067811865476
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,12 +55,12 @@ class TruthSensors:
     The differentiation is the box's, not the bench's: it is the code of `hydro_sim.model.sensors`, as for every plant.
     """
 
-    noise_scale: float = quantity(1.0, low=0.0, high=100.0)  # multiplies the noises, not the encoder's step
-    force_noise: float = quantity(0.6, unit="N", low=0.0, high=1000.0)
-    pressure_noise: float = quantity(6e3, unit="Pa", low=0.0, high=1e7)
-    encoder_step: float = quantity(1e-6, unit="m", low=0.0, high=1e-3)
-    velocity_age: float = quantity(1e-3, unit="s", low=5e-4, high=0.02)
-    force_rate_age: float = quantity(2e-3, unit="s", low=5e-4, high=0.02)
+    noise_scale: Annotated[float, quantity("-", 0.0, 100.0)] = 1.0  # multiplies the noises, not the encoder's step
+    force_noise: Annotated[float, quantity("N", 0.0, 1000.0)] = 0.6
+    pressure_noise: Annotated[float, quantity("Pa", 0.0, 1e7)] = 6e3
+    encoder_step: Annotated[float, quantity("m", 0.0, 1e-3)] = 1e-6
+    velocity_age: Annotated[float, quantity("s", 5e-4, 0.02)] = 1e-3
+    force_rate_age: Annotated[float, quantity("s", 5e-4, 0.02)] = 2e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +78,7 @@ def profile(name: str) -> TruthConfig:
     if name == "nominal":
         return TruthConfig()
     if name != "default":
-        raise ConfigError(f"profile must be nominal or default, not {name!r}")
+        raise SettingsError(f"profile must be nominal or default, not {name!r}")
     return TruthConfig(
         effects=Effects(
             valve_lag=ValveLag(bandwidth=110.0, damping=1.2, rate_limit=6.0),
@@ -103,13 +104,13 @@ def truth_from_mapping(data: Mapping[str, Any], where: str = "truth") -> TruthCo
 
     Raises
     ------
-    ConfigError
+    SettingsError
         On an unknown key, a wrong type, or a value outside its range.
     """
     sections = ("bench", "sensors", "effects", "outside")
     for key in data:
         if key not in ("profile", *sections):
-            raise ConfigError(unknown_key(str(key), ["profile", *sections], where))
+            raise SettingsError(unknown_key(str(key), ["profile", *sections], where))
     base = profile(data.get("profile", "default"))
     changes = {name: _overlaid(getattr(base, name), data[name], f"{where}.{name}") for name in sections if name in data}
     return check(replace(base, **changes))
@@ -130,23 +131,23 @@ def check(config: TruthConfig) -> TruthConfig:
 
     Raises
     ------
-    ConfigError
+    SettingsError
         If values that are each in range contradict one another.
     """
     coulomb = config.effects.friction_coulomb
     if config.effects.friction_presliding is not None and (coulomb is None or coulomb.form != "lugre"):
-        raise ConfigError(
+        raise SettingsError(
             "effects.friction_presliding is part of LuGre friction: give friction_coulomb form: lugre with it"
         )
     rest = config.effects.spring_rest
     if not 0.0 < (config.bench.spring_rest_position if rest is None else rest.position) < config.bench.stroke:
-        raise ConfigError("the spring's rest position must lie within the stroke")
+        raise SettingsError("the spring's rest position must lie within the stroke")
     viscous = config.effects.friction_viscous
     if viscous is not None and config.bench.viscous_friction + viscous.coefficient < 0.0:
-        raise ConfigError("effects.friction_viscous takes away more than all of the viscous friction")
+        raise SettingsError("effects.friction_viscous takes away more than all of the viscous friction")
     added = config.effects.moving_mass
     if added is not None and config.bench.moving_mass + added.mass < 0.05:
-        raise ConfigError("effects.moving_mass takes away all of the moving mass")
+        raise SettingsError("effects.moving_mass takes away all of the moving mass")
     _one_each(config.effects)
     return config
 
@@ -162,9 +163,9 @@ def _one_each(effects: Effects) -> None:
     ):
         places = [getattr(item, key) for item in getattr(effects, name)]
         if len(places) != len(set(places)):
-            raise ConfigError(f"effects.{name} names the same {key} twice")
+            raise SettingsError(f"effects.{name} names the same {key} twice")
     if len(effects.end_cushion) > 2:
-        raise ConfigError("effects.end_cushion takes at most two, one for each end")
+        raise SettingsError("effects.end_cushion takes at most two, one for each end")
 
 
 def _overlaid(base: T, data: object, where: str) -> T:

@@ -8,227 +8,229 @@ The class `Effects` holds the causes that have a name in the diagnosis' table, u
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated, Literal, get_args
 
-from hydro_sim.yaml_settings import choice, quantity
+from hydro_bridge.settings import quantity
 
-SENSORS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+SensorName = Literal["hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position"]
+SENSORS: tuple[str, ...] = get_args(SensorName)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionCoulomb:
     """Constant force against motion. `static` sticks exactly, `smooth` rounds the sign, `lugre` has bristles."""
 
-    force: float = quantity(12.0, unit="N", low=0.0, high=500.0)
-    force_positive: float | None = quantity(None, unit="N", low=0.0, high=500.0)  # while extending; absent: force
-    force_negative: float | None = quantity(None, unit="N", low=0.0, high=500.0)  # while retracting; absent: force
-    form: str = choice("static", "static", "smooth", "lugre")
+    force: Annotated[float, quantity("N", 0.0, 500.0)] = 12.0
+    force_positive: Annotated[float, quantity("N", 0.0, 500.0)] | None = None  # while extending; absent: force
+    force_negative: Annotated[float, quantity("N", 0.0, 500.0)] | None = None  # while retracting; absent: force
+    form: Literal["static", "smooth", "lugre"] = "static"
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionViscous:
     """Change of the viscous coefficient against the bench."""
 
-    coefficient: float = quantity(unit="N s/m", low=-1000.0, high=5000.0)
+    coefficient: Annotated[float, quantity("N s/m", -1000.0, 5000.0)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionStribeck:
     """Extra force near standstill: breakaway_force exp(-|v / velocity|^exponent)."""
 
-    breakaway_force: float = quantity(unit="N", low=0.0, high=500.0)
-    velocity: float = quantity(0.01, unit="m/s", low=1e-4, high=1.0)
-    exponent: float = quantity(2.0, low=0.5, high=4.0)  # 2 Gaussian, 1 exponential (Tustin)
+    breakaway_force: Annotated[float, quantity("N", 0.0, 500.0)]
+    velocity: Annotated[float, quantity("m/s", 1e-4, 1.0)] = 0.01
+    exponent: Annotated[float, quantity("-", 0.5, 4.0)] = 2.0  # 2 Gaussian, 1 exponential (Tustin)
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrictionPresliding:
     """Elastic deflection before sliding, of a friction_coulomb of form lugre (which without it has these defaults)."""
 
-    stiffness: float = quantity(5e5, unit="N/m", low=1e4, high=1.2e6)
-    damping: float = quantity(300.0, unit="N s/m", low=0.0, high=5000.0)
+    stiffness: Annotated[float, quantity("N/m", 1e4, 1.2e6)] = 5e5
+    damping: Annotated[float, quantity("N s/m", 0.0, 5000.0)] = 300.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeakageInternal:
     """Flow from chamber A to chamber B. `orifice` goes with the root and meets `laminar` at 5 MPa."""
 
-    coefficient: float = quantity(unit="m3/s/Pa", low=0.0, high=1e-10)
-    form: str = choice("laminar", "laminar", "orifice")
+    coefficient: Annotated[float, quantity("m3/s/Pa", 0.0, 1e-10)]
+    form: Literal["laminar", "orifice"] = "laminar"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LeakageExternal:
     """Flow from a chamber to the tank."""
 
-    coefficient: float = quantity(unit="m3/s/Pa", low=0.0, high=1e-10)
-    chamber: str = choice("a", "a", "b")
+    coefficient: Annotated[float, quantity("m3/s/Pa", 0.0, 1e-10)]
+    chamber: Literal["a", "b"] = "a"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValveDeadband:
     """Overlap of the lands. `soft` rounds the corner over `softness`."""
 
-    half_width: float = quantity(unit="A", low=0.0, high=0.02)
-    half_width_negative: float | None = quantity(None, unit="A", low=0.0, high=0.02)  # lopsided; absent: half_width
-    softness: float = quantity(2e-4, unit="A", low=1e-6, high=0.01)
-    form: str = choice("hard", "hard", "soft")
+    half_width: Annotated[float, quantity("A", 0.0, 0.02)]
+    half_width_negative: Annotated[float, quantity("A", 0.0, 0.02)] | None = None  # lopsided; absent: half_width
+    softness: Annotated[float, quantity("A", 1e-6, 0.01)] = 2e-4
+    form: Literal["hard", "soft"] = "hard"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValveLag:
     """Spool dynamics. `bandwidth` is the natural frequency, or the corner frequency at first order."""
 
-    bandwidth: float = quantity(110.0, unit="Hz", low=5.0, high=1000.0)
-    damping: float = quantity(0.8, low=0.2, high=5.0)
-    rate_limit: float | None = quantity(None, unit="A/s", low=0.05, high=1000.0)  # absent: none
-    order: int = quantity(2, low=1, high=2)
+    bandwidth: Annotated[float, quantity("Hz", 5.0, 1000.0)] = 110.0
+    damping: Annotated[float, quantity("-", 0.2, 5.0)] = 0.8
+    rate_limit: Annotated[float, quantity("A/s", 0.05, 1000.0)] | None = None  # absent: none
+    order: Annotated[int, quantity("-", 1, 2)] = 2
 
 
 @dataclass(frozen=True, kw_only=True)
 class TransportDelay:
     """Pure dead time on the command."""
 
-    time: float = quantity(unit="s", low=0.0, high=0.05)
+    time: Annotated[float, quantity("s", 0.0, 0.05)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValveOffset:
     """Null shift: added to the current before the spool."""
 
-    current: float = quantity(unit="A", low=-0.02, high=0.02)
+    current: Annotated[float, quantity("A", -0.02, 0.02)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
     """True value over the bench file's value."""
 
-    ratio: float = quantity(low=0.1, high=10.0)
+    ratio: Annotated[float, quantity("-", 0.1, 10.0)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValveNullLeakage:
     """Flow past all four worn edges, strongest at null: a profile that falls with the spool's distance from null."""
 
-    coefficient: float = quantity(unit="m3/s/sqrt(Pa)", low=0.0, high=1e-7)
-    width: float = quantity(2e-3, unit="A", low=1e-5, high=0.05)
-    form: str = choice("bell", "bell", "hyperbolic")  # exp(-(s/width)^2); 1/(1 + |s|/width)
+    coefficient: Annotated[float, quantity("m3/s/sqrt(Pa)", 0.0, 1e-7)]
+    width: Annotated[float, quantity("A", 1e-5, 0.05)] = 2e-3
+    form: Literal["bell", "hyperbolic"] = "bell"  # exp(-(s/width)^2); 1/(1 + |s|/width)
 
 
 @dataclass(frozen=True, kw_only=True)
 class SupplyDroop:
     """Accumulator behind a line: T p_s' = p_source - R q - p_s, with q what the valve draws."""
 
-    resistance: float = quantity(unit="Pa s/m3", low=0.0, high=2e11)
-    time_constant: float = quantity(0.02, unit="s", low=1e-3, high=5.0)
+    resistance: Annotated[float, quantity("Pa s/m3", 0.0, 2e11)]
+    time_constant: Annotated[float, quantity("s", 1e-3, 5.0)] = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
 class EntrainedAir:
     """Free air, as its share of the volume at atmospheric pressure; compressed adiabatically or isothermally."""
 
-    volume_fraction: float = quantity(low=0.0, high=0.1)
-    form: str = choice("adiabatic", "adiabatic", "isothermal")
+    volume_fraction: Annotated[float, quantity("-", 0.0, 0.1)]
+    form: Literal["adiabatic", "isothermal"] = "adiabatic"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadCellGain:
     """Gain error of one load cell."""
 
-    ratio: float = quantity(low=0.2, high=5.0)
-    cell: str = choice("load_force", "hydraulic_force", "load_force")
+    ratio: Annotated[float, quantity("-", 0.2, 5.0)]
+    cell: Literal["hydraulic_force", "load_force"] = "load_force"
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoadCellBias:
     """Constant error of one load cell."""
 
-    force: float = quantity(unit="N", low=-1000.0, high=1000.0)
-    cell: str = choice("load_force", "hydraulic_force", "load_force")
+    force: Annotated[float, quantity("N", -1000.0, 1000.0)]
+    cell: Literal["hydraulic_force", "load_force"] = "load_force"
 
 
 @dataclass(frozen=True, kw_only=True)
 class PressureSensorBias:
     """Constant error of one pressure sensor."""
 
-    pressure: float = quantity(unit="Pa", low=-5e6, high=5e6)
-    chamber: str = choice("a", "a", "b")
+    pressure: Annotated[float, quantity("Pa", -5e6, 5e6)]
+    chamber: Literal["a", "b"] = "a"
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpringHardening:
     """Cubic term of the spring."""
 
-    coefficient: float = quantity(unit="N/m3", low=-1e8, high=1e10)
+    coefficient: Annotated[float, quantity("N/m3", -1e8, 1e10)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Backlash:
     """Lost motion at the load, total width. `gap`: no force about rest; `play`: the spring's end is dragged along."""
 
-    width: float = quantity(unit="m", low=0.0, high=0.01)
-    form: str = choice("gap", "gap", "play")
+    width: Annotated[float, quantity("m", 0.0, 0.01)]
+    form: Literal["gap", "play"] = "gap"
 
 
 @dataclass(frozen=True, kw_only=True)
 class MovingMass:
     """Change of the moving mass against the bench."""
 
-    mass: float = quantity(unit="kg", low=-1.0, high=20.0)
+    mass: Annotated[float, quantity("kg", -1.0, 20.0)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class ValveGainDrift:
     """Relative change of the valve's gain over time."""
 
-    rate: float = quantity(unit="1/s", low=-0.05, high=0.05)
+    rate: Annotated[float, quantity("1/s", -0.05, 0.05)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class EndCushion:
     """Spring that meets the piston beyond `position`, towards the nearer end. `quadratic` meets `linear` 5 mm in."""
 
-    position: float = quantity(unit="m", low=0.0, high=1.0)
-    stiffness: float = quantity(unit="N/m", low=0.0, high=1e6)
-    form: str = choice("linear", "linear", "quadratic")
+    position: Annotated[float, quantity("m", 0.0, 1.0)]
+    stiffness: Annotated[float, quantity("N/m", 0.0, 1e6)]
+    form: Literal["linear", "quadratic"] = "linear"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceOffset:
     """Constant force on the mass, positive towards extension."""
 
-    force: float = quantity(unit="N", low=-1000.0, high=1000.0)
+    force: Annotated[float, quantity("N", -1000.0, 1000.0)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SensorLag:
     """Low-pass in a sensor's amplifier, by its natural frequency; on load_force it takes the place of the bench's."""
 
-    bandwidth: float = quantity(unit="Hz", low=2.0, high=2000.0)
-    sensor: str = choice("load_force", *SENSORS)
-    order: int = quantity(2, low=1, high=2)
-    damping: float = quantity(0.7071067811865476, low=0.3, high=2.0)
+    bandwidth: Annotated[float, quantity("Hz", 2.0, 2000.0)]
+    sensor: SensorName = "load_force"
+    order: Annotated[int, quantity("-", 1, 2)] = 2
+    damping: Annotated[float, quantity("-", 0.3, 2.0)] = 0.7071067811865476
 
 
 @dataclass(frozen=True, kw_only=True)
 class DeadVolume:
     """True dead volume over the bench file's value, one chamber."""
 
-    ratio: float = quantity(low=0.1, high=10.0)
-    chamber: str = choice("a", "a", "b")
+    ratio: Annotated[float, quantity("-", 0.1, 10.0)]
+    chamber: Literal["a", "b"] = "a"
 
 
 @dataclass(frozen=True, kw_only=True)
 class TankPressure:
     """True tank pressure."""
 
-    pressure: float = quantity(unit="Pa", low=0.0, high=5e6)
+    pressure: Annotated[float, quantity("Pa", 0.0, 5e6)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class SpringRest:
     """True rest position of the spring."""
 
-    position: float = quantity(unit="m", low=0.0, high=1.0)
+    position: Annotated[float, quantity("m", 0.0, 1.0)]
 
 
 @dataclass(frozen=True, kw_only=True)

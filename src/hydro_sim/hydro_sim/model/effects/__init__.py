@@ -1,12 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The effects of a diagnosis' corrected.yaml as parts of the analytic plant, compiled.
+"""What a bench may do beyond the textbook: each effect one class, in the module of the part where its cause lives.
 
-::
-
-    corrected.yaml ── catalogue: which form, are its numbers in range ── program: one record for compiled code
-                                                                            |
-    current ─ valve: delay, spool, overlap ─ edges ─ oil: supply, leaks, stiffness ─ motion: friction, load ─ sensing
-
-`integration` puts them together; `model.plant.AnalyticPlant` runs it for a bench that has effects. Definitions are
-those of the diagnosis' library (physics.md, "Effects"); the code is not, and the emulator's neither.
+`base` says what an effect is made of, `catalogue` finds one by an entry of the bench file. Parameters and meanings are
+those of the diagnosis (physics.md, "Effects"); the emulator's truth has forms of its own.
 """

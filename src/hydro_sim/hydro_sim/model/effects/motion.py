@@ -1,156 +1,160 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What resists the piston beyond viscous friction, and the load. Compiled.
+"""What resists the piston beyond viscous friction, and the load.
 
-Dry friction brings the mass to rest within a Runge-Kutta step as far as its level [N] reaches, so that sticking is
-exact. With bristles nothing sticks: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources:
-Armstrong-Helouvry et al. 1994, eq. 5; Dahl 1968.
+How dry friction holds is the model's part (`model.motion`); its effects say at which level it gives way. With bristles
+nothing holds: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources: Armstrong-Helouvry et al.
+1994, eq. 5; Dahl 1968.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 
-from numba import njit
+import numpy as np
 
-from hydro_sim.model.effects.record import DRAG, LOAD, RESISTANCE
-
-COULOMB, COULOMB_DIRECTIONAL, STRIBECK = range(3)
-"""Kinds of DRAG. Numbers: force | forces while extending, retracting | force, velocity."""
-
-PRESLIDING, FORCE, VISCOUS, CUSHION_END, CUSHION_START, CUSHION_END_QUADRATIC, CUSHION_START_QUADRATIC = range(7)
-"""Kinds of RESISTANCE. Numbers: stiffness | force | coefficients while extending, retracting | stiffness, position."""
-
-HARDENING, GAP, PLAY = range(3)
-"""Kinds of LOAD. Number: coefficient | width | width."""
+from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.equations import Symbol, choose, clip
 
 QUADRATIC_DEPTH = 5e-3
 """m, at which a quadratic cushion has the force of the linear one."""
-
-STANDSTILL = 1e-9
-"""m/s, the least speed at which a level that depends on the direction is taken."""
 
 LEVEL_MIN = 1e-6
 """N, below which a bristle's level counts as this."""
 
 
-@njit(cache=True)
-def begin(memory, position):
-    """Bristles relaxed, the gap's middle where the piston is."""
-    memory.bristle, memory.bristle_position, memory.dragged = 0.0, position, position
+class FrictionCoulomb(Effect):
+    """Constant force against the motion."""
+
+    id = "friction_coulomb"
+    force = parameter("N", 0.0, 5000.0, scale=10.0)
+
+    def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
+        return level + self.force
 
 
-@njit(cache=True)
-def _level(program, velocity):
-    """Dry friction [N] while sliding."""
-    level = 0.0
-    for k in range(program.first[DRAG], program.first[DRAG + 1]):
-        kind, value = program.kind[k], program.value[k]
-        if kind == COULOMB:
-            level += value[0]
-        elif kind == COULOMB_DIRECTIONAL:
-            level += value[0] if velocity > 0.0 else value[1]
-        else:
-            level += value[0] * math.exp(-((velocity / value[1]) ** 2))
-    return level
+class FrictionCoulombDirectional(Effect):
+    """One force while extending, another while retracting."""
+
+    id = "friction_coulomb"
+    options = {"form": ("directional",)}
+    force_positive = parameter("N", 0.0, 5000.0, scale=10.0)
+    force_negative = parameter("N", 0.0, 5000.0, scale=10.0)
+
+    def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
+        return level + choose(velocity > 0.0, self.force_positive, self.force_negative)
 
 
-@njit(cache=True)
-def _bristle(memory, position, stiffness, level):
-    """Force [N] of bristles that yield at `level` [N], after the way from where they were last taken."""
-    moved = position - memory.bristle_position
-    if moved == 0.0:
-        return memory.bristle
-    goal = math.copysign(level, moved)
-    return goal + (memory.bristle - goal) * math.exp(-stiffness * abs(moved) / max(level, LEVEL_MIN))
+class FrictionStribeck(Effect):
+    """More of it near standstill."""
+
+    id = "friction_stribeck"
+    breakaway_force = parameter("N", 0.0, 5000.0, scale=5.0)
+    velocity = parameter("m/s", 1e-4, 10.0, scale=0.01, neutral=0.01)
+
+    def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
+        ratio = velocity / self.velocity
+        return level + self.breakaway_force * np.exp(-ratio * ratio)
 
 
-@njit(cache=True)
-def grip(program, mass, velocity, free, step):
-    """What dry friction does within a step [s] that begins at a velocity and, without friction, an acceleration `free`.
+class FrictionViscousDirectional(Effect):
+    """A change of b while extending, another while retracting."""
 
-    Returns
-    -------
-    Sign of the motion that it opposes (0: there is none), and the force [N] that brings the mass to rest, or nan if
-    that is beyond its level.
-    """
-    if program.first[DRAG] == program.first[DRAG + 1] or _bristled(program):
-        return 0.0, math.nan
-    holding = mass * (velocity / step + free)
-    sign = math.copysign(1.0, holding)
-    reaches = abs(holding) < _level(program, sign * max(abs(velocity), STANDSTILL))
-    return sign, holding if reaches else math.nan
+    id = "friction_viscous"
+    options = {"form": ("directional",)}
+    coefficient_positive = parameter("N s/m", -1e6, 1e6, scale=30.0)
+    coefficient_negative = parameter("N s/m", -1e6, 1e6, scale=30.0)
+
+    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
+        return choose(velocity > 0.0, self.coefficient_positive, self.coefficient_negative) * velocity
 
 
-@njit(cache=True)
-def _bristled(program):
-    bristled = False
-    for k in range(program.first[RESISTANCE], program.first[RESISTANCE + 1]):
-        bristled |= program.kind[k] == PRESLIDING
-    return bristled
+class FrictionPresliding(Effect):
+    """Bristles that bend before they slide, at the level of the other dry friction."""
+
+    id = "friction_presliding"
+    single = True
+    stiffness = parameter("N/m", 1.0, 1e7, scale=2e5, neutral=1e7)
+    bent = hidden("N", scale=5.0)
+
+    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
+        level, moved = self.at.dry_level(velocity), position - self.at.began
+        goal = np.sign(moved) * level
+        return goal + (self.bent - goal) * np.exp(-self.stiffness * np.abs(moved) / np.fmax(level, LEVEL_MIN))
+
+    def remember(self, position: Symbol, velocity: Symbol) -> None:
+        self.next["bent"] = self.opposing_force(position, velocity)
 
 
-@njit(cache=True)
-def dry(program, gripped, velocity):
-    """Dry friction [N] against the motion, of what `grip` returned."""
-    sign, holding = gripped
-    if sign == 0.0:
-        return 0.0
-    return sign * _level(program, sign * max(abs(velocity), STANDSTILL)) if math.isnan(holding) else holding
+class ForceOffset(Effect):
+    """A constant force on the piston."""
+
+    id = "force_offset"
+    force = parameter("N", -5000.0, 5000.0, scale=5.0)
+
+    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
+        return -self.force
 
 
-@njit(cache=True)
-def resistance(program, memory, position, velocity):
-    """Force [N] against the motion beyond viscous and dry friction."""
-    against = 0.0
-    for k in range(program.first[RESISTANCE], program.first[RESISTANCE + 1]):
-        kind, value = program.kind[k], program.value[k]
-        if kind == PRESLIDING:
-            against += _bristle(memory, position, value[0], _level(program, velocity))
-        elif kind == FORCE:
-            against -= value[0]
-        elif kind == VISCOUS:
-            against += (value[0] if velocity > 0.0 else value[1]) * velocity
-        else:
-            against += _cushion(kind, value[0], position - value[1])
-    return against
+class EndCushion(Effect):
+    """A spring, or one that hardens, before either end of the stroke."""
+
+    id = "end_cushion"
+    options = {"form": ("end", "start", "end-quadratic", "start-quadratic")}
+    stiffness = parameter("N/m", 0.0, 1e7, scale=2e4)
+    position = parameter("m", -5.0, 5.0, scale=0.01, neutral=0.0)
+
+    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
+        beyond = position - self.position
+        depth = np.fmax(beyond, 0.0) if self.form.startswith("end") else np.fmin(beyond, 0.0)
+        return self.stiffness * depth * (np.abs(depth) / QUADRATIC_DEPTH if "quadratic" in self.form else 1.0)
 
 
-@njit(cache=True)
-def _cushion(kind, stiffness, depth):
-    at_end = kind in (CUSHION_END, CUSHION_END_QUADRATIC)
-    depth = max(depth, 0.0) if at_end else min(depth, 0.0)
-    linear = kind in (CUSHION_END, CUSHION_START)
-    return stiffness * depth * (1.0 if linear else abs(depth) / QUADRATIC_DEPTH)
+class SpringHardening(Effect):
+    """A cubic part of the load's spring."""
+
+    id = "spring_hardening"
+    coefficient = parameter("N/m3", -1e11, 1e11, scale=1e7)
+
+    def load(self, force: Symbol, position: Symbol) -> Symbol:
+        deflection = position - self.at.numbers.spring_rest_position
+        return force + self.coefficient * deflection * deflection * deflection
 
 
-@njit(cache=True)
-def load(program, bench, memory, position):
-    """Force [N] of the load."""
-    deflection = position - bench.spring_rest_position
-    force = bench.spring_stiffness * deflection
-    for k in range(program.first[LOAD], program.first[LOAD + 1]):
-        kind, number = program.kind[k], program.value[k, 0]
-        if kind == HARDENING:
-            force += number * deflection * deflection * deflection
-        elif kind == GAP:
-            force -= bench.spring_stiffness * min(max(deflection, -0.5 * number), 0.5 * number)
-        else:
-            force -= bench.spring_stiffness * (position - _dragged(memory, position, number))
-    return force
+class Backlash(Effect):
+    """A gap around the spring's rest, in which it carries nothing."""
+
+    id = "backlash"
+    width = parameter("m", 0.0, 0.1, scale=1e-3)
+
+    def load(self, force: Symbol, position: Symbol) -> Symbol:
+        n, half = self.at.numbers, 0.5 * self.width
+        return force - n.spring_stiffness * clip(position - n.spring_rest_position, -half, half)
 
 
-@njit(cache=True)
-def _dragged(memory, position, width):
-    return min(max(memory.dragged, position - 0.5 * width), position + 0.5 * width)
+class BacklashPlay(Effect):
+    """Play in the linkage: the spring is dragged behind the piston, and lags by half the width at each reversal."""
+
+    id = "backlash"
+    options = {"form": ("play",)}
+    single = True
+    width = parameter("m", 0.0, 0.1, scale=1e-3)
+    dragged = hidden("m", scale=1e-2)
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"dragged": signals["piston_position"]}
+
+    def load(self, force: Symbol, position: Symbol) -> Symbol:
+        return force - self.at.numbers.spring_stiffness * (position - self._end(position))
+
+    def remember(self, position: Symbol, velocity: Symbol) -> None:
+        self.next["dragged"] = self._end(position)
+
+    def _end(self, position: Symbol) -> Symbol:
+        """Position [m] of the spring's end while the piston is at `position`."""
+        return clip(self.dragged, position - 0.5 * self.width, position + 0.5 * self.width)
 
 
-@njit(cache=True)
-def remember(program, memory, position, velocity):
-    """Take bristles and gap where a Runge-Kutta step has ended."""
-    for k in range(program.first[RESISTANCE], program.first[RESISTANCE + 1]):
-        if program.kind[k] == PRESLIDING:
-            memory.bristle = _bristle(memory, position, program.value[k, 0], _level(program, velocity))
-            memory.bristle_position = position
-    for k in range(program.first[LOAD], program.first[LOAD + 1]):
-        if program.kind[k] == PLAY:
-            memory.dragged = _dragged(memory, position, program.value[k, 0])
+EFFECTS = (
+    FrictionCoulomb, FrictionCoulombDirectional, FrictionStribeck, FrictionViscousDirectional, FrictionPresliding,
+    ForceOffset, EndCushion, SpringHardening, Backlash, BacklashPlay,
+)  # fmt: skip

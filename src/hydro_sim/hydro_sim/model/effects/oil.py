@@ -1,19 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supply, leaks and stiffness of the oil. Compiled. Source: Merritt 1967, sections 2-6 and 3-3."""
+"""Supply, leaks and stiffness of the oil. Source: Merritt 1967, sections 2-6 and 3-3."""
 
 from __future__ import annotations
 
-import math
+import numpy as np
 
-from numba import njit
-
-from hydro_sim.model.effects.record import FLOWS, STIFFNESS, SUPPLY
-
-INTERNAL, INTERNAL_ORIFICE, EXTERNAL_A, EXTERNAL_B = range(4)
-"""Kinds of FLOWS. Number: coefficient [m3/s/Pa]."""
-
-MODULUS, AIR = range(2)
-"""Kinds of STIFFNESS. Numbers: ratio | volume fraction, exponent."""
+from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.equations import Symbol, orifice
 
 MEETING_POINT = 5e6
 """Pa, where a leak through a sharp edge passes as much as a laminar one of the same coefficient."""
@@ -22,57 +15,92 @@ ATMOSPHERE = 101325.0
 """Pa, at which the free air's volume fraction is stated."""
 
 
-@njit(cache=True)
-def sag(program, demand):
-    """Pressure [Pa] that the supply lacks at a lagged `demand` [m3/s]."""
-    lacking = 0.0
-    for k in range(program.first[SUPPLY], program.first[SUPPLY + 1]):
-        lacking += program.value[k, 0] * demand
-    return lacking
+class SupplyDroop(Effect):
+    """The supply falls with the flow that leaves it, after a lag of first order."""
+
+    id = "supply_droop"
+    single = True
+    resistance = parameter("Pa s/m3", 0.0, 1e12, scale=1e9)
+    time_constant = parameter("s", 1e-3, 100.0, scale=0.05, neutral=0.05)
+    demand = hidden("m3/s", scale=1e-5, integrated=True)
+
+    def supply(self, pressure: Symbol) -> Symbol:
+        return pressure - self.resistance * self.demand
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        return {"demand": (drawn - self.demand) / self.time_constant}
 
 
-@njit(cache=True)
-def demand_rate(program, drawn, demand):
-    """d/dt [m3/s2] of the lagged demand while `drawn` [m3/s] leaves the supply."""
-    for k in range(program.first[SUPPLY], program.first[SUPPLY + 1]):
-        return (drawn - demand) / program.value[k, 1]
-    return 0.0
+class LeakageInternal(Effect):
+    """Laminar flow between the chambers."""
+
+    id = "leakage_internal"
+    coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13)
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        across = self.coefficient * (pressure_a - pressure_b)
+        return across, -across
 
 
-@njit(cache=True)
-def leaks(program, pressure_a, pressure_b, tank):
-    """Flow [m3/s] that leaves chamber A and chamber B by other ways than the valve."""
-    from_a, from_b = 0.0, 0.0
-    for k in range(program.first[FLOWS], program.first[FLOWS + 1]):
-        kind, coefficient, drop = program.kind[k], program.value[k, 0], pressure_a - pressure_b
-        if kind == EXTERNAL_A:
-            from_a += coefficient * (pressure_a - tank)
-        elif kind == EXTERNAL_B:
-            from_b += coefficient * (pressure_b - tank)
-        else:
-            if kind == INTERNAL_ORIFICE:
-                drop = math.copysign(math.sqrt(abs(drop) * MEETING_POINT), drop)
-            from_a += coefficient * drop
-            from_b -= coefficient * drop
-    return from_a, from_b
+class LeakageInternalOrifice(Effect):
+    """Flow between the chambers through a sharp edge."""
+
+    id = "leakage_internal"
+    options = {"form": ("orifice",)}
+    coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13)
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        across = orifice(self.coefficient * np.sqrt(MEETING_POINT), pressure_a - pressure_b)
+        return across, -across
 
 
-@njit(cache=True)
-def stiffness(program, modulus, pressure):
-    """Bulk modulus [Pa] at a pressure [Pa]."""
-    for k in range(program.first[STIFFNESS], program.first[STIFFNESS + 1]):
-        if program.kind[k] == MODULUS:
-            modulus *= program.value[k, 0]
-        else:
-            modulus = _with_air(modulus, pressure, program.value[k, 0], program.value[k, 1])
-    return modulus
+class LeakageExternal(Effect):
+    """Laminar flow from a chamber to the tank."""
+
+    id = "leakage_external"
+    options = {"chamber": ("a", "b")}
+    coefficient = parameter("m3/s/Pa", 0.0, 1e-9, scale=1e-13)
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        tank = self.at.numbers.tank_pressure
+        if self.chamber == "a":
+            return self.coefficient * (pressure_a - tank), 0.0
+        return 0.0, self.coefficient * (pressure_b - tank)
 
 
-@njit(cache=True)
-def _with_air(modulus, pressure, share, exponent):
+class BulkModulus(Effect):
+    """beta is another, whatever the pressure."""
+
+    id = "bulk_modulus"
+    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
+
+    def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
+        return modulus * self.ratio
+
+
+class EntrainedAir(Effect):
     """Volumes o of oil and g of polytropic air, compressed in parallel: (o + g) / (o / beta + g / (n p))."""
-    gauge = max(pressure, 0.0)
-    absolute = gauge + ATMOSPHERE
-    air = share * (ATMOSPHERE / absolute) ** (1.0 / exponent)
-    oil = (1.0 - share) * math.exp(-gauge / modulus)
-    return (oil + air) / (oil / modulus + air / (exponent * absolute))
+
+    id = "entrained_air"
+    exponent = 1.4
+    volume_fraction = parameter("-", 0.0, 0.5, scale=0.005)
+
+    def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
+        gauge = np.fmax(pressure, 0.0)
+        absolute = gauge + ATMOSPHERE
+        air = self.volume_fraction * np.exp(np.log(ATMOSPHERE / absolute) / self.exponent)
+        oil = (1.0 - self.volume_fraction) * np.exp(-gauge / modulus)
+        return (oil + air) / (oil / modulus + air / (self.exponent * absolute))
+
+
+class EntrainedAirIsothermal(EntrainedAir):
+    """Air that keeps its temperature: n = 1."""
+
+    options = {"form": ("isothermal",)}
+    exponent = 1.0
+
+
+EFFECTS = (
+    SupplyDroop, LeakageInternal, LeakageInternalOrifice, LeakageExternal, BulkModulus, EntrainedAir,
+    EntrainedAirIsothermal,
+)  # fmt: skip

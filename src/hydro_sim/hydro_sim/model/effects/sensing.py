@@ -1,50 +1,78 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What amplifiers and scales of the five sensors make of the truth, before noise. Compiled.
+"""What amplifiers and scales of the five sensors make of the truth, before noise.
 
-`raw` has the order of `model.sensors.RAW_FIELDS`. Low-passes come first, then gains and biases in the order of the
-bench file: a linear lag with a gain of one may change places with both.
+Low-passes come first, then gains and biases in the order of the bench file: a linear lag with a gain of one may change
+places with both.
 """
 
 from __future__ import annotations
 
-from numba import njit
+from collections.abc import Mapping
+from typing import Any
 
-from hydro_sim.model.effects.record import LAG, MEASURE
-
-RATIO, BIAS = range(2)
-"""Kinds of MEASURE. Numbers: ratio or bias, channel. An entry of LAG: F (4), early (2), late (2), channel."""
-
-CHANNEL = 8
-"""Where an entry of LAG keeps its channel."""
+from hydro_sim.model.effects import lags
+from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.equations import Symbol
 
 
-@njit(cache=True)
-def begin(program, memory, raw):
-    """Put the low-passes into equilibrium with true values `raw`, shape (5,)."""
-    for k in range(program.first[LAG], program.first[LAG + 1]):
-        signal = raw[int(program.value[k, CHANNEL])]
-        memory.lag[k, 0], memory.lag[k, 1], memory.input[k] = signal, 0.0, signal
+class SensorLag(Effect):
+    """A low-pass of second order, exact for a signal that is straight within a step."""
+
+    id = "sensor_lag"
+    options = {"sensor": ("hydraulic_force", "load_force", "pressure_a", "pressure_b")}
+    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0)
+    damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=0.7071)
+    signal = hidden("N or Pa", scale=10.0)
+    rate = hidden("N/s or Pa/s", scale=1e3)
+
+    def correct(self, n: Any) -> None:
+        if self.sensor == "load_force":  # takes the place of the amplifier that the bench file states
+            n.load_cell_bandwidth = None
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"signal": signals[self.sensor]}
+
+    def follow(self, channel: str, early: Symbol, late: Symbol) -> tuple[Symbol, Symbol]:
+        if channel != self.sensor:
+            return early, late
+        state = self.signal, self.rate
+        self.next["signal"], self.next["rate"] = lags.straight(
+            self.at, self.bandwidth, self.damping, state, early, late
+        )
+        return self.signal, self.next["signal"]
 
 
-@njit(cache=True)
-def follow(program, memory, raw):
-    """Move the low-passes on by one Runge-Kutta step, in which their inputs go straight to `raw`; overwrites it."""
-    for k in range(program.first[LAG], program.first[LAG + 1]):
-        value, lag, channel = program.value[k], memory.lag[k], int(program.value[k, CHANNEL])
-        early, late = memory.input[k], raw[channel]
-        position = value[0] * lag[0] + value[1] * lag[1] + value[4] * early + value[6] * late
-        lag[1] = value[2] * lag[0] + value[3] * lag[1] + value[5] * early + value[7] * late
-        lag[0], memory.input[k], raw[channel] = position, late, position
+class LoadCellGain(Effect):
+    """A load cell's scale is wrong."""
+
+    id = "load_cell_gain"
+    options = {"cell": ("hydraulic_force", "load_force")}
+    ratio = parameter("-", 0.01, 100.0, scale=0.05, neutral=1.0)
+
+    def show(self, channel: str, signal: Symbol) -> Symbol:
+        return signal * self.ratio if channel == self.cell else signal
 
 
-@njit(cache=True)
-def show(program, memory, raw):
-    """Make true values `raw`, shape (5,), into what the sensors show but for noise, in place."""
-    for k in range(program.first[LAG], program.first[LAG + 1]):
-        raw[int(program.value[k, CHANNEL])] = memory.lag[k, 0]
-    for k in range(program.first[MEASURE], program.first[MEASURE + 1]):
-        channel = int(program.value[k, 1])
-        if program.kind[k] == RATIO:
-            raw[channel] *= program.value[k, 0]
-        else:
-            raw[channel] += program.value[k, 0]
+class LoadCellBias(Effect):
+    """A load cell's zero is wrong."""
+
+    id = "load_cell_bias"
+    options = {"cell": ("hydraulic_force", "load_force")}
+    force = parameter("N", -5000.0, 5000.0, scale=5.0)
+
+    def show(self, channel: str, signal: Symbol) -> Symbol:
+        return signal + self.force if channel == self.cell else signal
+
+
+class PressureSensorBias(Effect):
+    """A pressure sensor's zero is wrong."""
+
+    id = "pressure_sensor_bias"
+    options = {"chamber": ("a", "b")}
+    pressure = parameter("Pa", -1e7, 1e7, scale=5e4)
+
+    def show(self, channel: str, signal: Symbol) -> Symbol:
+        return signal + self.pressure if channel == f"pressure_{self.chamber}" else signal
+
+
+EFFECTS = (SensorLag, LoadCellGain, LoadCellBias, PressureSensorBias)

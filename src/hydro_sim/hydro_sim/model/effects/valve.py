@@ -1,123 +1,179 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the valve current to the four edges: dead time, spool, overlap, gain, wear. Compiled.
+"""From the valve current to the four edges: dead time, spool, overlap, gain, wear.
 
-A Runge-Kutta step sees the spool's mean over the step: currents are held for a sample, so dead times and linear lags
-are exact on average. Sources: Merritt 1967, sections 5-3 to 5-6; the diagnosis' `effects.valve`, `.valve_dynamics`.
+A step sees the spool's mean over the step: currents are held for a sample, so dead times and linear lags are exact on
+average. Sources: Merritt 1967, sections 5-3 to 5-6; the diagnosis' `effects.valve`, `.valve_dynamics`.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Mapping
 
-from numba import njit
+import numpy as np
 
-from hydro_sim.model.effects.record import COMMAND, HISTORY, OPENINGS, SUBSTEPS
-
-DELAY, OFFSET, SECOND_ORDER, FIRST_ORDER, OVERLAP, OVERLAP_SOFT = range(6)
-"""Kinds of COMMAND. Numbers: none, dead times are the program's `delay` | current | see `effects.lags`, twice |
-widths on the positive and the negative side | width, softness."""
-
-GAIN, GAIN_NEGATIVE, GAIN_DRIFT, WEAR_EXPONENTIAL, WEAR_GAUSSIAN, WEAR_HYPERBOLIC, WEAR_LORENTZIAN = range(7)
-"""Kinds of OPENINGS. Numbers: ratio | ratio | rate | coefficient, width."""
+from hydro_sim.model.effects import lags
+from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.equations import Symbol, clip
 
 DRIFT_LOW, DRIFT_HIGH = 0.2, 5.0
 """Bounds of a gain that drifts with time: a simulation may run for hours."""
 
 
-@njit(cache=True)
-def begin(program, memory):
-    """Put the spool where no current holds it."""
-    memory.current[:] = 0.0
-    spool = 0.0
-    for k in range(program.first[COMMAND], program.first[COMMAND + 1]):
-        if program.kind[k] == OFFSET:
-            spool += program.value[k, 0]
-        memory.lag[k, 0], memory.lag[k, 1] = spool, 0.0
+class TransportDelay(Effect):
+    """Pure dead time on the command; the model keeps the past currents (`model.assembly`)."""
+
+    id = "transport_delay"
+    time = parameter("s", 0.0, 0.03, scale=2e-3)
 
 
-@njit(cache=True)
-def hold(program, memory, current):
-    """Note the current [A] of the sample that begins."""
-    if program.delay > 0.0:
-        for k in range(HISTORY - 1, 0, -1):
-            memory.current[k] = memory.current[k - 1]
-    memory.current[0] = current
+class ValveOffset(Effect):
+    """Null shift."""
+
+    id = "valve_offset"
+    current = parameter("A", -0.1, 0.1, scale=5e-4)
+
+    def command(self, spool: Symbol) -> Symbol:
+        return spool + self.current
 
 
-@njit(cache=True)
-def _delayed(program, memory, step):
-    """Mean current [A] over a step of the present sample, `delay` earlier."""
-    if program.delay == 0.0:
-        return memory.current[0]
-    width = 1.0 / SUBSTEPS
-    begin = step * width - program.delay
-    sample = math.floor(begin)
-    later = max(begin + width - sample - 1.0, 0.0) / width
-    age = -int(sample)
-    return memory.current[age] * (1.0 - later) + memory.current[max(age - 1, 0)] * later
+class ValveLag(Effect):
+    """Spool of second order, exact for a held current."""
+
+    id = "valve_lag"
+    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0)
+    damping = parameter("-", 0.1, 5.0, scale=0.5, neutral=1.0)
+    spool = hidden("A", scale=1e-3)
+    rate = hidden("A/s", scale=0.1)
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"spool": signals["spool"]}
+
+    def command(self, spool: Symbol) -> Symbol:
+        moved, mean = lags.held(self.at, self.bandwidth, self.damping, (self.spool, self.rate), spool)
+        self.next["spool"], self.next["rate"] = moved
+        return mean
 
 
-@njit(cache=True)
-def command(program, memory, step):
-    """Mean position of the spool [A] over Runge-Kutta step `step` of the present sample; moves its lags on."""
-    spool = _delayed(program, memory, step)
-    for k in range(program.first[COMMAND], program.first[COMMAND + 1]):
-        kind, value, lag = program.kind[k], program.value[k], memory.lag[k]
-        if kind == OFFSET:
-            spool += value[0]
-        elif kind == SECOND_ORDER:
-            mean = value[6] * lag[0] + value[7] * lag[1] + value[8] * spool
-            position = value[0] * lag[0] + value[1] * lag[1] + value[4] * spool
-            lag[1] = value[2] * lag[0] + value[3] * lag[1] + value[5] * spool
-            lag[0], spool = position, mean
-        elif kind == FIRST_ORDER:
-            before = lag[0]
-            lag[0] = spool + (before - spool) * value[0]
-            spool += (before - spool) * value[1]
-        elif kind == OVERLAP:
-            spool -= min(max(spool, -value[1]), value[0])
-        else:
-            spool = _softened(spool, value[0], value[1])
-    return spool
+class ValveLagFirstOrder(Effect):
+    """Spool of first order, exact for a held current."""
+
+    id = "valve_lag"
+    options = {"form": ("first_order",)}
+    bandwidth = parameter("Hz", 1.0, 2000.0, scale=100.0, neutral=2000.0)
+    spool = hidden("A", scale=1e-3)
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"spool": signals["spool"]}
+
+    def command(self, spool: Symbol) -> Symbol:
+        reach = self.at.once(2.0 * np.pi * self.bandwidth * self.at.step)
+        left = self.at.once(np.exp(-reach))
+        self.next["spool"] = spool + (self.spool - spool) * left
+        return spool + (self.spool - spool) * self.at.once((1.0 - left) / reach)
 
 
-@njit(cache=True)
-def _softened(spool, width, softness):
-    """Each side is a softplus of what exceeds the half width."""
-    return softness * (_softplus((spool - width) / softness) - _softplus((-spool - width) / softness))
+class ValveDeadband(Effect):
+    """Overlap, the same on both sides: nothing flows while the spool is within it."""
+
+    id = "valve_deadband"
+    late = True
+    half_width = parameter("A", 0.0, 0.1, scale=5e-4)
+
+    def command(self, spool: Symbol) -> Symbol:
+        return spool - clip(spool, -self.half_width, self.half_width)
 
 
-@njit(cache=True)
-def _softplus(ratio):
-    return max(ratio, 0.0) + math.log1p(math.exp(-abs(ratio)))
+class ValveDeadbandLopsided(Effect):
+    """Overlap, another on each side."""
+
+    id = "valve_deadband"
+    options = {"form": ("lopsided",)}
+    late = True
+    half_width = parameter("A", 0.0, 0.1, scale=5e-4)
+    half_width_negative = parameter("A", 0.0, 0.1, scale=5e-4)
+
+    def command(self, spool: Symbol) -> Symbol:
+        return spool - clip(spool, -self.half_width_negative, self.half_width)
 
 
-@njit(cache=True)
-def openings(program, valve_gain, spool, time):
-    """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out and of those that drive it back.
+class ValveDeadbandSoft(Effect):
+    """Overlap whose edges open gradually: each side is a softplus of what exceeds the half width."""
 
-    Supply-A and B-tank open together, and so do supply-B and A-tank; `time` in s since reset.
-    """
-    out, back = valve_gain * max(spool, 0.0), valve_gain * max(-spool, 0.0)
-    for k in range(program.first[OPENINGS], program.first[OPENINGS + 1]):
-        kind, value = program.kind[k], program.value[k]
-        if kind == GAIN:
-            out, back = out * value[0], back * value[0]
-        elif kind == GAIN_NEGATIVE:
-            back *= value[0]
-        elif kind == GAIN_DRIFT:
-            ratio = min(max(1.0 + value[0] * time, DRIFT_LOW), DRIFT_HIGH)
-            out, back = out * ratio, back * ratio
-        else:
-            wear = value[0] * _profile(kind, abs(spool) / value[1])
-            out, back = out + wear, back + wear
-    return out, back
+    id = "valve_deadband"
+    options = {"form": ("soft",)}
+    late = True
+    half_width = parameter("A", 0.0, 0.1, scale=5e-4)
+    softness = parameter("A", 1e-7, 0.1, scale=1e-4, neutral=1e-7)
+
+    def command(self, spool: Symbol) -> Symbol:
+        beyond, below = spool - self.half_width, -spool - self.half_width
+        return self.softness * (_softplus(beyond / self.softness) - _softplus(below / self.softness))
 
 
-@njit(cache=True)
-def _profile(kind, ratio):
-    if kind == WEAR_EXPONENTIAL:
-        return math.exp(-ratio)
-    if kind == WEAR_GAUSSIAN:
-        return math.exp(-ratio * ratio)
-    return 1.0 / (1.0 + ratio) if kind == WEAR_HYPERBOLIC else 1.0 / (1.0 + ratio * ratio)
+class ValveGain(Effect):
+    """K_v is another."""
+
+    id = "valve_gain"
+    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
+
+    def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
+        return out * self.ratio, back * self.ratio
+
+
+class ValveGainAsymmetry(Effect):
+    """K_v is another where the piston is driven back."""
+
+    id = "valve_gain_asymmetry"
+    ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
+
+    def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
+        return out, back * self.ratio
+
+
+class ValveGainDrift(Effect):
+    """K_v changes with time since reset."""
+
+    id = "valve_gain_drift"
+    rate = parameter("1/s", -1.0, 1.0, scale=0.01)
+    time = hidden("s", scale=10.0)
+
+    def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
+        self.next["time"] = self.time + self.at.step
+        ratio = clip(1.0 + self.rate * (self.time + 0.5 * self.at.step), DRIFT_LOW, DRIFT_HIGH)
+        return out * ratio, back * ratio
+
+
+class ValveNullLeakage(Effect):
+    """Worn edges leak around null, all four."""
+
+    id = "valve_null_leakage"
+    options = {"form": ("exponential", "gaussian", "hyperbolic", "lorentzian")}
+    all_edges = True
+    coefficient = parameter("m3/s/sqrt(Pa)", 0.0, 1e-6, scale=1e-10)
+    width = parameter("A", 1e-6, 0.1, scale=1e-3, neutral=1e-3)
+
+    def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
+        wear = self.coefficient * _profile(self.form, np.abs(spool) / self.width)
+        return out + wear, back + wear
+
+
+def _profile(form: str, ratio: Symbol) -> Symbol:
+    """Share of the wear that is left where the spool is `ratio` widths from null."""
+    match form:
+        case "exponential":
+            return np.exp(-ratio)
+        case "gaussian":
+            return np.exp(-ratio * ratio)
+        case "hyperbolic":
+            return 1.0 / (1.0 + ratio)
+    return 1.0 / (1.0 + ratio * ratio)
+
+
+def _softplus(ratio: Symbol) -> Symbol:
+    return np.fmax(ratio, 0.0) + np.log1p(np.exp(-np.abs(ratio)))
+
+
+EFFECTS = (
+    TransportDelay, ValveOffset, ValveLag, ValveLagFirstOrder, ValveDeadband, ValveDeadbandLopsided, ValveDeadbandSoft,
+    ValveGain, ValveGainAsymmetry, ValveGainDrift, ValveNullLeakage,
+)  # fmt: skip

@@ -1,0 +1,92 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* A box on Linux with a real serial port: linux_serial PORT [SECONDS].
+ *
+ * The bench is a stub that stands still: f_l 12.5 N, mid-stroke. Put your converters into read_sensors and hold_current.
+ * 2 Mbaud, 8N1, raw. Real time: run it by `chrt -f 80`, on a kernel with PREEMPT_RT where valves hang on it.
+ */
+#define _GNU_SOURCE
+#include <fcntl.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <termios.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "../hydro/box.h"
+
+#include "box_config.h"
+
+static void read_sensors(hydro_real raw[5])
+{
+    raw[0] = HYDRO_R(12.5);
+    raw[1] = HYDRO_R(12.5);
+    raw[2] = HYDRO_R(6.1e6);
+    raw[3] = HYDRO_R(9.9e6);
+    raw[4] = HYDRO_R(0.04);
+}
+
+static void hold_current(hydro_real ampere)
+{
+    (void)ampere;
+}
+
+static int open_port(const char *path)
+{
+    struct termios settings;
+    int port = open(path, O_RDWR | O_NOCTTY | O_NONBLOCK);
+    if (port < 0 || tcgetattr(port, &settings) != 0) {
+        perror(path);
+        exit(2);
+    }
+    cfmakeraw(&settings);
+    (void)cfsetspeed(&settings, B2000000);
+    if (tcsetattr(port, TCSANOW, &settings) != 0) {
+        perror(path);
+        exit(2);
+    }
+    return port;
+}
+
+int main(int argc, char **argv)
+{
+    static hydro_box box;
+    static hydro_rates rates;
+    hydro_real raw[5], measurement[HYDRO_MEASURED];
+    uint8_t in[4096], out[HYDRO_BURST_MAX];
+    struct timespec due;
+    unsigned long samples, tick;
+    int port;
+    if (argc < 2) {
+        fprintf(stderr, "usage: linux_serial PORT [SECONDS]\n");
+        return 2;
+    }
+    samples = argc > 2 ? 1000 * strtoul(argv[2], NULL, 10) : 0; /* 0: until it is ended */
+    port = open_port(argv[1]);
+    hydro_box_power_on(&box, &HYDRO_BOX_CONFIG, (uint32_t)time(NULL) | 1u);
+    hydro_rates_reset(&rates, &HYDRO_BOX_CONFIG);
+    clock_gettime(CLOCK_MONOTONIC, &due);
+    for (tick = 0; samples == 0 || tick < samples; tick++) {
+        ssize_t count = read(port, in, sizeof in);
+        size_t left, sent = 0;
+        if (count > 0) {
+            hydro_box_bytes(&box, in, (size_t)count);
+        }
+        read_sensors(raw);
+        hydro_differentiate(&rates, raw, measurement);
+        hold_current(hydro_box_tick(&box, measurement, (hydro_time)tick * HYDRO_PERIOD));
+        for (left = hydro_box_frames(&box, out); left > 0; left -= (size_t)count, sent += (size_t)count) {
+            count = write(port, out + sent, left);
+            if (count <= 0) {
+                break; /* nobody reads: the rest is dropped, and the decoder there finds the next frame */
+            }
+        }
+        due.tv_nsec += 1000000;
+        due.tv_sec += due.tv_nsec / 1000000000;
+        due.tv_nsec %= 1000000000;
+        (void)clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &due, NULL);
+    }
+    hold_current(HYDRO_R(0));
+    printf("%lu samples, %u commands taken, %u old or repeated, %u greetings\n", tick, (unsigned)box.taken,
+           (unsigned)box.stale, (unsigned)box.greetings);
+    return 0;
+}

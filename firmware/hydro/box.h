@@ -1,0 +1,194 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* A whole box: bytes of the line in, one sample each millisecond, bytes out.
+ *
+ *   line --hydro_box_bytes--> greeting, newest command
+ *   measurement --hydro_box_tick--> command taken in, watchdog, faults, arming, reference, force law --> valve current
+ *   hydro_box_frames --> HELLO and DETAILS after a greeting, STATE
+ */
+#ifndef HYDRO_BOX_H
+#define HYDRO_BOX_H
+
+#include "arming.h"
+#include "differentiation.h"
+#include "force_law.h"
+#include "guard.h"
+#include "reference.h"
+#include "stream.h"
+
+#define HYDRO_BURST_MAX (3 * HYDRO_FRAME_MAX) /* bytes that hydro_box_frames writes at most */
+
+typedef struct {
+    const hydro_config *config;
+    hydro_stream stream;
+    hydro_guard guard;
+    hydro_arming arming;
+    hydro_reference reference;
+    hydro_sample sample;       /* the last one */
+    hydro_real integral;       /* what the integrator carries: N/s, in the paper's form N s */
+    hydro_command now, next;   /* to be taken in at the coming tick, and at the one after */
+    bool has_now, has_next;
+    bool greeted;              /* a host greeted since the last tick: it disarms, and nothing overtakes that */
+    bool greeting;             /* a HELLO is to be sent */
+    uint32_t sequence, epoch, version, hellos;
+    uint32_t last_command, confirmed;
+    uint32_t taken, stale, greetings; /* commands taken, commands old or repeated, hosts that greeted */
+} hydro_box;
+
+static inline void hydro_box_power_on(hydro_box *box, const hydro_config *config, uint32_t epoch)
+{
+    box->config = config;
+    hydro_stream_reset(&box->stream);
+    hydro_guard_reset(&box->guard);
+    hydro_arming_reset(&box->arming);
+    hydro_reference_reset(&box->reference);
+    box->integral = HYDRO_R(0);
+    box->has_now = box->has_next = box->greeted = false;
+    box->greeting = true;
+    box->sequence = box->hellos = box->last_command = box->confirmed = 0;
+    box->epoch = epoch;
+    box->version = HYDRO_VERSION_MIN;
+    box->taken = box->stale = box->greetings = 0;
+}
+
+/* A host greets: a new conversation, which begins with the safe command. */
+static inline void hydro_box_greet(hydro_box *box, uint32_t version_max)
+{
+    static const hydro_command safe = {.reference = {.frequency = 1.0}};
+    box->guard.heard = false;
+    box->greeted = box->greeting = box->has_now = true;
+    box->has_next = false;
+    box->now = safe;
+    box->version = version_max >= HYDRO_VERSION_MAX ? HYDRO_VERSION_MAX : HYDRO_VERSION_MIN;
+    if (box->hellos == 0) {
+        box->hellos = 1; /* an answer, no power-on */
+    }
+    box->greetings++;
+}
+
+static inline void hydro_box_command(hydro_box *box, const hydro_body *body)
+{
+    hydro_command command;
+    if (!hydro_decode_command(body->sequence, body->payload, &command)) {
+        box->stream.bad++;
+    } else if (!hydro_in_order(&box->guard, command.sequence)) {
+        box->stale++;
+    } else if (box->greeted) {
+        box->next = command;
+        box->has_next = true;
+    } else {
+        box->now = command;
+        box->has_now = true;
+        box->last_command = command.sequence;
+        box->taken++;
+    }
+}
+
+/* Bytes of the line, as they come. */
+static inline void hydro_box_bytes(hydro_box *box, const uint8_t *data, size_t count)
+{
+    hydro_body body;
+    for (size_t i = 0; i < count; i++) {
+        if (!hydro_byte(&box->stream, data[i], &body)) {
+            continue;
+        }
+        if (body.kind == HYDRO_COMMAND) {
+            hydro_box_command(box, &body);
+        } else if (body.payload[2] == 0) {
+            hydro_box_greet(box, body.payload[1]);
+        }
+    }
+}
+
+/* The newest command becomes what the box does; the one behind a greeting waits for the next sample. */
+static inline void hydro_box_receive(hydro_box *box, hydro_time time)
+{
+    if (box->has_now) {
+        hydro_note_command(&box->arming, box->now.arm, box->now.filter_fresh, time);
+        (void)hydro_admit(&box->guard, box->config, &box->now, &box->reference.wanted);
+    }
+    box->confirmed = box->last_command;
+    box->has_now = box->has_next;
+    box->has_next = box->greeted = false;
+    if (box->has_now) {
+        box->now = box->next;
+        box->last_command = box->now.sequence;
+        box->taken++;
+    }
+}
+
+/* Reference, force law and saturation into `values`; whether the current stands at its limit. */
+static inline bool hydro_box_control(hydro_box *box, const hydro_real *measurement, bool late, hydro_time time)
+{
+    const hydro_config *config = box->config;
+    hydro_real *values = box->sample.values;
+    hydro_real force = measurement[config->feedback], limit = config->bench.valve_current_max;
+    hydro_real error, nominal, unlimited, current;
+    hydro_wave wanted;
+    values[HYDRO_CURRENT] = values[HYDRO_NOMINAL] = values[HYDRO_REFERENCE_RATE] = HYDRO_R(0);
+    values[HYDRO_REFERENCE] = force;
+    if (!box->arming.armed) {
+        return false;
+    }
+    wanted = hydro_advance(&box->reference, time);
+    error = wanted.value - force;
+    nominal = hydro_nominal_current(
+        config, measurement, error, hydro_action(config->integral_form, box->integral, values[HYDRO_KI]), wanted.rate,
+        values[HYDRO_KP]);
+    if (!hydro_finite(nominal)) { /* nothing that was admitted leads here; the valve must not depend on that */
+        box->arming.armed = false;
+        box->arming.tripped = true;
+        return false;
+    }
+    unlimited = late || time - box->arming.received_at > HYDRO_CORRECTION_HOLD ? nominal : nominal + box->guard.delta_u;
+    current = hydro_clamp(unlimited, -limit, limit);
+    box->integral = hydro_integrate(
+        config->integral_form, box->integral, error, values[HYDRO_KI], unlimited - current);
+    values[HYDRO_CURRENT] = current;
+    values[HYDRO_NOMINAL] = nominal;
+    values[HYDRO_REFERENCE] = wanted.value;
+    values[HYDRO_REFERENCE_RATE] = wanted.rate;
+    return current != unlimited;
+}
+
+/* One sample at box time [s]: the valve current [A] to hold until the next, finite and within its limit. */
+static inline hydro_real hydro_box_tick(hydro_box *box, const hydro_real *measurement, hydro_time time)
+{
+    const hydro_config *config = box->config;
+    hydro_real *values = box->sample.values;
+    bool late, saturated;
+    hydro_box_receive(box, time);
+    late = hydro_watch(&box->arming, config, time);
+    hydro_follow_disarm(&box->arming);
+    hydro_watch_sensors(&box->arming, config, measurement, time);
+    if (hydro_follow_arm(&box->arming, config, measurement, time)) {
+        box->integral = HYDRO_R(0);
+        hydro_begin(&box->reference, measurement[config->feedback], time);
+    }
+    box->sample.time = time;
+    box->sample.sequence = box->sequence++;
+    hydro_copy(values, measurement, HYDRO_MEASURED * sizeof *values);
+    values[HYDRO_KP] = late ? config->base_kp : config->base_kp + box->guard.delta_kp;
+    values[HYDRO_KI] = late ? config->base_ki : config->base_ki + box->guard.delta_ki;
+    saturated = hydro_box_control(box, measurement, late, time);
+    box->sample.flags = hydro_flags(&box->arming, late, saturated);
+    return values[HYDRO_CURRENT];
+}
+
+/* What goes up the line after a tick, at most HYDRO_BURST_MAX bytes; how many. */
+static inline size_t hydro_box_frames(hydro_box *box, uint8_t *out)
+{
+    uint64_t time_us = (uint64_t)(box->sample.time * 1e6 + 0.5);
+    size_t count = 0;
+    if (box->greeting) {
+        count = hydro_encode_hello(box->hellos, time_us, box->config, out);
+        if (box->version > HYDRO_VERSION_MIN) {
+            count += hydro_encode_details(box->hellos, time_us, box->epoch, box->config, out + count);
+        }
+        box->hellos++;
+        box->greeting = false;
+    }
+    return count
+           + hydro_encode_state(box->version, &box->sample, box->confirmed, box->guard.refused, out + count);
+}
+
+#endif

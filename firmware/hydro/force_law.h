@@ -1,0 +1,84 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The feedback-linearising force law with its integral; docs/manual/explanation/physics.md has h and g. */
+#ifndef HYDRO_FORCE_LAW_H
+#define HYDRO_FORCE_LAW_H
+
+#include "config.h"
+
+#define HYDRO_BUMPLESS 2u
+
+/* sqrt of a pressure drop [Pa], odd. */
+static inline hydro_real hydro_signed_sqrt(hydro_real drop)
+{
+    return drop < HYDRO_R(0) ? -HYDRO_SQRT(-drop) : HYDRO_SQRT(drop);
+}
+
+static inline hydro_real hydro_volume_a(const hydro_bench *bench, hydro_real position)
+{
+    return bench->dead_volume_a + bench->piston_area * position;
+}
+
+static inline hydro_real hydro_volume_b(const hydro_bench *bench, hydro_real position)
+{
+    return bench->dead_volume_b + bench->area_ratio * bench->piston_area * (bench->stroke - position);
+}
+
+/* h [N/s]: what moving does to the hydraulic force. */
+static inline hydro_real hydro_velocity_term(const hydro_bench *bench, hydro_real position, hydro_real velocity)
+{
+    hydro_real volume_a = hydro_volume_a(bench, position), volume_b = hydro_volume_b(bench, position);
+    hydro_real stiffness = bench->bulk_modulus * (bench->piston_area * bench->piston_area)
+                           * (HYDRO_R(1) / volume_a + bench->area_ratio * bench->area_ratio / volume_b);
+    return -stiffness * velocity;
+}
+
+/* g [N/s/A] for currents with the sign of `opening`. */
+static inline hydro_real hydro_input_gain(
+    const hydro_bench *bench, hydro_real position, hydro_real pressure_a, hydro_real pressure_b, hydro_real opening)
+{
+    hydro_real drop_a, drop_b, gain_a, gain_b;
+    if (opening >= HYDRO_R(0)) {
+        drop_a = bench->supply_pressure - pressure_a;
+        drop_b = pressure_b - bench->tank_pressure;
+    } else {
+        drop_a = pressure_a - bench->tank_pressure;
+        drop_b = bench->supply_pressure - pressure_b;
+    }
+    gain_a = bench->valve_gain * hydro_signed_sqrt(drop_a);
+    gain_b = bench->valve_gain * hydro_signed_sqrt(drop_b);
+    return bench->bulk_modulus * bench->piston_area
+           * (gain_a / hydro_volume_a(bench, position)
+              + bench->area_ratio * gain_b / hydro_volume_b(bench, position));
+}
+
+/* u_nom [A] before correction and saturation; `action` is I [N/s]. */
+static inline hydro_real hydro_nominal_current(
+    const hydro_config *config, const hydro_real *measurement, hydro_real error, hydro_real action,
+    hydro_real reference_rate, hydro_real proportional_gain)
+{
+    const hydro_bench *bench = &config->bench;
+    hydro_real position = hydro_clamp(measurement[6], HYDRO_R(0), bench->stroke);
+    hydro_real wanted = reference_rate + proportional_gain * error + action;
+    hydro_real driven = wanted - hydro_velocity_term(bench, position, measurement[7]);
+    hydro_real gain = hydro_input_gain(bench, position, measurement[4], measurement[5], driven);
+    return driven / hydro_max(gain, config->gain_floor);
+}
+
+/* I [N/s] of what the integrator carries. */
+static inline hydro_real hydro_action(uint32_t form, hydro_real integral, hydro_real integral_gain)
+{
+    return form == HYDRO_BUMPLESS ? integral : integral_gain * integral;
+}
+
+/* What the integrator carries after one period; it stands while K_i e would push a saturated current further out. */
+static inline hydro_real hydro_integrate(
+    uint32_t form, hydro_real integral, hydro_real error, hydro_real integral_gain, hydro_real beyond)
+{
+    hydro_real slope = integral_gain * error;
+    if (beyond * slope > HYDRO_R(0)) {
+        return integral;
+    }
+    return integral + (form == HYDRO_BUMPLESS ? slope : error) * HYDRO_R(HYDRO_PERIOD);
+}
+
+#endif

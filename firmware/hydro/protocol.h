@@ -1,0 +1,221 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Frames: bytes and values, COBS, CRC-32. The byte tables stand in docs/manual/reference/protocol.md. */
+#ifndef HYDRO_PROTOCOL_H
+#define HYDRO_PROTOCOL_H
+
+#include "config.h"
+
+#define HYDRO_VERSION_MIN 1u
+#define HYDRO_VERSION_MAX 2u
+#define HYDRO_ENCODED_MAX 160u /* bytes between two delimiters; more is noise */
+#define HYDRO_FRAME_MAX 112u   /* bytes of the longest frame that a box sends, delimiters included */
+#define HYDRO_HEADER 14u
+#define HYDRO_STATE_REALS 14
+
+enum { HYDRO_HELLO = 1, HYDRO_STATE = 2, HYDRO_COMMAND = 3, HYDRO_DETAILS = 4 };
+enum { HYDRO_HOLD = 0, HYDRO_SINE = 1, HYDRO_MULTISINE = 2, HYDRO_SMOOTH_STEP = 3 };
+
+enum {
+    HYDRO_ARMED = 1,
+    HYDRO_SATURATED = 2,
+    HYDRO_WATCHDOG = 4,
+    HYDRO_TRIPPED = 8,
+    HYDRO_SENSOR_FAULT = 16,
+    HYDRO_FORCE_LIMIT = 32,
+    HYDRO_FILTER_STALE = 64
+};
+
+/* A reference signal; `start` is the box time [s] at which its own time is 0. */
+typedef struct {
+    uint32_t waveform;
+    hydro_real amplitude, offset; /* N */
+    hydro_time frequency, phase;  /* Hz, rad */
+    hydro_time start;             /* s */
+} hydro_signal;
+
+/* One COMMAND. Numbers that are not finite have their bit in `broken`, and are 0 here. */
+typedef struct {
+    uint32_t sequence, corrects;
+    bool arm, filter_fresh;
+    uint32_t broken;                          /* bit 0 delta_kp, 1 delta_ki, 2 delta_u, 3 the reference */
+    hydro_real delta_kp, delta_ki, delta_u;   /* 1/s, 1/s^2, A */
+    hydro_signal reference;
+} hydro_command;
+
+/* One sample, laid out as hydro_bridge.signals.STATE_DTYPE where hydro_real is double. */
+typedef struct {
+    hydro_time time;
+    uint32_t sequence;
+    hydro_real values[HYDRO_STATE_REALS]; /* the measurement; current, nominal current; f_r, f_r'; K_p, K_i */
+    uint32_t flags;
+} hydro_sample;
+
+enum { HYDRO_CURRENT = 8, HYDRO_NOMINAL, HYDRO_REFERENCE, HYDRO_REFERENCE_RATE, HYDRO_KP, HYDRO_KI };
+
+static inline uint32_t hydro_crc(const uint8_t *data, size_t count)
+{
+    static const uint32_t table[16] = {
+        0x00000000u, 0x1DB71064u, 0x3B6E20C8u, 0x26D930ACu, 0x76DC4190u, 0x6B6B51F4u, 0x4DB26158u, 0x5005713Cu,
+        0xEDB88320u, 0xF00F9344u, 0xD6D6A3E8u, 0xCB61B38Cu, 0x9B64C2B0u, 0x86D3D2D4u, 0xA00AE278u, 0xBDBDF21Cu};
+    uint32_t crc = 0xFFFFFFFFu;
+    for (size_t i = 0; i < count; i++) {
+        crc = table[(crc ^ data[i]) & 15u] ^ (crc >> 4);
+        crc = table[(crc ^ (uint32_t)(data[i] >> 4)) & 15u] ^ (crc >> 4);
+    }
+    return crc ^ 0xFFFFFFFFu;
+}
+
+static inline uint32_t hydro_read32(const uint8_t *data)
+{
+    return (uint32_t)data[0] | (uint32_t)data[1] << 8 | (uint32_t)data[2] << 16 | (uint32_t)data[3] << 24;
+}
+
+static inline void hydro_write32(uint8_t *data, uint32_t value)
+{
+    for (int i = 0; i < 4; i++) {
+        data[i] = (uint8_t)(value >> 8 * i & 0xFFu);
+    }
+}
+
+static inline void hydro_write64(uint8_t *data, uint64_t value)
+{
+    hydro_write32(data, (uint32_t)(value & 0xFFFFFFFFu));
+    hydro_write32(data + 4, (uint32_t)(value >> 32));
+}
+
+/* COBS in place: `data` of `count` bytes without delimiters becomes the bytes that it stands for; their number, or 0. */
+static inline size_t hydro_unstuff(uint8_t *data, size_t count)
+{
+    size_t read = 0, written = 0;
+    while (read < count) {
+        uint8_t code = data[read++];
+        if (code == 0 || code - 1u > count - read) {
+            return 0;
+        }
+        for (uint8_t i = 1; i < code; i++) {
+            data[written++] = data[read++];
+        }
+        if (code != 0xFF && read < count) {
+            data[written++] = 0;
+        }
+    }
+    return written;
+}
+
+/* A whole frame of `count` bytes of body, fewer than 250, into `out` with its delimiters; how many bytes it has. */
+static inline size_t hydro_wrap(uint8_t *body, size_t count, uint8_t *out)
+{
+    size_t written = 2, code = 1;
+    hydro_write32(body + count, hydro_crc(body, count));
+    out[0] = 0;
+    for (size_t i = 0; i < count + 4; i++) {
+        if (body[i] != 0) {
+            out[written++] = body[i];
+        } else {
+            out[code] = (uint8_t)(written - code);
+            code = written++;
+        }
+    }
+    out[code] = (uint8_t)(written - code);
+    out[written++] = 0;
+    return written;
+}
+
+static inline void hydro_head(uint8_t *body, uint8_t version, uint8_t kind, uint32_t sequence, uint64_t time_us)
+{
+    body[0] = version;
+    body[1] = kind;
+    hydro_write32(body + 2, sequence);
+    hydro_write64(body + 6, time_us);
+}
+
+static inline size_t hydro_encode_state(
+    uint32_t version, const hydro_sample *sample, uint32_t last_command, const uint32_t refused[2], uint8_t *out)
+{
+    uint8_t body[HYDRO_HEADER + 72 + 4];
+    uint8_t *at = body + HYDRO_HEADER;
+    hydro_head(body, (uint8_t)version, HYDRO_STATE, sample->sequence, (uint64_t)(sample->time * 1e6 + 0.5));
+    for (int i = 0; i < HYDRO_STATE_REALS; i++, at += 4) {
+        hydro_write32(at, hydro_bits(sample->values[i]));
+    }
+    hydro_write32(at, sample->flags);
+    hydro_write32(at + 4, last_command);
+    hydro_write32(at + 8, refused[0]);
+    hydro_write32(at + 12, refused[1]);
+    return hydro_wrap(body, version == 1u ? HYDRO_HEADER + 64 : HYDRO_HEADER + 72, out);
+}
+
+static inline size_t hydro_encode_hello(uint32_t sequence, uint64_t time_us, const hydro_config *config, uint8_t *out)
+{
+    uint8_t body[HYDRO_HEADER + 72 + 4];
+    uint8_t *at = body + HYDRO_HEADER;
+    const hydro_real numbers[9] = {
+        config->bench.valve_current_max, config->base_kp, config->base_ki, config->delta_kp_min, config->delta_kp_max,
+        config->delta_ki_min, config->delta_ki_max, config->delta_u_max, HYDRO_R(HYDRO_PERIOD)};
+    hydro_head(body, 0, HYDRO_HELLO, sequence, time_us);
+    at[0] = HYDRO_VERSION_MIN;
+    at[1] = HYDRO_VERSION_MAX;
+    at[2] = 1;
+    at[3] = (uint8_t)config->integral_form;
+    hydro_copy(at + 4, config->name, sizeof config->name);
+    for (int i = 0; i < 9; i++) {
+        hydro_write32(at + 36 + 4 * i, hydro_bits(numbers[i]));
+    }
+    return hydro_wrap(body, HYDRO_HEADER + 72, out);
+}
+
+static inline size_t hydro_encode_details(
+    uint32_t sequence, uint64_t time_us, uint32_t epoch, const hydro_config *config, uint8_t *out)
+{
+    uint8_t body[HYDRO_HEADER + 60 + 4];
+    uint8_t *at = body + HYDRO_HEADER;
+    const hydro_real numbers[10] = {
+        config->load_force_limit, config->force_range, config->low[4], config->high[4], config->low[6],
+        config->high[6], HYDRO_R(config->hold_timeout), HYDRO_R(config->trip_timeout), config->force_rate_age,
+        config->velocity_age};
+    hydro_head(body, 2, HYDRO_DETAILS, sequence, time_us);
+    hydro_write32(at, epoch);
+    hydro_copy(at + 4, config->digest, sizeof config->digest);
+    at[16] = config->feedback == 2u ? 1 : 2;
+    at[17] = at[18] = at[19] = 0;
+    for (int i = 0; i < 10; i++) {
+        hydro_write32(at + 20 + 4 * i, hydro_bits(numbers[i]));
+    }
+    return hydro_wrap(body, HYDRO_HEADER + 60, out);
+}
+
+/* A finite float32 of the line; one that is not finite gives 0 and sets `bit` of `broken`. */
+static inline float hydro_take_real(const uint8_t *data, uint32_t bit, uint32_t *broken)
+{
+    uint32_t bits = hydro_read32(data);
+    float value;
+    if (!hydro_finite_bits(bits)) {
+        *broken |= bit;
+        return 0.0f;
+    }
+    hydro_copy(&value, &bits, sizeof value);
+    return value;
+}
+
+/* Payload of a COMMAND, 40 bytes; false if its waveform is none. */
+static inline bool hydro_decode_command(uint32_t sequence, const uint8_t *data, hydro_command *command)
+{
+    uint32_t bits = hydro_read32(data);
+    command->sequence = sequence;
+    command->arm = (bits & 1u) != 0;
+    command->filter_fresh = (bits & 2u) != 0;
+    command->corrects = hydro_read32(data + 4);
+    command->broken = 0;
+    command->delta_kp = hydro_take_real(data + 8, 1u, &command->broken);
+    command->delta_ki = hydro_take_real(data + 12, 2u, &command->broken);
+    command->delta_u = hydro_take_real(data + 16, 4u, &command->broken);
+    command->reference.waveform = hydro_read32(data + 20);
+    command->reference.amplitude = hydro_take_real(data + 24, 8u, &command->broken);
+    command->reference.offset = hydro_take_real(data + 28, 8u, &command->broken);
+    command->reference.frequency = hydro_take_real(data + 32, 8u, &command->broken);
+    command->reference.phase = hydro_take_real(data + 36, 8u, &command->broken);
+    command->reference.start = 0.0;
+    return command->reference.waveform <= HYDRO_SMOOTH_STEP;
+}
+
+#endif

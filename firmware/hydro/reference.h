@@ -1,0 +1,124 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The force to track: waveforms with exact derivatives, and a cross-fade of 0.3 s between them. */
+#ifndef HYDRO_REFERENCE_H
+#define HYDRO_REFERENCE_H
+
+#include "protocol.h"
+
+#define HYDRO_FADE 0.3   /* s */
+#define HYDRO_EDGE 0.125 /* of a period, length of a smooth step's edge */
+
+/* `coming` fades in over `leaving` from `fade_start` on; `wanted` is what was last asked for. */
+typedef struct {
+    hydro_signal leaving, coming, wanted;
+    hydro_time fade_start;
+} hydro_reference;
+
+/* f_r [N] and f_r' [N/s]. */
+typedef struct {
+    hydro_real value, rate;
+} hydro_wave;
+
+static inline hydro_wave hydro_multisine(hydro_time angle, hydro_time phase)
+{
+    static const hydro_time ratios[4] = {1.0, 1.7320508075688772, 2.6457513110645907, 3.605551275463989};
+    static const hydro_time weights[4] = {
+        0.44789526038332517, 0.2585924491510704, 0.1692884960541141, 0.1242237944114903};
+    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0)};
+    for (int i = 0; i < 4; i++) {
+        hydro_real inner = hydro_turned(ratios[i] * angle + (hydro_time)(i + 1) * phase);
+        shape.value += (hydro_real)weights[i] * HYDRO_SIN(inner);
+        shape.rate += (hydro_real)(weights[i] * ratios[i]) * HYDRO_COS(inner);
+    }
+    return shape;
+}
+
+static inline hydro_wave hydro_smooth_step(hydro_time angle)
+{
+    hydro_time turn = hydro_fraction(angle / (2.0 * HYDRO_PI));
+    hydro_real side = turn < 0.5 ? HYDRO_R(1) : HYDRO_R(-1);
+    hydro_wave shape = {side, HYDRO_R(0)};
+    hydro_real edge;
+    while (turn >= 0.5) {
+        turn -= 0.5;
+    }
+    if (turn / HYDRO_EDGE < 1.0) {
+        edge = (hydro_real)(HYDRO_PI * (turn / HYDRO_EDGE));
+        shape.value = -side * HYDRO_COS(edge);
+        shape.rate = side * HYDRO_SIN(edge) / HYDRO_R(2.0 * HYDRO_EDGE);
+    }
+    return shape;
+}
+
+/* Value and rate of one signal at box time [s]. */
+static inline hydro_wave hydro_play(const hydro_signal *signal, hydro_time time)
+{
+    hydro_time omega = 2.0 * HYDRO_PI * signal->frequency;
+    hydro_time angle = omega * (time - signal->start);
+    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0)}, result;
+    if (signal->waveform == HYDRO_SINE) {
+        hydro_real turned = hydro_turned(angle + signal->phase);
+        shape.value = HYDRO_SIN(turned);
+        shape.rate = HYDRO_COS(turned);
+    } else if (signal->waveform == HYDRO_MULTISINE) {
+        shape = hydro_multisine(angle, signal->phase);
+    } else if (signal->waveform == HYDRO_SMOOTH_STEP) {
+        shape = hydro_smooth_step(angle + signal->phase);
+    }
+    result.value = signal->offset + signal->amplitude * shape.value;
+    result.rate = signal->amplitude * (hydro_real)omega * shape.rate;
+    return result;
+}
+
+static inline void hydro_take_up(hydro_reference *reference, hydro_time time)
+{
+    reference->coming = reference->wanted;
+    reference->coming.start = time;
+    reference->fade_start = time;
+}
+
+/* Start the wanted signal from a held force [N]: value and rate begin at (force, 0). */
+static inline void hydro_begin(hydro_reference *reference, hydro_real force, hydro_time time)
+{
+    reference->leaving.waveform = HYDRO_HOLD;
+    reference->leaving.amplitude = HYDRO_R(0);
+    reference->leaving.offset = force;
+    hydro_take_up(reference, time);
+}
+
+static inline void hydro_reference_reset(hydro_reference *reference)
+{
+    const hydro_signal still = {HYDRO_HOLD, HYDRO_R(0), HYDRO_R(0), 1.0, 0.0, 0.0};
+    reference->leaving = reference->wanted = still;
+    hydro_begin(reference, HYDRO_R(0), 0.0);
+}
+
+static inline bool hydro_same(const hydro_signal *one, const hydro_signal *other)
+{
+    return one->waveform == other->waveform && one->amplitude == other->amplitude && one->offset == other->offset
+           && one->frequency == other->frequency && one->phase == other->phase;
+}
+
+/* f_r and f_r' at box time [s]; a fade that has ended gives way to what is wanted by now. */
+static inline hydro_wave hydro_advance(hydro_reference *reference, hydro_time time)
+{
+    hydro_wave wave, old;
+    hydro_real share, blend, blend_rate;
+    if (time - reference->fade_start >= HYDRO_FADE && !hydro_same(&reference->wanted, &reference->coming)) {
+        reference->leaving = reference->coming;
+        hydro_take_up(reference, time);
+    }
+    wave = hydro_play(&reference->coming, time);
+    share = (hydro_real)((time - reference->fade_start) / HYDRO_FADE);
+    if (share >= HYDRO_R(1)) {
+        return wave;
+    }
+    old = hydro_play(&reference->leaving, time);
+    blend = share * share * (HYDRO_R(3) - HYDRO_R(2) * share);
+    blend_rate = HYDRO_R(6) * share * (HYDRO_R(1) - share) / HYDRO_R(HYDRO_FADE);
+    wave.rate = (HYDRO_R(1) - blend) * old.rate + blend * wave.rate + blend_rate * (wave.value - old.value);
+    wave.value = (HYDRO_R(1) - blend) * old.value + blend * wave.value;
+    return wave;
+}
+
+#endif

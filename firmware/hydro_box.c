@@ -1,0 +1,82 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* The box as a shared library, for the emulator and the tests. The caller gives the memory. */
+#include "hydro/box.h"
+
+size_t hydro_c_box_size(void)
+{
+    return sizeof(hydro_box);
+}
+
+size_t hydro_c_config_size(void)
+{
+    return sizeof(hydro_config);
+}
+
+void hydro_c_power_on(hydro_box *box, const hydro_config *config, uint32_t epoch)
+{
+    hydro_box_power_on(box, config, epoch);
+}
+
+void hydro_c_bytes(hydro_box *box, const uint8_t *data, size_t count)
+{
+    hydro_box_bytes(box, data, count);
+}
+
+void hydro_c_tick(hydro_box *box, const double *measurement, double time, hydro_sample *sample)
+{
+    hydro_real values[HYDRO_MEASURED];
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        values[i] = (hydro_real)measurement[i];
+    }
+    (void)hydro_box_tick(box, values, time);
+    *sample = box->sample;
+}
+
+size_t hydro_c_frames(hydro_box *box, uint8_t *out)
+{
+    return hydro_box_frames(box, out);
+}
+
+void hydro_c_counts(const hydro_box *box, uint32_t counts[6])
+{
+    counts[0] = box->taken;
+    counts[1] = box->stale;
+    counts[2] = box->greetings;
+    counts[3] = box->guard.refused[0];
+    counts[4] = box->guard.refused[1];
+    counts[5] = box->last_command;
+}
+
+/* Value and rate of a signal that began at 0. */
+void hydro_c_play(const hydro_signal *signal, double time, double out[2])
+{
+    hydro_wave wave = hydro_play(signal, time);
+    out[0] = wave.value;
+    out[1] = wave.rate;
+}
+
+size_t hydro_c_rates_size(void)
+{
+    return sizeof(hydro_rates);
+}
+
+void hydro_c_rates_reset(hydro_rates *rates, const hydro_config *config)
+{
+    hydro_rates_reset(rates, config);
+}
+
+/* Readings, 5, into the measurement, 8. */
+void hydro_c_differentiate(hydro_rates *rates, const double *raw, double *measurement)
+{
+    hydro_real readings[5], values[HYDRO_MEASURED];
+    for (int i = 0; i < 5; i++) {
+        readings[i] = (hydro_real)raw[i];
+    }
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        values[i] = (hydro_real)measurement[i];
+    }
+    hydro_differentiate(rates, readings, values);
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        measurement[i] = values[i];
+    }
+}

@@ -1,0 +1,28 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Runs samples of one kind, for counting: operations KIND SAMPLES. A COMMAND comes in and a STATE goes out with each. */
+#include "check.h"
+
+int main(int argc, char **argv)
+{
+    static const char *const kinds[6] = {"hold", "sine", "multisine", "smooth_step", "fade", "disarmed"};
+    static hydro_box box;
+    const float gains[3] = {10.0f, 1.0f, 0.001f};
+    uint8_t payload[40], wire[HYDRO_ENCODED_MAX], out[HYDRO_BURST_MAX];
+    uint32_t kind = 0, samples = argc > 2 ? (uint32_t)strtoul(argv[2], NULL, 10) : 1000;
+    CHECK(argc > 2);
+    while (kind < 6 && strcmp(argv[1], kinds[kind]) != 0) {
+        kind++;
+    }
+    CHECK(kind < 6);
+    hydro_box_power_on(&box, &CONFIG, 1);
+    for (uint32_t k = 0; k < samples + 400; k++) {
+        /* the fade that costs most: a new multisine while the last one leaves, again and again */
+        float shape[4] = {kind == 0 ? 0.0f : 100.0f, kind == 4 ? (float)(k / 300 % 2) : 0.0f, 1.1f, 0.3f};
+        host_command(payload, kind == 5 || k == 0 ? 0u : 3u, gains, kind == 4 ? HYDRO_MULTISINE : kind % 5, shape);
+        hydro_box_bytes(&box, wire, host_frame(1, HYDRO_COMMAND, k + 1, payload, 40, wire));
+        (void)hydro_box_tick(&box, STILL, k * HYDRO_PERIOD);
+        (void)hydro_box_frames(&box, out);
+    }
+    CHECK(kind == 5 || (box.sample.flags & HYDRO_ARMED) != 0);
+    return 0;
+}

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is said of a box at each connection: which limits it narrows, and what a box of version 1 cannot tell."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+from hydro_bridge.safety.guard import GuardSettings, narrowed
+from hydro_bridge.serial.frames import BoxDetails, BoxInfo
+
+NO_DETAILS = "the box says that it speaks protocol version 2 and sends no DETAILS behind its HELLO: no command is sent"
+
+MISSED = (
+    "the box speaks protocol version 1: it cannot tell its force and sensor limits, which bench it believes, which "
+    "references it refused, and a restart whose HELLO was lost is seen by its sequence only"
+)
+
+
+def remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None) -> list[str]:
+    """Sentences for the log; none of a box of version 2 that allows all that the guard was set to."""
+    said = [] if details else [MISSED]
+    allowed = narrowed(wanted, info)
+    changed = [
+        f"{entry.name} {getattr(wanted, entry.name):g} -> {getattr(allowed, entry.name):g}"
+        for entry in fields(wanted)
+        if getattr(wanted, entry.name) != getattr(allowed, entry.name)
+    ]
+    if changed:
+        said.append(f"the box narrows the guard: {', '.join(changed)}")
+    if details and 0.0 < details.force_range < wanted.reference_force_max:
+        said.append(
+            f"the box refuses references beyond {details.force_range:g} N, the guard those beyond "
+            f"{wanted.reference_force_max:g} N"
+        )
+    if details and 0.0 < details.load_force_limit < wanted.reference_force_max:
+        said.append(
+            f"the box trips beyond a load force of {details.load_force_limit:g} N, the guard takes references up to "
+            f"{wanted.reference_force_max:g} N"
+        )
+    return said

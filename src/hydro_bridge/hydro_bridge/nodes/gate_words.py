@@ -1,0 +1,58 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a plant node's gate says: who commands, on /hydro/authority; and in the log what was done and refused."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from rclpy.node import Node
+
+from hydro_bridge.ros import AUTHORITY, AUTHORITY_QOS, CORRECTION
+from hydro_bridge.safety.authority import Authority
+from hydro_msgs.msg import Authority as AuthorityMessage
+
+_NEWCOMERS = 50
+"""Corrections a second without the epoch that are not told: those of a filter that has not heard of it yet."""
+
+
+class GateWords:
+    """The words on one authority.
+
+    Parameters
+    ----------
+    node
+        The plant's.
+    authority
+        What is told of.
+    """
+
+    def __init__(self, node: Node, authority: Authority) -> None:
+        self._node, self._authority = node, authority
+        self._publisher = node.create_publisher(AuthorityMessage, AUTHORITY, AUTHORITY_QOS)
+        self._told: Counter[str] = Counter()
+        self._last = ""
+
+    def tell(self) -> None:
+        """Publish who commands, and the epoch that commands must carry now."""
+        authority = self._authority
+        message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
+        message.header.stamp = self._node.get_clock().now().to_msg()
+        self._publisher.publish(message)
+
+    def tell_refused(self) -> None:
+        """Log how many commands were refused since the last call, and who publishes these topics."""
+        news = self._authority.refused - self._told
+        self._told = self._authority.refused.copy()
+        if news[CORRECTION] <= _NEWCOMERS:
+            del news[CORRECTION]
+        for topic, count in news.items():
+            names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
+            self._node.get_logger().warning(
+                f"refused: {count} of {topic} without the authority over this plant (from {', '.join(names) or 'gone'})"
+            )
+
+    def say(self, sentence: str) -> None:
+        """Log a sentence once: some ask again and again."""
+        if sentence != self._last:
+            self._node.get_logger().info(sentence)
+        self._last = sentence

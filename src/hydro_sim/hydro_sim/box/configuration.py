@@ -1,0 +1,98 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The configuration of the box in C (firmware/hydro/config.h), as a structure for the library and as a header."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.sensors import Sensors
+
+BENCH_FIELDS = (
+    "bulk_modulus",
+    "piston_area",
+    "area_ratio",
+    "stroke",
+    "supply_pressure",
+    "tank_pressure",
+    "dead_volume_a",
+    "dead_volume_b",
+    "valve_gain",
+    "valve_current_max",
+)
+REAL_FIELDS = (
+    "base_kp",
+    "base_ki",
+    "delta_kp_min",
+    "delta_kp_max",
+    "delta_ki_min",
+    "delta_ki_max",
+    "delta_u_max",
+    "load_force_limit",
+    "gain_floor",
+    "force_range",
+)
+"""Numbers of the box in the order of `hydro_config`, behind those of the bench."""
+
+
+def structure(real: type[Any]) -> type[ctypes.Structure]:
+    """`hydro_config` with numbers of `ctypes.c_double` or `ctypes.c_float`."""
+    fields = [(name, real) for name in BENCH_FIELDS + REAL_FIELDS]
+    fields += [("low", real * 8), ("high", real * 8), ("force_rate_age", real), ("velocity_age", real)]
+    fields += [("hold_timeout", ctypes.c_double), ("trip_timeout", ctypes.c_double)]
+    fields += [("feedback", ctypes.c_uint32), ("integral_form", ctypes.c_uint32)]
+    fields += [("name", ctypes.c_uint8 * 32), ("digest", ctypes.c_uint8 * 12)]
+    return type("HydroConfig", (ctypes.Structure,), {"_fields_": fields})
+
+
+def values(bench: Bench, config: BoxConfig, sensors: Sensors, name: str) -> dict[str, Any]:
+    """What a box of these settings is configured by, by the fields of `hydro_config`; the bench's stand beside them."""
+    believed, settings = bench.constants()[0], config.constants(bench)[0]
+    result: dict[str, Any] = {field: float(believed[field]) for field in BENCH_FIELDS}
+    result |= {field: float(settings[field]) for field in REAL_FIELDS if field != "force_range"}
+    result |= {"low": [float(x) for x in settings["low"]], "high": [float(x) for x in settings["high"]]}
+    result["force_range"] = result["high"][int(settings["feedback_channel"])]
+    result |= {"force_rate_age": sensors.force_rate_age, "velocity_age": sensors.velocity_age}
+    result |= {"hold_timeout": config.hold_timeout, "trip_timeout": config.trip_timeout}
+    result |= {"feedback": int(settings["feedback_channel"]), "integral_form": INTEGRAL_FORMS.index(config.integral)}
+    result |= {"name": name.encode()[:32].ljust(32, b"\0"), "digest": bench.digest.encode()[:12].ljust(12, b"\0")}
+    return result
+
+
+def filled(kind: type[ctypes.Structure], numbers: dict[str, Any]) -> ctypes.Structure:
+    """A structure of `values`."""
+    record = kind()
+    for field, _ in kind._fields_:  # type: ignore[misc]
+        value = numbers[field]
+        if isinstance(value, list | bytes):
+            getattr(record, field)[:] = value
+        else:
+            setattr(record, field, value)
+    return record
+
+
+def header(numbers: dict[str, Any]) -> str:
+    """The configuration as a C header that defines `HYDRO_BOX_CONFIG`; decimals that give the same double back."""
+    lines = [
+        "    .bench = {",
+        *(f"        .{field} = HYDRO_R({numbers[field]!r})," for field in BENCH_FIELDS),
+        "    },",
+    ]
+    lines += [f"    .{field} = HYDRO_R({numbers[field]!r})," for field in REAL_FIELDS]
+    for field in ("low", "high"):
+        lines.append(f"    .{field} = {{{', '.join(f'HYDRO_R({x!r})' for x in numbers[field])}}},")
+    lines += [f"    .{field} = HYDRO_R({numbers[field]!r})," for field in ("force_rate_age", "velocity_age")]
+    lines += [f"    .{field} = {numbers[field]!r}," for field in ("hold_timeout", "trip_timeout")]
+    lines += [f"    .{field} = {numbers[field]}u," for field in ("feedback", "integral_form")]
+    for field in ("name", "digest"):
+        lines.append(f"    .{field} = {{{', '.join(str(byte) for byte in numbers[field])}}},")
+    name, digest = (numbers[field].rstrip(b"\0").decode() for field in ("name", "digest"))
+    return (
+        "/* SPDX-License-Identifier: Apache-2.0 */\n"
+        f"/* Written by `ros2 run hydro_sim box_header` for the bench {digest}, box {name}. */\n"
+        '#ifndef HYDRO_BOX_CONFIG_H\n#define HYDRO_BOX_CONFIG_H\n\n#include "hydro/config.h"\n\n'
+        "static const hydro_config HYDRO_BOX_CONFIG = {\n" + "\n".join(lines) + "\n};\n\n#endif\n"
+    )

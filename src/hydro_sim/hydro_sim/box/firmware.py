@@ -1,0 +1,137 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The box in C (`firmware/`) as a shared library: bytes of the line in, one sample each millisecond, bytes out.
+
+`make setup` builds it in double and in single precision as the package hydro_firmware.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_bridge.settings import SettingsError
+from hydro_bridge.signals import STATE_DTYPE, FloatArray, StateArray
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.box.configuration import filled, structure, values
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.sensors import Sensors
+
+Precision = Literal["double", "single"]
+NAME = "hydro firmware"
+"""What the box in C calls itself on the line."""
+
+SINGLE_DTYPE = np.dtype(
+    [(name, np.float32 if index > 1 and name != "flags" else STATE_DTYPE[name]) for index, name in
+     enumerate(STATE_DTYPE.names or ())], align=True,
+)  # fmt: skip
+"""`hydro_sample` of the library in single precision."""
+
+_BURST_MAX = 336
+_COUNTS = ("taken", "stale", "greetings", "refused", "refused_references", "last_command")
+
+
+def library_path(precision: Precision) -> Path:
+    """Where set-up put the library.
+
+    Raises
+    ------
+    SettingsError
+        It is not there.
+    """
+    name = f"libhydro_box_{precision}.so"
+    prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
+    for prefix in filter(None, prefixes):
+        if (path := Path(prefix, "lib", name)).is_file():
+            return path
+    raise SettingsError(f"{name} is not built: run `make setup`, and `source install/setup.bash`")
+
+
+@cache
+def _library(precision: Precision) -> ctypes.CDLL:
+    library = ctypes.CDLL(str(library_path(precision)))
+    for function in ("hydro_c_box_size", "hydro_c_config_size", "hydro_c_frames", "hydro_c_rates_size"):
+        getattr(library, function).restype = ctypes.c_size_t
+    return library
+
+
+class Firmware:
+    """One box in C, on from its power-on.
+
+    Parameters
+    ----------
+    bench, config, sensors
+        What it believes, its settings, and the ages of its rates.
+    precision
+        Of its numbers.
+    epoch
+        Of its power-on.
+    name
+        What it calls itself.
+    """
+
+    def __init__(
+        self,
+        bench: Bench,
+        config: BoxConfig | None = None,
+        sensors: Sensors | None = None,
+        precision: Precision = "double",
+        epoch: int = 1,
+        name: str = NAME,
+    ) -> None:
+        self._c = _library(precision)
+        kind = structure(ctypes.c_float if precision == "single" else ctypes.c_double)
+        if ctypes.sizeof(kind) != self._c.hydro_c_config_size():
+            raise SettingsError("the built firmware is of another version: run `make setup`")
+        self._config = filled(kind, values(bench, config or BoxConfig(), sensors or Sensors(), name))
+        self._box = ctypes.create_string_buffer(self._c.hydro_c_box_size())
+        self._out = ctypes.create_string_buffer(_BURST_MAX)
+        self._counts = (ctypes.c_uint32 * len(_COUNTS))()
+        self._sample = np.zeros(1, SINGLE_DTYPE if precision == "single" else STATE_DTYPE)
+        self._measurement = np.zeros(8)
+        self._rates: ctypes.Array[ctypes.c_char] | None = None
+        self.epoch = epoch
+        self.power_on(epoch)
+
+    def power_on(self, epoch: int | None = None) -> None:
+        """As after power-up; without an epoch, the next."""
+        self.epoch = self.epoch % 0xFFFFFFFF + 1 if epoch is None else epoch
+        self._c.hydro_c_power_on(self._box, ctypes.byref(self._config), ctypes.c_uint32(self.epoch))
+
+    def take(self, data: bytes) -> None:
+        """Bytes that came over the line."""
+        self._c.hydro_c_bytes(self._box, data, ctypes.c_size_t(len(data)))
+
+    def tick(self, measurement: FloatArray, time: float) -> npt.NDArray[np.void]:
+        """One sample of a measurement, shape (8,), at box time [s]: a record of `STATE_DTYPE`, shape (1,)."""
+        self._measurement[:] = measurement
+        place = ctypes.c_void_p(self._sample.ctypes.data)
+        self._c.hydro_c_tick(
+            self._box, ctypes.c_void_p(self._measurement.ctypes.data), ctypes.c_double(time), place
+        )  # fmt: skip
+        result: StateArray = self._sample.astype(STATE_DTYPE)
+        return result
+
+    def differentiate(self, raw: FloatArray, measurement: FloatArray) -> None:
+        """Readings f_h, f_l, p_a, p_b, x_p into a measurement, shape (8,), in place; it is the rates' memory."""
+        if self._rates is None:
+            self._rates = ctypes.create_string_buffer(self._c.hydro_c_rates_size())
+            self._c.hydro_c_rates_reset(self._rates, ctypes.byref(self._config))
+        readings = np.ascontiguousarray(raw, np.float64)
+        places = (ctypes.c_void_p(readings.ctypes.data), ctypes.c_void_p(measurement.ctypes.data))
+        self._c.hydro_c_differentiate(self._rates, *places)
+
+    def frames(self) -> bytes:
+        """What goes up the line after a tick."""
+        count = self._c.hydro_c_frames(self._box, self._out)
+        return ctypes.string_at(self._out, count)
+
+    def counts(self) -> dict[str, int]:
+        """Commands taken, commands old or repeated, greetings; values and references refused; the newest command."""
+        self._c.hydro_c_counts(self._box, self._counts)
+        return dict(zip(_COUNTS, map(int, self._counts), strict=True))

@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The textbook's equations and a bench's effects put together: symbolic functions of a sample.
+
+::
+
+    theta ── once ──> k         what hangs on parameters alone
+    k, y ─── begin ──> y        hidden states of a still bench, from the six of the textbook
+    y, u ─── enter ──> y        a sample begins: past currents move on
+    y, u ─── step ───> y        one integration step: spool, edges | Runge-Kutta 4 | what remembers | amplifiers
+    y ────── read ───> z        the five readings, without noise
+
+    y = [ p_a  p_b  x_p  x_p'  F  F' | hidden states of the effects | past currents ]
+          Pa   Pa   m    m/s   N  N/s                                 A, latest first
+
+F is f_l behind the load cell's amplifier. Edges are held over a step at their mean. Pressures are kept from falling
+below zero: the oil cavitates there, and the volume it then lacks is not accounted for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from types import SimpleNamespace
+from typing import Any
+
+import casadi
+import numpy as np
+from casadi import SX, vertcat
+
+from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_sim.model import equations as eq
+from hydro_sim.model import rates
+from hydro_sim.model.effects.base import Effect, Surroundings
+from hydro_sim.model.equations import Symbol
+from hydro_sim.model.motion import grip
+
+casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbols, without a warning
+
+TEXTBOOK = ("pressure_a", "pressure_b", "piston_position", "piston_velocity", "load_force", "load_force_rate")
+READINGS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
+
+
+@dataclass(frozen=True)
+class Functions:
+    """A model as symbols; see the module."""
+
+    theta: SX
+    k: SX
+    y: SX
+    current: SX
+    share: SX
+    """Of the sample, at which a step begins."""
+    once: SX
+    begin: SX
+    enter: SX
+    step: SX
+    read: SX
+    spool: SX
+    """Mean position of the spool [A] over a step."""
+    rates: SX
+    """y' of the textbook's states and the integrated hidden ones, where the edges are open as `openings`."""
+
+
+class Assembly:
+    """Puts a model together.
+
+    Parameters
+    ----------
+    numbers
+        Names of the bench's numbers, with the range of each.
+    effects
+        In the order of the bench file.
+    ideal_cell
+        Whether the load cell shows the force as it is.
+    past
+        Past currents that are kept for dead times; 0: none.
+    substeps
+        Integration steps per sample.
+    """
+
+    def __init__(
+        self,
+        numbers: Mapping[str, tuple[float, float]],
+        effects: Sequence[Effect],
+        *,
+        ideal_cell: bool,
+        past: int,
+        substeps: int,
+    ) -> None:
+        self.effects, self.past, self.step = effects, past, SAMPLE_PERIOD / substeps
+        self._symbols: list[SX] = []
+        self._expressions: list[SX] = []
+        self.theta: dict[str, SX] = {name: SX.sym(name) for name in numbers}
+        self.numbers = SimpleNamespace(**self.theta)
+        at = Surroundings(self.numbers, self.step, self.once, lambda velocity: rates.dry_level(effects, velocity))
+        for index, effect in enumerate(effects):
+            effect.at = at
+            for one in effect.parameters:
+                name = f"{effect.id}.{one.name}.{index}"
+                self.theta[name] = SX.sym(name)
+                setattr(effect, one.name, self.theta[name])
+        self.hidden = [(effect, one) for effect in effects for one in effect.states]
+        self.integrated = [i for i, (_, one) in enumerate(self.hidden) if one.integrated]
+        self._correct(numbers, ideal_cell)
+        self.y = SX.sym("y", len(TEXTBOOK) + len(self.hidden) + past)
+        self.current, self.share = SX.sym("u"), SX.sym("share")
+
+    def functions(self) -> Functions:
+        """All functions of the model."""
+        begin, enter, read = self._begin(), self._enter(), self._read(self.y)
+        start, spool, edges = self._start()
+        slopes: Any = vertcat(*self._rates(start, edges, self._sliding if self._holds() else _nothing))
+        step = self._step(start, edges)
+        symbols, expressions = vertcat(*self._symbols), vertcat(*self._expressions)
+        theta = vertcat(*self.theta.values())
+        return Functions(
+            theta, vertcat(theta, symbols), self.y, self.current, self.share, vertcat(theta, expressions),
+            begin, enter, step, read, spool, slopes,
+        )  # fmt: skip
+
+    def once(self, expression: Symbol) -> Symbol:
+        """A symbol for an expression of parameters alone."""
+        if not isinstance(expression, SX):
+            return expression
+        if self._symbols:
+            expression = casadi.substitute(expression, vertcat(*self._symbols), vertcat(*self._expressions))
+        for symbol, known in zip(self._symbols, self._expressions, strict=True):
+            if casadi.is_equal(known, expression, 20):
+                return symbol
+        self._symbols.append(SX.sym(f"k{len(self._symbols)}"))
+        self._expressions.append(expression)
+        return self._symbols[-1]
+
+    def _correct(self, limits: Mapping[str, tuple[float, float]], ideal_cell: bool) -> None:
+        """Wrong numbers of the bench file put right, and what follows from the numbers."""
+        n = self.numbers
+        for effect in self.effects:
+            before = dict(vars(n))
+            effect.correct(n)
+            for name, (low, high) in limits.items():
+                if getattr(n, name) is not before[name] and getattr(n, name) is not None:
+                    setattr(n, name, self.once(eq.clip(getattr(n, name), low, high)))
+        ideal = ideal_cell or n.load_cell_bandwidth is None
+        n.load_cell_omega = None if ideal else self.once(2.0 * pi * n.load_cell_bandwidth)
+        drop, n.mobility = n.valve_nominal_pressure_drop, self.once(1.0 / n.moving_mass)
+        n.valve_gain = self.once(n.valve_nominal_flow / (n.valve_nominal_current * np.sqrt(0.5 * drop)))
+
+    # --- the parts of a sample ---------------------------------------------------------------------------------------
+
+    def _bind(self, hidden: Sequence[Symbol]) -> None:
+        for (effect, one), value in zip(self.hidden, hidden, strict=True):
+            setattr(effect, one.name, value)
+
+    def _begin(self) -> SX:
+        self._bind([0.0] * len(self.hidden))
+        signals = dict(zip(READINGS, self._truth(self.y), strict=True))
+        spool: Symbol = 0.0
+        values: list[Symbol] = []
+        for effect in self._commanding():  # a lag begins where the shifts before it have put the spool
+            effect.next = effect.begin(signals | {"spool": spool})
+            spool = spool + effect.current if effect.id == "valve_offset" else spool
+        for effect in self.effects:
+            started = effect.next if effect.acts_in("command") else effect.begin(signals)
+            values += [started.get(one.name, 0.0) for one in effect.states]
+        return vertcat(self.y[: len(TEXTBOOK)], *values, SX.zeros(self.past))
+
+    def _enter(self) -> SX:
+        if not self.past:
+            return self.y
+        first = self.y.numel() - self.past
+        return vertcat(self.y[:first], self.current, self.y[first:-1])
+
+    def _commanding(self) -> list[Effect]:
+        return sorted((effect for effect in self.effects if effect.acts_in("command")), key=lambda effect: effect.late)
+
+    def _delayed(self) -> Symbol:
+        """Mean current [A] over the step, the dead times earlier: each past sample by its share of the step."""
+        if not self.past:
+            return self.current
+        together = sum(effect.time for effect in self.effects if effect.id == "transport_delay")
+        begin = self.share - self.once(together / SAMPLE_PERIOD)
+        width, first, mean = self.step / SAMPLE_PERIOD, self.y.numel() - self.past, 0.0
+        for age in range(self.past):
+            covered = np.fmin(begin + width, 1.0 - age) - np.fmax(begin, -age)
+            mean = mean + self.y[first + age] * np.fmax(covered, 0.0)
+        return mean / width
+
+    def _spool(self) -> Symbol:
+        """Mean position of the spool [A] over the step."""
+        spool = self._delayed()
+        for effect in self._commanding():
+            spool = effect.command(spool)
+        return spool
+
+    def _edges(self, spool: Symbol) -> rates.Edges:
+        """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back."""
+        gain = self.numbers.valve_gain
+        out, back = gain * np.fmax(spool, 0.0), gain * np.fmax(-spool, 0.0)
+        for effect in self.effects:
+            out, back = effect.openings(out, back, spool)
+        return out, back
+
+    def _truth(self, y: Any) -> tuple[Symbol, ...]:
+        """What the five sensors would read if they were ideal, in the order of READINGS."""
+        return eq.hydraulic_force(self.numbers, y[0], y[1]), y[4], y[0], y[1], y[2]
+
+    def _read(self, y: SX) -> SX:
+        self._bind(casadi.vertsplit(y[len(TEXTBOOK) : y.numel() - self.past]) if self.hidden else [])
+        signals = dict(zip(READINGS, self._truth(y), strict=True))
+        for effect in self.effects:
+            if effect.acts_in("follow"):
+                signals[effect.sensor] = effect.signal
+        for effect in self.effects:
+            signals = {channel: effect.show(channel, signal) for channel, signal in signals.items()}
+        return vertcat(*signals.values())
+
+    # --- an integration step -----------------------------------------------------------------------------------------
+
+    def _rates(self, y: Sequence[Symbol], edges: rates.Edges, dry: Callable[[Symbol], Symbol]) -> list[Symbol]:
+        """y' of the textbook's states and of the integrated hidden ones; `dry`: force [N] at a velocity."""
+        hidden = self.hidden_now.copy()
+        for place, i in enumerate(self.integrated):
+            hidden[i] = y[len(TEXTBOOK) + place]
+        self._bind(hidden)
+        slopes, drawn = rates.textbook(self.numbers, self.effects, y, edges, dry)
+        return slopes + [self.hidden[i][0].rates(drawn)[self.hidden[i][1].name] for i in self.integrated]
+
+    def _start(self) -> tuple[list[Symbol], Symbol, rates.Edges]:
+        """What a step begins with: integrated states, the spool's mean position, and the edges."""
+        self.hidden_now = [self.y[len(TEXTBOOK) + i] for i in range(len(self.hidden))]
+        self._bind(self.hidden_now)
+        for effect in self.effects:
+            effect.next, effect.at.began = {}, self.y[2]
+        states = [self.y[i] for i in range(len(TEXTBOOK))] + [self.hidden_now[i] for i in self.integrated]
+        spool = self._spool()
+        return states, spool, self._edges(spool)
+
+    def _step(self, start: list[Symbol], edges: rates.Edges) -> SX:
+        first, dry = self._first_slopes(start, edges)
+        slopes, weights = [first], (1.0, 2.0, 2.0, 1.0)
+        for reach in (0.5 * self.step, 0.5 * self.step, self.step):
+            probe = [value + reach * slope for value, slope in zip(start, slopes[-1], strict=True)]
+            slopes.append(self._rates(probe, edges, dry[0]))
+        mean = [sum(w * s for w, s in zip(weights, each, strict=True)) / 6.0 for each in zip(*slopes, strict=True)]
+        end = [value + self.step * slope for value, slope in zip(start, mean, strict=True)]
+        end[0], end[1], end[3] = np.fmax(end[0], 0.0), np.fmax(end[1], 0.0), dry[1](end[3])
+        return self._remembered(start, end)
+
+    def _holds(self) -> bool:
+        """Whether dry friction can hold the mass: with bristles it bends instead."""
+        bristles = any(effect.id == "friction_presliding" for effect in self.effects)
+        return not bristles and any(effect.acts_in("dry_level") for effect in self.effects)
+
+    def _sliding(self, velocity: Symbol) -> Symbol:
+        return np.sign(velocity) * rates.dry_level(self.effects, velocity)
+
+    def _first_slopes(self, start: list[Symbol], edges: rates.Edges) -> tuple[list[Symbol], Any]:
+        """Slopes where the step begins; dry friction's force and its end of a step."""
+        first = self._rates(start, edges, _nothing)
+        if not self._holds():
+            return first, (_nothing, lambda velocity: velocity)
+        mass = self.numbers.moving_mass
+        friction = grip(lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step)
+        first[3] = first[3] - friction.force(start[3]) * self.numbers.mobility
+        return first, (friction.force, friction.end)
+
+    def _remembered(self, start: list[Symbol], end: list[Symbol]) -> SX:
+        """y after a step whose integrated states go from start to end."""
+        self._bind(self.hidden_now)
+        for effect in self.effects:
+            effect.remember(end[2], end[3])
+        early, late = start, list(end)
+        if self.numbers.load_cell_omega is None:
+            hidden = list(self.hidden_now)
+            self._bind([effect.next.get(one.name, old) for (effect, one), old in zip(self.hidden, hidden, strict=True)])
+            late[4] = rates.load(self.numbers, self.effects, end[2])
+            self._bind(hidden)
+        signals = dict(zip(READINGS, zip(self._truth(early), self._truth(late), strict=True), strict=True))
+        for effect in self.effects:
+            signals = {channel: effect.follow(channel, *pair) for channel, pair in signals.items()}
+        integrated = dict(zip(self.integrated, end[6:], strict=True))
+        hidden = [
+            integrated[i] if i in integrated else effect.next.get(one.name, self.hidden_now[i])
+            for i, (effect, one) in enumerate(self.hidden)
+        ]
+        return vertcat(*late[:6], *hidden, self.y[self.y.numel() - self.past :] if self.past else SX(0, 1))
+
+
+def _nothing(velocity: Symbol) -> Symbol:
+    """No dry friction."""
+    return 0.0

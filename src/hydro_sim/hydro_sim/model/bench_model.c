@@ -1,0 +1,131 @@
+// SPDX-License-Identifier: Apache-2.0
+// A sample, its Jacobian, and the gradient of a prediction: loops around what `hydro_sim.model.assembly` generates.
+//
+// Above this text the generated part defines N (states), M (coefficients), P (parameters), SUBSTEPS, and
+//   once(theta, k)                    once_back(theta, gk, gtheta)             begin(k, y, out)
+//   enter(y, u, out)                  step(k, y, u, share, out)                read(k, y, z)
+//   step_tangent(k, y, u, share, D, out, D_out)    read_tangent(k, y, D, z, Z)       D: N x (N + 1), by y and u
+//   step_back(k, y, u, share, g, gy, gk)           read_back(k, y, g, gy, gk)        g: gradient by the outcome
+//   rates(k, y, u, share, out)
+
+#include <string.h>
+
+#define Z 5
+
+// y and readings z after a sample at a held current u [A]; NaN, all of it, where one of the inputs is not finite:
+// limits within the equations would hide that.
+void bench_sample(const double *k, double *y, double u, double *z)
+{
+    double next[N], spoilt = 0.0 * u;
+    for (int i = 0; i < N; i++)
+        spoilt += 0.0 * y[i];
+    enter(y, u, next);
+    for (int i = 0; i < SUBSTEPS; i += 2) {
+        step(k, next, u, i / (double)SUBSTEPS, y);
+        step(k, y, u, (i + 1) / (double)SUBSTEPS, next);
+    }
+    for (int i = 0; i < N; i++)
+        y[i] = next[i] + spoilt;
+    read(k, y, z);
+    for (int i = 0; i < Z; i++)
+        z[i] += spoilt;
+}
+
+void bench_begin(const double *theta, double *k, double *y, double *z)
+{
+    double whole[N];
+    once(theta, k);
+    begin(k, y, whole);
+    memcpy(y, whole, sizeof whole);
+    read(k, y, z);
+}
+
+// z after each of n samples, n x 5.
+void bench_rollout(const double *k, double *y, long n, const double *u, double *z)
+{
+    for (long h = 0; h < n; h++)
+        bench_sample(k, y, u[h], z + Z * h);
+}
+
+// y' at n samples: states n x N, currents n, rates n x RATES.
+void bench_rates(const double *k, long n, const double *y, const double *u, double *slopes)
+{
+    for (long h = 0; h < n; h++)
+        rates(k, y + N * h, u[h], 0.5, slopes + RATES * h);
+}
+
+const long bench_coefficients = M, bench_parameters = P, bench_states = N;
+
+#ifdef DERIVATIVES
+
+// As bench_sample; dy: d y / d (y, u), N x (N + 1); dz: d z / d (y, u), 5 x (N + 1). By rows.
+void bench_jacobian(const double *k, double *y, double u, double *z, double *dy, double *dz)
+{
+    double next[N], moved[N * (N + 1)];
+    memset(dy, 0, sizeof moved);
+    for (int i = 0; i < N; i++)
+        dy[i * (N + 1) + i] = 1.0;
+    enter(y, u, next);
+    enter_tangent(dy, moved);
+    memcpy(y, next, sizeof next);
+    memcpy(dy, moved, sizeof moved);
+    for (int i = 0; i < SUBSTEPS; i++) {
+        step_tangent(k, y, u, i / (double)SUBSTEPS, dy, next, moved);
+        memcpy(y, next, sizeof next);
+        memcpy(dy, moved, sizeof moved);
+    }
+    read_tangent(k, y, dy, z, dz);
+}
+
+// Turns gy, the gradient by y after a sample, into that by y before it, and adds those by k to gk.
+static void sample_back(const double *k, const double *y, double u, double *gy, double *gk)
+{
+    double states[SUBSTEPS + 1][N], before[N], part[M];
+    enter(y, u, states[0]);
+    for (int i = 0; i < SUBSTEPS; i++)
+        step(k, states[i], u, i / (double)SUBSTEPS, states[i + 1]);
+    for (int i = SUBSTEPS - 1; i >= 0; i--) {
+        step_back(k, states[i], u, i / (double)SUBSTEPS, gy, before, part);
+        memcpy(gy, before, sizeof before);
+        for (int j = 0; j < M; j++)
+            gk[j] += part[j];
+    }
+    enter_back(gy, before);
+    memcpy(gy, before, sizeof before);
+}
+
+// Sum over n samples and readings of (weight (z - target))^2 from y, and its gradients: by y into gy, by k added to gk.
+// `room`: (n + 1) x N numbers of work space.
+double bench_window(const double *k, const double *y, long n, const double *u, const double *target,
+                    const double *weight, double *gy, double *gk, double *room)
+{
+    double loss = 0.0, z[Z], g[Z], part[M], before[N];
+    memcpy(room, y, N * sizeof *room);
+    for (long h = 0; h < n; h++) {
+        memcpy(room + N * (h + 1), room + N * h, N * sizeof *room);
+        bench_sample(k, room + N * (h + 1), u[h], z);
+    }
+    memset(gy, 0, N * sizeof *gy);
+    for (long h = n - 1; h >= 0; h--) {
+        read(k, room + N * (h + 1), z);
+        for (int i = 0; i < Z; i++) {
+            double error = weight[i] * (z[i] - target[Z * h + i]);
+            loss += error * error;
+            g[i] = 2.0 * weight[i] * error;
+        }
+        read_back(k, room + N * (h + 1), g, before, part);
+        for (int i = 0; i < N; i++)
+            gy[i] += before[i];
+        for (int j = 0; j < M; j++)
+            gk[j] += part[j];
+        sample_back(k, room + N * h, u[h], gy, gk);
+    }
+    return loss;
+}
+
+void bench_once_back(const double *theta, const double *gk, double *gtheta)
+{
+    once_back(theta, gk, gtheta);
+}
+
+#endif

@@ -1,0 +1,196 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an effect is: one class, with its parameters, its hidden states and its terms in the bench's equations.
+
+::
+
+    class CoulombFriction(Effect):
+        id = "friction_coulomb"
+        force = parameter("N", 0.0, 5000.0, scale=10.0)
+
+        def dry_level(self, level, velocity):
+            return level + self.force
+
+Everything else follows from these lines: simulation, C source, exact derivatives by state and parameters. A method is
+called once, while a model is assembled; parameters and states are CasADi's symbols then. A term changes what it is
+given and returns it, so that effects of one kind add up in the order of the bench file. Hidden states are of two kinds:
+integrated ones have a rate (`rates`); the others are moved on where an integration step ends, by `self.next[...]`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any, ClassVar
+
+from hydro_sim.model.equations import Symbol
+
+
+@dataclass(frozen=True, kw_only=True)
+class Parameter:
+    """A number of an effect."""
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    neutral: float
+    """At which the effect does nothing."""
+    scale: float
+    """A typical size: the standard deviation of what is believed before any recording."""
+
+    def of(self, effect: str, parameters: Mapping[str, Any]) -> float:
+        """Its value among an entry's parameters.
+
+        Raises
+        ------
+        ValueError
+            If it is missing or not a number in range.
+        """
+        if self.name not in parameters:
+            raise ValueError(f"effect {effect} lacks its parameter {self.name} [{self.unit}]")
+        try:
+            value = float(parameters[self.name])  # PyYAML reads 1e9 as a text
+        except (TypeError, ValueError):
+            value = float("nan")
+        if not (isfinite(value) and self.low <= value <= self.high):
+            wanted = f"a number in [{self.low:g}, {self.high:g}] {self.unit}"
+            raise ValueError(f"effect {effect}: {self.name} = {parameters[self.name]!r} is not {wanted}")
+        return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """A state that an effect brings."""
+
+    name: str
+    unit: str
+    scale: float
+    """A typical size."""
+    integrated: bool
+    """Whether it has a rate; else it is moved on at the end of a step."""
+
+
+def parameter(unit: str, low: float, high: float, *, scale: float, neutral: float = 0.0) -> Any:
+    """Declare a parameter; its name is the attribute's."""
+    return {"unit": unit, "low": low, "high": high, "scale": scale, "neutral": neutral}
+
+
+def hidden(unit: str, *, scale: float, integrated: bool = False) -> Any:
+    """Declare a hidden state; its name is the attribute's."""
+    return {"unit": unit, "scale": scale, "integrated": integrated}
+
+
+@dataclass
+class Surroundings:
+    """What an effect may use of the model that it is part of."""
+
+    numbers: Any
+    """The bench's numbers, by their names in bench.yaml, and `valve_gain` (K_v)."""
+    step: float
+    """s, an integration step."""
+    once: Callable[[Symbol], Symbol]
+    """Mark what hangs on parameters alone: it is computed when these change, not in every step."""
+    dry_level: Callable[[Symbol], Symbol]
+    """Dry friction [N] of all effects, at a velocity [m/s]."""
+    began: Symbol = 0.0
+    """m, piston position where the present step began."""
+
+
+class Effect:
+    """A cause of what the textbook's bench does not do. Subclasses override the terms in which they act."""
+
+    id: ClassVar[str]
+    options: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    """What an entry says beside its parameters (chamber, cell, sensor, form), and the values that there are."""
+    single: ClassVar[bool] = False
+    """Whether a bench can have but one."""
+    late: ClassVar[bool] = False
+    """Whether its `command` comes after all others: edges open where the spool is, whatever the order of the file."""
+    all_edges: ClassVar[bool] = False
+    """Whether both edges of a chamber may be open at a time."""
+    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    states: ClassVar[tuple[Hidden, ...]] = ()
+
+    def __init_subclass__(cls) -> None:
+        own = {name: value for name, value in vars(cls).items() if isinstance(value, dict) and "scale" in value}
+        for name in own:
+            if hasattr(Effect, name):
+                raise TypeError(f"{cls.__name__}: {name} is the name of a term, not of a parameter or a state")
+            delattr(cls, name)
+        numbers = [Parameter(name=name, **value) for name, value in own.items() if "neutral" in value]
+        hiddens = [Hidden(name=name, **value) for name, value in own.items() if "integrated" in value]
+        cls.parameters, cls.states = cls.parameters + tuple(numbers), cls.states + tuple(hiddens)
+
+    def __init__(self, **chosen: str) -> None:
+        self.at: Any = None
+        """`Surroundings`, once the effect is part of a model."""
+        self.next: dict[str, Symbol] = {}
+        """Hidden states after the present step."""
+        self.chosen = chosen
+        for name, value in chosen.items():
+            setattr(self, name, value)
+
+    def __getattr__(self, name: str) -> Any:  # parameters and states, which a model sets
+        raise AttributeError(f"{type(self).__name__} has no {name!r} until it is part of a model")
+
+    @classmethod
+    def acts_in(cls, term: str) -> bool:
+        """Whether the class overrides a term."""
+        return getattr(cls, term) is not getattr(Effect, term)
+
+    # --- terms, on the way from the bench file to the reading -------------------------------------------------------
+
+    def correct(self, n: Any) -> None:
+        """Put wrong numbers of the bench file right, in place."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        """Hidden states of a still bench; what is not named is 0. `signals`: the readings' true values, and `spool`."""
+        return {}
+
+    def command(self, spool: Symbol) -> Symbol:
+        """Mean position of the spool [A] over a step."""
+        return spool
+
+    def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
+        """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back."""
+        return out, back
+
+    def supply(self, pressure: Symbol) -> Symbol:
+        """Supply pressure [Pa] at the valve."""
+        return pressure
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        """Flow [m3/s] that leaves chamber A and B by other ways than the valve."""
+        return 0.0, 0.0
+
+    def modulus(self, modulus: Symbol, pressure: Symbol) -> Symbol:
+        """Bulk modulus [Pa] of a chamber at its pressure [Pa]."""
+        return modulus
+
+    def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
+        """Dry friction [N] while sliding at a velocity [m/s]."""
+        return level
+
+    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
+        """Force [N] against the motion beyond viscous and dry friction."""
+        return 0.0
+
+    def load(self, force: Symbol, position: Symbol) -> Symbol:
+        """Force [N] of the load on the piston."""
+        return force
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        """Rates of the integrated hidden states, per second. `drawn` [m3/s]: what leaves the supply."""
+        return {}
+
+    def remember(self, position: Symbol, velocity: Symbol) -> None:
+        """Write into `self.next` what a step that ends there [m, m/s] leaves behind."""
+
+    def follow(self, channel: str, early: Symbol, late: Symbol) -> tuple[Symbol, Symbol]:
+        """A sensor's signal at the beginning and the end of a step, behind the effect's amplifier."""
+        return early, late
+
+    def show(self, channel: str, signal: Symbol) -> Symbol:
+        """What a sensor makes of the signal."""
+        return signal

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled C: made once, kept by the digest of its source, loaded from then on; and how numba's functions call it.
+
+Libraries are kept as numba keeps its own: beside the sources, or in NUMBA_CACHE_DIR; where neither can be written,
+below ~/.cache. What `make setup` compiles is found there; any other set of effects is compiled where it first comes,
+and a sentence says so.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+FLAGS = (
+    "-std=c11", "-O3", "-march=native", "-fPIC", "-shared", "-fno-math-errno", "-fno-trapping-math",
+    "-ffp-contract=fast",
+)  # fmt: skip
+"""Sums stay in their order; a product and a sum may be rounded once."""
+
+
+def kept(name: str, source: Callable[[], str], *, said: Callable[[], None] = lambda: None) -> ctypes.CDLL:
+    """The library of a name; `source` writes its C where there is none yet, after `said`.
+
+    Parameters
+    ----------
+    name
+        What the source is written from, as text: all that it hangs on.
+
+    Raises
+    ------
+    ValueError
+        There is no C compiler, or it refuses.
+    """
+    file = folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with (file.parent / "lock").open("w") as lock:  # a graph starts its nodes at once
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            if not file.exists():
+                said()
+                _compile(source(), file)
+    try:
+        return ctypes.CDLL(str(file))
+    except OSError as error:
+        raise ValueError(f"{file} cannot be loaded ({error}): delete it, it is compiled anew") from error
+
+
+def folder() -> Path:
+    """Where libraries are kept."""
+    named = os.environ.get("NUMBA_CACHE_DIR")
+    place = Path(named) if named else Path(__file__).resolve().parent / "__pycache__"
+    if os.access(place if place.exists() else place.parent, os.W_OK):
+        return place / "models"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hydro" / "models"
+
+
+def _compile(source: str, file: Path) -> None:
+    compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
+    if compiler is None:
+        raise ValueError("no C compiler found for the model of this bench: `apt install gcc`")
+    with tempfile.TemporaryDirectory(dir=file.parent) as place:
+        text, made = Path(place) / "model.c", Path(place) / "model.so"
+        text.write_text(source, encoding="utf-8")
+        words = [compiler, *FLAGS, str(text), "-o", str(made), "-lm"]
+        done = subprocess.run(words, capture_output=True, text=True, check=False)
+        if done.returncode:
+            first = next((line for line in done.stderr.splitlines() if "error" in line), "no message")
+            raise ValueError(f"the C compiler refuses the model of this bench: {first}")
+        text.replace(file.with_suffix(".c"))
+        made.replace(file)
+
+
+@cache
+def _machine() -> str:
+    """What compiled code depends on besides its source."""
+    try:
+        first = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
+    except OSError:
+        first = [platform.processor()]
+    features = [line for line in first if line.startswith(("model name", "flags", "Features"))]
+    return " ".join([platform.machine(), os.environ.get("CC", ""), *FLAGS, *features])
+
+
+@intrinsic
+def sample(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any) -> Any:
+    """Call `bench_sample` at an address: y, in place, and readings z after a sample at a current [A]. For numba."""
+    double = ir.DoubleType().as_pointer()
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        at, k, y, current, z = arguments
+        pointers = [
+            context.make_array(kind)(context, builder, value).data
+            for kind, value in zip((signature.args[1], signature.args[2], signature.args[4]), (k, y, z), strict=True)
+        ]
+        kind = ir.FunctionType(ir.VoidType(), [double, double, ir.DoubleType(), double])
+        builder.call(builder.inttoptr(at, kind.as_pointer()), [pointers[0], pointers[1], current, pointers[2]])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, k, y, types.float64, z), code

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rates of a bench's states: the textbook's equations with the terms of its effects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from hydro_sim.model import equations as eq
+from hydro_sim.model.effects.base import Effect
+from hydro_sim.model.equations import Symbol, choose
+
+Edges = tuple[Symbol, Symbol]
+"""Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and of those that drive it back."""
+
+
+def dry_level(effects: Sequence[Effect], velocity: Symbol) -> Symbol:
+    """Dry friction [N] while sliding at a velocity [m/s]."""
+    level: Symbol = 0.0
+    for effect in effects:
+        level = effect.dry_level(level, velocity)
+    return level
+
+
+def load(n: Any, effects: Sequence[Effect], position: Symbol) -> Symbol:
+    """f_l [N] at a piston position [m]."""
+    force = eq.spring_force(n, position)
+    for effect in effects:
+        force = effect.load(force, position)
+    return force
+
+
+def flows(n: Any, effects: Sequence[Effect], p_a: Symbol, p_b: Symbol, edges: Edges) -> tuple[Symbol, Symbol, Symbol]:
+    """Through the valve into chamber A, into chamber B, and out of the supply [m3/s], at pressures [Pa]."""
+    out, back = edges
+    supply, tank = n.supply_pressure, n.tank_pressure
+    for effect in effects:
+        supply = effect.supply(supply)
+    if any(effect.all_edges for effect in effects):
+        drawn_a, drawn_b = eq.orifice(out, supply - p_a), eq.orifice(back, supply - p_b)
+        into_a, into_b = drawn_a - eq.orifice(back, p_a - tank), drawn_b - eq.orifice(out, p_b - tank)
+        return into_a, into_b, drawn_a + drawn_b
+    outwards, opening = out > 0.0, out - back  # one of the two is closed
+    side = choose(outwards, 1.0, -1.0)
+    into_a = eq.orifice(opening, choose(outwards, supply, -tank) - side * p_a)
+    into_b = -eq.orifice(opening, choose(outwards, -tank, supply) + side * p_b)
+    return into_a, into_b, choose(outwards, into_a, into_b)
+
+
+def pressures(n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges) -> tuple[Symbol, Symbol, Symbol]:
+    """p_a', p_b' [Pa/s], and the flow out of the supply [m3/s]."""
+    p_a, p_b, position, velocity = y[:4]
+    into_a, into_b, drawn = flows(n, effects, p_a, p_b, edges)
+    modulus_a = modulus_b = n.bulk_modulus
+    for effect in effects:
+        from_a, from_b = effect.leaks(p_a, p_b)
+        into_a, into_b = into_a - from_a, into_b - from_b
+        modulus_a, modulus_b = effect.modulus(modulus_a, p_a), effect.modulus(modulus_b, p_b)
+    volume_a, volume_b = eq.volumes(n, position)
+    swept = n.piston_area * velocity
+    rate_a = eq.compression(modulus_a, volume_a, into_a - swept)
+    return rate_a, eq.compression(modulus_b, volume_b, into_b + n.area_ratio * swept), drawn
+
+
+def textbook(
+    n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edges, dry: Callable[[Symbol], Symbol]
+) -> tuple[list[Symbol], Symbol]:
+    """y', of length 6, and the flow out of the supply [m3/s]. `dry`: force [N] of dry friction at a velocity [m/s]."""
+    p_a, p_b, position, velocity, shown, shown_rate = y[:6]
+    rate_a, rate_b, drawn = pressures(n, effects, y, edges)
+    force = load(n, effects, position)
+    against = n.viscous_friction * velocity + eq.stop_force(n, position, velocity) + dry(velocity)
+    for effect in effects:
+        against = against + effect.opposing_force(position, velocity)
+    acceleration = (eq.hydraulic_force(n, p_a, p_b) - against - force) * n.mobility
+    cell = eq.amplifier(n.load_cell_omega, force, shown, shown_rate) if n.load_cell_omega is not None else 0.0
+    return [rate_a, rate_b, velocity, acceleration, shown_rate, cell], drawn

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The one model of a bench: its trajectories against the former writing, its derivatives against differences."""
+
+from __future__ import annotations
+
+import json
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.model import equations
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import BenchModel
+from hydro_sim.model.effects.base import Effect, parameter
+from hydro_sim.model.plant import AnalyticPlant
+
+FORMER = np.load(Path(__file__).parent / "former_plant.npz")
+"""Readings of the hand-written plant that this model took the place of, every 25th sample, for each kind of effect."""
+
+
+def effect(name: str, **parameters: float) -> dict[str, Any]:
+    identifier, *options = name.split()
+    return {"id": identifier, **dict(option.split("=") for option in options), "parameters": parameters}
+
+
+VALVE = (
+    effect("transport_delay", time=1.33e-3), effect("valve_offset", current=1e-4),
+    effect("valve_lag", bandwidth=90.0, damping=0.7), effect("valve_gain_asymmetry", ratio=0.9),
+    effect("valve_deadband form=soft", half_width=2e-4, softness=5e-5),
+    effect("valve_null_leakage form=gaussian", coefficient=3e-10, width=5e-4),
+)  # fmt: skip
+MOTION = (
+    effect("friction_coulomb", force=20.0), effect("friction_stribeck", breakaway_force=8.0, velocity=0.01),
+    effect("backlash form=play", width=5e-4), effect("spring_hardening", coefficient=5e6),
+    effect("moving_mass", mass=0.3), effect("load_cell_gain cell=load_force", ratio=1.02),
+)  # fmt: skip
+MEMORY = (
+    effect("friction_coulomb", force=12.0), effect("friction_presliding", stiffness=3e5),
+    effect("supply_droop", resistance=5e9, time_constant=0.02), effect("entrained_air", volume_fraction=0.01),
+    effect("leakage_internal", coefficient=1e-12), effect("sensor_lag sensor=load_force", bandwidth=25.0, damping=0.55),
+)  # fmt: skip
+SETS = {"valve": VALVE, "motion": MOTION, "memory": MEMORY}
+
+
+def wave(samples: int) -> FloatArray:
+    time = 1e-3 * np.arange(samples)
+    return np.asarray(4e-3 * np.sin(2 * np.pi * 3 * time) + 2e-3 * np.sin(2 * np.pi * 17 * time))
+
+
+def test_every_kind_moves_as_in_the_former_writing() -> None:
+    """Below LAMINAR the orifice's flow is proportional here: a leak through an edge between even chambers differs."""
+    bench, current = Bench.nominal(), FORMER["current"]
+    for effects, former in zip(json.loads(str(FORMER["effects"])), FORMER["readings"], strict=True):
+        model = BenchModel(replace(bench, effects=tuple(effects)))
+        k, y, _ = model.begin(model.values)
+        found = model.rollout(k, y, current)[24::25]
+        orifice = any(entry.get("form") == "orifice" for entry in effects)
+        apart = np.max(np.abs(found - former), axis=0) / np.ptp(former, axis=0)
+        assert np.max(apart) < (1e-6 if orifice else 1e-9), effects
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_jacobian_of_a_sample_is_that_of_differences(name: str) -> None:
+    model = BenchModel(replace(Bench.nominal(), effects=SETS[name]))
+    k, y, _ = model.begin(model.values)
+    model.rollout(k, y, wave(137))
+    _, dy, dz = model.jacobian(k, y.copy(), 3e-3)
+    scales = np.array([state.scale for state in model.states] + [1e-2])
+    for j, scale in enumerate(scales):
+        step = 1e-6 * scale
+        ends = []
+        for side in (1.0, -1.0):
+            moved, current = y.copy(), 3e-3
+            if j < len(y):
+                moved[j] += side * step
+            else:
+                current += side * step
+            z = model.sample(k, moved, current)
+            ends.append((moved, z))
+        by_difference = [(up - down) / (2.0 * step) for up, down in zip(*ends, strict=True)]
+        np.testing.assert_allclose(dy[:, j] * scale / scales[:-1], by_difference[0] * scale / scales[:-1], atol=2e-6)
+        np.testing.assert_allclose(dz[:, j] * scale, by_difference[1] * scale, rtol=1e-5, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", SETS)
+def test_gradient_of_a_prediction_is_that_of_differences(name: str) -> None:
+    """By every parameter of every effect, by the bench's numbers, and by the start, over 70 samples."""
+    model = BenchModel(replace(Bench.nominal(), effects=SETS[name]))
+    current, weights = wave(207)[137:], np.array([1.0, 1.0, 1e-4, 1e-4, 1e5])
+    k, start, _ = model.begin(model.values)
+    model.rollout(k, start, wave(137))
+    targets = model.rollout(k, start.copy(), current) + np.array([3.0, -2.0, 2e4, 1e4, 1e-5])
+
+    def loss(theta: FloatArray, y: FloatArray) -> float:
+        k, _, _ = model.begin(theta)
+        return float(np.sum((weights * (model.rollout(k, y.copy(), current) - targets)) ** 2))
+
+    value, gy, gk = model.window(k, start, current, targets, weights)
+    assert value == pytest.approx(loss(model.values, start), rel=1e-12)
+    sizes = np.maximum(np.abs(model.values), [1e-6 * one.scale for one in model.parameters])
+    found = model.gradient(model.values, gk) * sizes
+    differences = np.array([_slope(lambda t: loss(t, start), model.values, i, sizes[i]) for i in range(len(sizes))])
+    np.testing.assert_allclose(found, differences, rtol=2e-4, atol=1e-5 * np.max(np.abs(differences)))
+    scales = np.array([state.scale for state in model.states])
+    by_start = np.array([_slope(lambda y: loss(model.values, y), start, i, scales[i]) for i in range(len(scales))])
+    np.testing.assert_allclose(gy * scales, by_start, rtol=2e-4, atol=1e-5 * np.max(np.abs(by_start)))
+
+
+def _slope(function: Any, at: FloatArray, index: int, size: float) -> float:
+    """Central difference by an entry, times `size`."""
+    step, ends = 1e-6 * size, []
+    for side in (1.0, -1.0):
+        moved = at.copy()
+        moved[index] += side * step
+        ends.append(function(moved))
+    return float((ends[0] - ends[1]) / 2e-6)
+
+
+@pytest.mark.parametrize("damping", [0.2, 1.0, 3.0])
+def test_lags_are_exponentials_of_their_matrix(damping: float) -> None:
+    bench = replace(Bench.nominal(), effects=(effect("valve_lag", bandwidth=300.0, damping=damping),))
+    model = BenchModel(bench)
+    k, y, _ = model.begin(model.values)
+    y[6:8] = 2e-3, 0.5
+    model.sample(k, y, 1e-3)
+    omega = 2.0 * np.pi * 300.0
+    system = np.array([[0.0, 1.0], [-omega * omega, -2.0 * damping * omega]])
+    expected = expm(1e-3 * system) @ np.array([2e-3 - 1e-3, 0.5]) + np.array([1e-3, 0.0])
+    np.testing.assert_allclose(y[6:8], expected, rtol=1e-9, atol=1e-12)
+
+
+def test_a_mass_that_is_held_has_no_derivative_of_its_place_by_a_small_force() -> None:
+    """Derivatives are those of the side that the step is on: what holds, holds whatever changes a little."""
+    bench = replace(Bench.nominal(), effects=(effect("friction_coulomb", force=50.0),))
+    model = BenchModel(bench)
+    k, y, _ = model.begin(model.values)
+    _, dy, _ = model.jacobian(k, y, 0.0)
+    assert y[3] == 0.0
+    assert (dy[3] == 0.0).all()
+    assert dy[2, 0] == 0.0 and dy[2, 2] == 1.0
+
+
+def test_a_plant_and_a_model_go_to_another_process() -> None:
+    bench = replace(Bench.nominal(), effects=MOTION)
+    plant = AnalyticPlant(bench)
+    plant.step(1e-3)
+    twin = pickle.loads(pickle.dumps(plant))
+    np.testing.assert_array_equal(twin.step(2e-3), plant.step(2e-3))
+
+
+def test_the_c_source_stands_alone() -> None:
+    """What a box compiles: nothing but the language and its mathematics."""
+    source = BenchModel(Bench.nominal()).source
+    assert [line for line in source.splitlines() if line.startswith("#include")] == [
+        "#include <math.h>", "#include <string.h>",
+    ]  # fmt: skip
+
+
+def test_an_effect_may_not_hide_a_term_behind_a_parameter() -> None:
+    with pytest.raises(TypeError, match="load is the name of a term"):
+
+        class Hiding(Effect):
+            id = "hiding"
+            load = parameter("N", 0.0, 1.0, scale=1.0)
+
+        del Hiding
+
+
+def test_equations_hold_for_numbers_and_arrays_too() -> None:
+    drops = np.array([-4e6, -50.0, 0.0, 50.0, 4e6])
+    flows = equations.orifice(1e-9, drops)
+    np.testing.assert_allclose(flows, [-2e-6, -5e-9, 0.0, 5e-9, 2e-6], rtol=1e-12)
+    assert equations.orifice(1e-9, 4e6) == pytest.approx(2e-6)
+    assert equations.choose(drops > 0.0, 1.0, -1.0).tolist() == [-1.0, -1.0, -1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("spoil", ["current", "state"])
+def test_what_is_not_finite_stays_so_whatever_the_equations_limit(spoil: str) -> None:
+    model = BenchModel(Bench.nominal())
+    k, y, _ = model.begin(model.values)
+    if spoil == "state":
+        y[2] = np.nan
+    assert np.isnan(model.sample(k, y, np.nan if spoil == "current" else 1e-3)).all() and np.isnan(y).all()
+
+
+def test_a_dead_time_beyond_the_files_is_refused() -> None:
+    model = BenchModel(replace(Bench.nominal(), effects=(effect("transport_delay", time=3e-3),)))
+    theta = model.values.copy()
+    theta[[one.name.endswith(".time") for one in model.parameters]] = 0.02
+    with pytest.raises(ValueError, match="a dead time is above the bench file's"):
+        model.begin(theta)

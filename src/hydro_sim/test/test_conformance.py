@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The conformance cases on both boxes and on boxes that are broken on purpose, each run in step with its bench."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from hydro_bridge.conformance.host import Host
+from hydro_bridge.conformance.run import FAIL, LEFT_OUT, PASS, run
+from hydro_bridge.conformance.script import read, shipped
+from hydro_bridge.errors import UserError
+from hydro_sim.box import firmware
+from hydro_sim.box.box import BoxConfig, box_details, box_info
+from hydro_sim.emulator.firmware import FirmwareLink, FirmwareMachine
+from hydro_sim.emulator.line.faults import LinkFaults
+from hydro_sim.emulator.line.link import BoxLink
+from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.model.bench import Bench
+
+FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
+
+
+class Memory:
+    """A line of bytes without a port: what `BoxLink` needs of a terminal."""
+
+    plugged = opened = True
+
+    def __init__(self) -> None:
+        self.down, self.up = b"", b""
+
+    def read(self) -> bytes:
+        data, self.down = self.down, b""
+        return data
+
+    def write(self, data: bytes) -> int:
+        self.up += data
+        return len(data)
+
+
+class InStep:
+    """A box and its bench as a line: each read is one sample of theirs, and no time passes otherwise."""
+
+    def __init__(self, machine: Machine, link: BoxLink, memory: Memory) -> None:
+        self.machine, self.link, self.memory = machine, link, memory
+
+    def clock(self) -> float:
+        return self.machine.time
+
+    def write(self, frame: bytes) -> bool:
+        self.memory.down += frame
+        return True
+
+    def read(self, timeout: float) -> bytes:
+        now = self.machine.time
+        command = self.link.poll(now)
+        if command is not None:
+            self.machine.receive(command)
+        self.link.send(self.machine.tick(), now)
+        data, self.memory.up = self.memory.up, b""
+        return data
+
+
+def python_box(integral: str = "bumpless") -> InStep:
+    bench, config, memory = Bench.nominal(), BoxConfig(integral=integral), Memory()  # type: ignore[arg-type]
+    machine = Machine(profile("nominal"), bench, config)
+    details = box_details(bench, config, machine.sensors, epoch=3)
+    info = box_info(bench, config, "in step")
+    return InStep(machine, BoxLink(memory, info, LinkFaults(), 0, details, lambda: machine.refused), memory)  # type: ignore[arg-type]
+
+
+def c_box(precision: firmware.Precision = "double", integral: str = "bumpless") -> InStep:
+    bench, config, memory = Bench.nominal(), BoxConfig(integral=integral), Memory()  # type: ignore[arg-type]
+    machine = FirmwareMachine(profile("nominal"), bench, config, 0, precision)
+    return InStep(machine, FirmwareLink(memory, machine.firmware, box_info(bench, config, ""), LinkFaults()), memory)  # type: ignore[arg-type]
+
+
+def outcomes(line: InStep, *, moving: bool = True) -> dict[str, tuple[str, str]]:
+    numbers = Bench.nominal().to_mapping()
+    results = run(shipped(), lambda: Host(line, line.clock), numbers, moving=moving)
+    return {result.case.id: (result.outcome, result.found) for result in results}
+
+
+BOXES: dict[str, Callable[[], InStep]] = {
+    "Python": python_box,
+    "Python, paper": lambda: python_box("paper"),
+    "C": c_box,
+    "C, single": lambda: c_box("single"),
+    "C, paper": lambda: c_box(integral="paper"),
+}
+
+
+@pytest.mark.parametrize("name", BOXES)
+def test_both_boxes_pass_every_case(name: str) -> None:
+    found = outcomes(BOXES[name]())
+    assert {case: result for case, result in found.items() if result[0] != PASS} == {}
+    assert len(found) >= 40
+
+
+def test_without_moving_nothing_arms_and_the_piston_rests() -> None:
+    line = c_box()
+    before = float(line.machine.plant.chain[0]["clean"][6])
+    found = outcomes(line, moving=False)
+    moved = {case.id for case in shipped() if case.moving}
+    assert {case for case, (outcome, _) in found.items() if outcome == LEFT_OUT} == moved
+    assert all(outcome == PASS for case, (outcome, _) in found.items() if case not in moved)
+    assert abs(float(line.machine.plant.chain[0]["clean"][6]) - before) < 1e-5
+
+
+def test_a_case_that_arms_and_does_not_say_so_is_refused() -> None:
+    with pytest.raises(UserError, match="is not marked as moving"):
+        read([{"id": "x", "says": "y", "steps": [{"commands": {"samples": 1, "arm": True}}]}])
+    with pytest.raises(UserError, match="a step is one of"):
+        read([{"id": "x", "says": "y", "steps": [{"dance": 3}]}])
+
+
+BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
+    "takes old commands": (
+        "guard.h",
+        "if (guard->heard && (ahead == 0 || ahead >= 0x80000000u)) {",
+        "if (guard->heard && ahead == 0) {",
+        {"order.old"},
+    ),
+    "takes repeated commands": (
+        "guard.h",
+        "if (guard->heard && (ahead == 0 || ahead >= 0x80000000u)) {",
+        "if (guard->heard && ahead >= 0x80000000u) {",
+        {"order.repeated", "order.no_heartbeat"},
+    ),
+    "watchdog after 60 ms": (
+        "arming.h",
+        "return age > config->hold_timeout;",
+        "return age > config->hold_timeout + 0.01;",
+        {"watchdog.hold", "watchdog.trip", "order.no_heartbeat"},
+    ),
+    "trips after 150 ms": (
+        "arming.h",
+        "if (age > config->trip_timeout) {",
+        "if (age > config->trip_timeout - 0.05) {",
+        {"watchdog.trip"},
+    ),
+    "arms without a disarm": (
+        "arming.h",
+        "arming->armed = arming->disarm_seen;\n    arming->tripped = !arming->disarm_seen;",
+        "arming->armed = true;",
+        {"arm.needs_a_disarm"},
+    ),
+    "does not clamp K_p": (
+        "guard.h",
+        "config->delta_kp_min, config->delta_kp_max);",
+        "HYDRO_R(-1e9), HYDRO_R(1e9));",
+        {"clamp.high", "clamp.low", "refused.counted"},
+    ),
+    "keeps the gain where none is given": (
+        "guard.h",
+        "broken ? HYDRO_R(0) : hydro_clamp",
+        "broken ? guard->delta_kp : hydro_clamp",
+        {"clamp.not_finite"},
+    ),
+    "keeps the reference's phase back": (
+        "reference.h",
+        "hydro_turned(angle + signal->phase)",
+        "hydro_turned(angle)",
+        {"reference.sine"},
+    ),
+    "equal weights in the multisine": (
+        "reference.h",
+        "0.44789526038332517, 0.2585924491510704, 0.1692884960541141, 0.1242237944114903",
+        "0.25, 0.25, 0.25, 0.25",
+        {"reference.multisine"},
+    ),
+    "edges of a quarter of a period": (
+        "reference.h",
+        "#define HYDRO_EDGE 0.125",
+        "#define HYDRO_EDGE 0.25",
+        {"reference.smooth_step", "reference.fade"},
+    ),
+    "changes break a fade off": (
+        "reference.h",
+        "if (time - reference->fade_start >= HYDRO_FADE && !",
+        "if (!",
+        {"reference.fade"},
+    ),
+    "a HELLO does not disarm": (
+        "box.h",
+        "box->greeted = box->greeting = box->has_now = true;",
+        "box->greeted = box->greeting = true;",
+        {"hello.disarms", "hello.safe"},
+    ),
+    "the integral of the paper, called bumpless": (
+        "force_law.h",
+        "form == HYDRO_BUMPLESS",
+        "form == 77u",
+        {"law.gains"},
+    ),
+    "the correction is lost": (
+        "box.h",
+        "nominal : nominal + box->guard.delta_u;",
+        "nominal : nominal;",
+        {"law.current", "law.nominal"},
+    ),
+    "late commands keep their gains": (
+        "box.h",
+        "values[HYDRO_KP] = late ? config->base_kp : ",
+        "values[HYDRO_KP] = ",
+        {"watchdog.hold", "watchdog.trip"},
+    ),
+    "accepts frames without their check sum": (
+        "stream.h",
+        "|| hydro_crc(data, count - 4) != hydro_read32(data + count - 4)",
+        "",
+        {"framing.damaged"},
+    ),
+    "HELLO without a sequence": (
+        "box.h",
+        "    if (box->hellos == 0) {",
+        "    box->hellos = 0;\n    if (box->hellos == 1) {",
+        {"hello.answered", "version.old_host"},
+    ),
+    "counts samples by two": (
+        "box.h",
+        "box->sample.sequence = box->sequence++;",
+        "box->sample.sequence = box->sequence++ * 2;",
+        {"framing.stream", "framing.garbage", "line.loss", "line.load"},
+    ),
+    "forgets FILTER_STALE": (
+        "arming.h",
+        "(late || !arming->filter_fresh ? HYDRO_FILTER_STALE : 0u)",
+        "(late ? HYDRO_FILTER_STALE : 0u)",
+        {"stale.shown", "stale.armed", "hello.safe"},
+    ),
+}
+"""What is broken: file, text, what stands there instead, and the cases that must fail, no others."""
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("broken") / "firmware"
+    shutil.copytree(FIRMWARE, folder)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_box_fails_where_it_is_broken(copy: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, text, instead, wanted = BROKEN[name]
+    path = copy / "hydro" / file
+    whole = path.read_text()
+    assert whole.count(text) == 1 or name.startswith("the integral"), "what is to be broken has changed"
+    library = copy / f"{list(BROKEN).index(name)}.so"
+    path.write_text(whole.replace(text, instead))
+    try:
+        words = ["-std=c99", "-O2", "-w", "-ffp-contract=off", "-fPIC", "-shared", str(copy / "hydro_box.c")]
+        subprocess.run([os.environ.get("CC", "cc"), *words, "-o", str(library), "-lm"], check=True)
+    finally:
+        path.write_text(whole)
+    monkeypatch.setattr(firmware, "library_path", lambda precision: library)
+    monkeypatch.setattr(firmware, "_library", firmware._library.__wrapped__)
+    found = outcomes(c_box())
+    assert {case for case, (outcome, _) in found.items() if outcome == FAIL} == wanted, {
+        case: why for case, (outcome, why) in found.items() if outcome == FAIL
+    }

@@ -1,0 +1,214 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The box in C against the compiled Python box: the same bytes and measurements in, the same samples out."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from math import inf, nan
+from random import Random
+from zlib import crc32
+
+import numpy as np
+import pytest
+from cobs import cobs
+
+from hydro_bridge.serial.protocol import Details, Hello, State, encode_command, encode_hello
+from hydro_bridge.serial.stream import Decoder
+from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_sim.box.box import Box, BoxConfig, box_details, box_info
+from hydro_sim.box.firmware import NAME, Firmware
+from hydro_sim.emulator.line.faults import LinkFaults
+from hydro_sim.emulator.line.link import BoxLink
+from hydro_sim.excitation.schedules import Segment
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.sensors import CONDITIONING_DTYPE, Sensors, condition, restart
+
+BROKEN = (nan, inf, -inf, 1e30, -1e30, 5001.0)
+
+
+class Memory:
+    """A line of bytes without a port: what `BoxLink` needs of a terminal."""
+
+    plugged = opened = True
+
+    def __init__(self) -> None:
+        self.down, self.up = b"", b""
+
+    def read(self) -> bytes:
+        data, self.down = self.down, b""
+        return data
+
+    def write(self, data: bytes) -> int:
+        self.up += data
+        return len(data)
+
+
+def drawn_number(random: Random, scale: float) -> float:
+    return random.choice(BROKEN) if random.random() < 0.02 else random.gauss(0.0, scale)
+
+
+def drawn_command(random: Random) -> Command:
+    signal = ReferenceSignal(
+        waveform=random.choice(tuple(Waveform)),
+        amplitude=abs(drawn_number(random, 200.0)),
+        offset=drawn_number(random, 100.0),
+        frequency=random.choice((0.3, 2.0, 999.0, 1000.0, 0.0, -1.0, nan, random.uniform(0.1, 20.0))),
+        phase=drawn_number(random, 3.0),
+    )
+    return Command(
+        arm=random.random() < 0.8,
+        delta_kp=drawn_number(random, 100.0),
+        delta_ki=drawn_number(random, 30.0),
+        delta_u=drawn_number(random, 0.02),
+        reference=signal,
+        corrects=random.getrandbits(32),
+        filter_fresh=random.random() < 0.5,
+    )
+
+
+def drawn_bytes(random: Random, sequence: int, command: Command) -> bytes:
+    """What a host sends in one millisecond: mostly the command, at times nothing, a greeting, garbage, old frames."""
+    frame = encode_command(sequence, 0, command, random.choice((1, 2)))
+    draw = random.random()
+    if draw < 0.9:
+        return frame
+    if draw < 0.92:
+        return encode_hello(sequence, 0) + frame * random.randint(0, 2)
+    if draw < 0.94:
+        return frame + encode_hello(sequence, 0)
+    if draw < 0.96:
+        return random.randbytes(random.randint(1, 400)) + frame
+    if draw < 0.98:
+        return encode_command(sequence - random.choice((0, 1, 5, 2**31)), 0, command) + frame[: random.randint(1, 60)]
+    return b""
+
+
+def streams(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
+    """Bytes of the host and a measurement for each millisecond."""
+    random, sequence, command, silent = Random(seed), 0, Command(), 0
+    x = np.array([0.0, 0.0, 0.0, 0.0, 3.7e6, 6.2e6, 0.04, 0.0])
+    for k in range(samples):
+        sequence = (sequence + 1) & 0xFFFFFFFF
+        if random.random() < 0.01:
+            command = drawn_command(random)
+        if random.random() < 0.001:
+            silent = random.randint(1, 400)
+        silent = max(0, silent - 1)
+        wave = np.sin(k * np.array([2e-3, 3e-3, 5e-3, 7e-3, 1e-3, 2e-3, 4e-3, 9e-3]))
+        y = x + wave * np.array([300.0, 4e3, 300.0, 4e3, 3e6, 5e6, 0.03, 0.2])
+        if random.random() < 0.002:
+            y[random.randrange(8)] = random.choice((*BROKEN, 720.0, -750.0))
+        yield (b"" if silent else drawn_bytes(random, sequence, command)), y
+
+
+def pair(integral: str = "bumpless") -> tuple[Box, BoxLink, Memory, Firmware]:
+    """The Python box with its line, and the box in C, alike."""
+    bench, config = Bench.nominal(), BoxConfig(integral=integral)  # type: ignore[arg-type]
+    box, line = Box(bench, config), Memory()
+    details = box_details(bench, config, Sensors(), epoch=7)
+    link = BoxLink(line, box_info(bench, config, NAME), LinkFaults(), 0, details, lambda: refused(box))  # type: ignore[arg-type]
+    return box, link, line, Firmware(bench, config, epoch=7)
+
+
+def bits(sample: np.void) -> bytes:
+    """All of a sample, without what lies between its fields."""
+    return struct.pack("<dI14dI", *sample.item())
+
+
+def refused(box: Box) -> tuple[int, int]:
+    return int(box.state["refused"][0]), int(box.state["refused_references"][0])
+
+
+@pytest.mark.parametrize(("seed", "integral"), [(1, "bumpless"), (2, "bumpless"), (3, "paper")])
+def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(seed: int, integral: str) -> None:
+    box, link, line, firmware = pair(integral)
+    seen: set[int] = set()
+    for k, (data, x) in enumerate(streams(seed, 20_000)):
+        line.down += data
+        command = link.poll(k * 1e-3)
+        if command is not None:
+            box.receive(command, k * 1e-3)
+        firmware.take(data)
+        expected, found = box.tick(x, k * 1e-3), firmware.tick(x, k * 1e-3)[0]
+        assert bits(found) == bits(expected), k
+        link.send(expected, k * 1e-3)
+        assert firmware.frames() == line.up, k
+        line.up = b""
+        seen.add(int(expected["flags"]))
+    counts = firmware.counts()
+    assert (counts["refused"], counts["refused_references"]) == refused(box)
+    assert (counts["taken"], counts["stale"], counts["greetings"]) == (
+        link.report.commands, link.report.refused, link.report.hellos,
+    )  # fmt: skip
+    assert {int(Flag.ARMED), int(Flag.ARMED | Flag.SATURATED)} & seen and len(seen) > 12
+
+
+def calm(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
+    """Commands that a guard lets through, every millisecond, and a bench that is where it was believed."""
+    random, command, bench = Random(seed), Command(), Bench.nominal()
+    plant = AnalyticPlant(bench)
+    x = plant.reset(seed)
+    for k in range(samples):
+        if k % 700 == 1:
+            shape = Segment(
+                seconds=1.0, waveform=random.choice(("hold", "sine", "multisine", "smooth_step")),
+                amplitude=random.uniform(0.0, 250.0), frequency=random.uniform(0.2, 8.0), kp=60.0, ki=10.0,
+            ).signal  # fmt: skip
+            command = Command(arm=True, delta_kp=45.0, delta_ki=5.0, delta_u=1e-4, reference=shape, filter_fresh=True)
+        current = yield encode_command(k + 1, 0, command), x
+        x = plant.step(current)
+
+
+def test_single_precision_stays_within_its_rounding() -> None:
+    """Both boxes see the bench that the double one moves: each sample's difference is rounding, none is chaos."""
+    bench = Bench.nominal()
+    double, single = Firmware(bench), Firmware(bench, precision="single")
+    source, worst = calm(5, 20_000), dict.fromkeys(STATE_FIELDS, 0.0)
+    data, x = next(source)
+    for k in range(20_000 - 1):
+        for box in (double, single):
+            box.take(data)
+        a, b = double.tick(x, k * 1e-3)[0], single.tick(x, k * 1e-3)[0]
+        assert (int(a["flags"]) ^ int(b["flags"])) & ~Flag.SATURATED == 0
+        for name in STATE_FIELDS:
+            worst[name] = max(worst[name], abs(float(a[name]) - float(b[name])))
+        data, x = source.send(float(a["valve_current"]))  # type: ignore[attr-defined]
+    print(worst)
+    assert worst["valve_current"] < 1e-7 and worst["reference_force"] < 1e-4
+    assert worst["reference_force_rate"] < 1e-2
+
+
+def test_rates_are_those_of_the_sensors_module() -> None:
+    firmware, random = Firmware(Bench.nominal()), np.random.default_rng(1)
+    last, x, y = np.zeros(1, CONDITIONING_DTYPE)[0], np.zeros(8), np.zeros(8)
+    sensors = Sensors().constants()[0]
+    raws = np.cumsum(random.normal(size=(5000, 5)) * [3.0, 3.0, 1e4, 1e4, 1e-5], axis=0) + [0, 0, 4e6, 6e6, 0.04]
+    restart(last, raws[0], x)
+    for k, raw in enumerate(raws):
+        if k:
+            condition(sensors, last, raw, x)
+        firmware.differentiate(raw, y)
+        np.testing.assert_array_equal(x, y)
+
+
+def test_what_the_box_says_of_itself_is_what_python_says() -> None:
+    box, _, _, firmware = pair()
+    del box
+    firmware.take(encode_hello(0, 0))
+    firmware.tick(np.array([0, 0, 0, 0, 3e6, 3e6, 0.04, 0.0]), 0.0)
+    hello, details, state = Decoder().feed(firmware.frames())
+    assert isinstance(hello, Hello) and isinstance(details, Details) and isinstance(state, State)
+    wanted = Decoder().feed(encode_hello(1, 0, box_info(Bench.nominal(), BoxConfig(), NAME)))[0]
+    assert isinstance(wanted, Hello) and hello.info == wanted.info
+    assert details.details.bench_digest == Bench.nominal().digest and details.details.epoch == 7
+    assert state.refused == state.refused_references == 0
+
+
+def test_a_frame_that_is_none_is_counted_and_moves_nothing() -> None:
+    firmware = Firmware(Bench.nominal())
+    body = bytearray(cobs.decode(encode_command(5, 0, Command(arm=True))[1:-1])[:-4])
+    body[34] = 9  # waveform
+    firmware.take(b"\0" + cobs.encode(bytes(body) + struct.pack("<I", crc32(body))) + b"\0")
+    assert firmware.counts()["taken"] == 0

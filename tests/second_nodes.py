@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A second filter, trainer and recorder, then a second plant, beside an armed one: each told, and harmless.
+
+python -m tests.second_nodes [--repeats N] [--json FILE]
+
+Emulator, bridge and filter run; a commander tracks 200 N at 1 Hz with (90, 15). Exit status 1 if one was not told, if
+the first did not go on beside filter, trainer and recorder, or was not disarmed beside a second plant.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from hydro_bridge.cli.console import Table, add_json_argument, command
+from hydro_bridge.ros import CORRECTION, STATE, Companion
+from hydro_bridge.signals import Flag
+from tests.attacks import Defended, defended
+from tests.graph_probe import trainer
+
+_PATIENCE = 90.0  # s, for imports on a busy machine
+
+
+@dataclass
+class Beside:
+    """What came of second nodes."""
+
+    filter: bool = False
+    """The second filter said that another answers already, and had no publisher of corrections."""
+    trainer: bool = False
+    """The second trainer said who commands, and waited."""
+    recorder: bool = False
+    """The recorder went on recording."""
+    went_on: bool = False
+    """All samples meanwhile were armed."""
+    plant: bool = False
+    """Beside a second plant the first was disarmed, and said why."""
+
+    @property
+    def held(self) -> bool:
+        """Whether all of it held."""
+        return all(vars(self).values())
+
+
+def beside(graph: Defended, folder: Path) -> Beside:
+    """Start second ones beside the armed plant of `graph`; what they leave goes into `folder`."""
+    found, probe, said = Beside(), graph.probe, io.StringIO()
+    graph.arm()
+    words = ("--plant", "external", "--from", "scratch", "--rearm", "auto", "--runs", str(folder), "--name", "run")
+    second = Companion("hydro_filter", "filter", [], output=said)
+    recorder = Companion("hydro_bridge", "recorder", ["--out", str(folder / "bag")], output=io.StringIO())
+    try:
+        with trainer(*words) as process:
+            probe.forget()
+            told = "probe commands this plant: end it"
+            graph.drive(_PATIENCE, until=lambda: told in process.text and "answers already" in said.getvalue())
+            graph.drive(3.0)
+            found.filter = "answers already" in said.getvalue() and probe.node.count_publishers(CORRECTION) == 1
+            found.trainer = told in process.text and process.process.poll() is None
+            found.recorder = recorder.running
+            found.went_on = all(state.flags & Flag.ARMED for _, state in probe.heard[STATE])
+    finally:
+        second.stop()
+        recorder.stop()
+    found.plant = beside_a_plant(graph)
+    return found
+
+
+def beside_a_plant(graph: Defended) -> bool:
+    """Start a second plant beside the armed one: whether that one was disarmed, and said why."""
+    graph.arm()
+    begun = len(graph.text)
+
+    def told() -> bool:
+        lines = graph.text[begun:]  # one before has brought the same words
+        return any("2 nodes publish /hydro/state" in line and "disarmed until" in line for line in lines)
+
+    second = Companion("hydro_sim", "sim", ["--model", "analytic"], output=io.StringIO())
+    try:
+        graph.drive(_PATIENCE, until=told)
+        graph.drive(0.5)
+        return told() and not graph.own_flags() & Flag.ARMED
+    finally:
+        second.stop()
+
+
+@command()
+def main() -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(prog="python -m tests.second_nodes", description=__doc__)
+    parser.add_argument("--repeats", type=int, default=20, metavar="N", help="default: %(default)s")
+    add_json_argument(parser)
+    asked = parser.parse_args()
+    rows: list[Beside] = []
+    with tempfile.TemporaryDirectory() as folder, defended(Path(folder)) as graph:
+        for number in range(asked.repeats):
+            own = Path(folder, f"{number}")
+            own.mkdir()
+            rows.append(beside(graph, own))
+            print(number, rows[-1], file=sys.stderr, flush=True)
+    table = Table({"what": "", "held": ""}, title="Second nodes beside an armed plant")
+    for name in vars(Beside()):
+        table.add(what=name, held=f"{sum(getattr(row, name) for row in rows)} of {len(rows)}")
+    table.show(asked.json)
+    return 0 if all(row.held for row in rows) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

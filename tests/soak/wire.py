@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The serial line with a stranger on it: whole frames pass both ways, and hostile bytes come between them.
+
+python -m tests.soak.wire --box PORT --bridge PATH [--seed N] [--trace FILE]
+
+Orders come on standard input, one a line::
+
+    hostile N    so many hostile bytes a millisecond each way, on average, from now on
+    replay N     so many old frames each way, at once
+    mute N       nothing of the host's reaches the box for so many seconds
+    report       answer with one line of JSON: `Line.report`
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import select
+import sys
+import time
+from collections import deque
+from pathlib import Path
+from random import Random
+
+from hydro_bridge.serial.protocol import CommandFrame, MalformedError, State, decode
+from hydro_bridge.signals import STATE_FIELDS, Flag
+from hydro_sim.emulator.line.terminal import Terminal
+from hydro_sim.emulator.realtime import raise_priority
+from tests.soak.stranger import Direction
+from tests.soak.trace import RECORD
+
+_FORCE, _CURRENT, _KP = map(STATE_FIELDS.index, ("load_force", "valve_current", "proportional_gain"))
+_TICK = 5e-4  # s
+
+
+class Line:
+    """Both ways, and what must hold on them.
+
+    Parameters
+    ----------
+    box, bridge
+        The box's port, and where the bridge finds its own.
+    seed
+        Of all that is random.
+    trace
+        File that gets a `trace.RECORD` of each state; None: none.
+    """
+
+    def __init__(self, box: Path, bridge: Path, seed: int, trace: Path | None = None) -> None:
+        self._trace = trace.open("ab", buffering=0) if trace else None
+        self.up, self.down = Direction(Random(seed)), Direction(Random(seed + 1))
+        self.rate, self.muted_until = 0.0, 0.0
+        self._box, self._port = box, -1
+        self._terminal = Terminal(bridge)
+        self._terminal.unplug()
+        self._commands: deque[int] = deque([0], maxlen=4096)
+        self._commanded = self._disturbed = time.monotonic()
+        self._found = {"forged": 0, "armed": 0, "disarmed": 0, "longest": 0.0}
+
+    def report(self) -> dict[str, object]:
+        """What passed: `forged`, states that name a command that never passed; `armed` and `disarmed`, states;
+        `longest`, s after the last command at which a state still had a valve current."""
+        ways = {"up": self.up, "down": self.down}
+        passed = {name: {"frames": way.frames, "hostile": way.hostile} for name, way in ways.items()}
+        return {**passed, **self._found}
+
+    def step(self) -> None:
+        """Wait a moment for bytes, and carry them."""
+        if self._port < 0:
+            self._plug()
+            return
+        try:
+            ready = select.select([self._port], [], [], _TICK)[0]
+            data = os.read(self._port, 65536) if ready else b""
+            if ready and not data:
+                raise OSError("gone")
+            self._carry(data, self._terminal.read(), time.monotonic())
+            self.down.write(self._port)
+        except OSError:  # the box has gone: so has the adapter
+            os.close(self._port)
+            self._port = -1
+            self._terminal.unplug()
+            return
+        if self._terminal.opened:
+            self.up.unwritten = self.up.unwritten[self._terminal.write(self.up.unwritten) :][-65536:]
+        else:
+            self.up.unwritten = b""
+
+    def _plug(self) -> None:
+        try:
+            self._port = os.open(self._box, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+        except OSError:
+            time.sleep(0.02)
+            return
+        self.up.unwritten = self.down.unwritten = b""
+        self._terminal.plug()
+
+    def _carry(self, up: bytes, down: bytes, now: float) -> None:
+        for piece in self.down.whole(down):
+            frame = _frame(piece)
+            if now >= self.muted_until:
+                self.down.let_pass(piece, frame)
+                if isinstance(frame, CommandFrame):
+                    self._commands.append(frame.sequence)
+                    self._commanded = now
+        for piece in self.up.whole(up):
+            frame = _frame(piece)
+            self.up.let_pass(piece, frame)
+            if isinstance(frame, State):
+                self._look_at(frame, now)
+        size, self._disturbed = 1e3 * self.rate * (now - self._disturbed), now
+        for way in (self.up, self.down):
+            way.disturb(size)
+
+    def _look_at(self, state: State, now: float) -> None:
+        force, current = state.values[_FORCE], state.values[_CURRENT]
+        if self._trace is not None:
+            self._trace.write(RECORD.pack(now, state.sequence, state.flags, force, current, state.values[_KP]))
+        found = self._found
+        found["forged"] += state.last_command not in self._commands
+        found["armed" if state.flags & Flag.ARMED else "disarmed"] += 1
+        if current:
+            found["longest"] = max(found["longest"], now - self._commanded)
+
+
+def _frame(piece: bytes) -> object:
+    try:
+        return decode(piece)
+    except MalformedError:
+        return None
+
+
+def obey(line: Line, order: str) -> None:
+    """Carry out one order."""
+    word, _, number = order.partition(" ")
+    if word == "report":
+        print(json.dumps(line.report()), flush=True)
+    elif word == "hostile":
+        line.rate = float(number)
+    elif word == "mute":
+        line.muted_until = time.monotonic() + float(number)
+    elif word == "replay":
+        line.up.replay(int(number))
+        line.down.replay(int(number))
+    else:
+        raise ValueError(order)
+
+
+def main() -> None:
+    """Carry until standard input ends."""
+    parser = argparse.ArgumentParser(prog="python -m tests.soak.wire", description=__doc__)
+    parser.add_argument("--box", type=Path, required=True, help="the box's port")
+    parser.add_argument("--bridge", type=Path, required=True, help="where the bridge finds its own")
+    parser.add_argument("--seed", type=int, default=0, help="of all that is random")
+    parser.add_argument("--trace", type=Path, help="file that gets a record of each of the box's states")
+    options = parser.parse_args()
+    line, text = Line(options.box, options.bridge, options.seed, options.trace), ""
+    raise_priority()
+    while True:
+        line.step()
+        if select.select([0], [], [], 0.0)[0]:
+            data = os.read(0, 4096)
+            if not data:
+                sys.exit()
+            *orders, text = (text + data.decode()).split("\n")
+            for order in orders:
+                obey(line, order)
+
+
+if __name__ == "__main__":
+    main()

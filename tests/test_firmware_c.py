@@ -1,0 +1,123 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The box in C by itself: its own tests, a short hostile run, full coverage of the guarded parts, its examples."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import tty
+from collections.abc import Iterator
+from importlib import util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from hydro_bridge.conformance.host import Host
+from hydro_bridge.conformance.run import FAIL, PASS, run
+from hydro_bridge.conformance.script import shipped
+from hydro_bridge.files import bench_file
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.box.configuration import header, values
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.sensors import Sensors
+
+FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
+IN_TIME = ("framing", "hello", "version", "idle", "clamp", "order.repeated", "order.old", "refused", "watchdog.hold")
+"""Cases that judge by samples alone, whatever else the machine does."""
+
+
+@pytest.fixture(scope="module")
+def checks() -> ModuleType:
+    import sys
+
+    spec = util.spec_from_file_location("firmware_checks", FIRMWARE / "test" / "checks.py")
+    assert spec and spec.loader
+    module = util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_its_own_tests_pass_in_both_precisions(checks: ModuleType, tmp_path: Path) -> None:
+    checks.unit(tmp_path)
+
+
+def test_hostile_bytes_raise_nothing_and_move_nothing(checks: ModuleType, tmp_path: Path) -> None:
+    checks.hostile(tmp_path, 100_000)
+
+
+def test_every_line_and_branch_of_the_guarded_parts_is_reached(checks: ModuleType, tmp_path: Path) -> None:
+    found = checks.coverage(tmp_path)
+    assert {part: found[part].missed for part in checks.GUARDED} == dict.fromkeys(checks.GUARDED, ())
+    assert all(found[part].branches > 20 for part in checks.GUARDED)
+
+
+def test_the_mutator_makes_mutants_that_die(checks: ModuleType, tmp_path: Path) -> None:
+    text = "static inline bool late(int age)\n{\n    return age > 50;\n}\n"
+    made = {change: mutant for _, change, mutant in checks.mutants(text)}
+    assert "return age >= 50;" in made["> -> >="] and "return age > 51;" in made["50 -> 51"]
+
+
+@pytest.fixture
+def configured(tmp_path: Path) -> Path:
+    text = header(values(Bench.nominal(), BoxConfig(), Sensors(), "linux box"))
+    (tmp_path / "box_config.h").write_text(text)
+    return tmp_path
+
+
+def compiled(folder: Path, source: Path, *words: str) -> Path:
+    program = folder / source.stem
+    strict = ["-std=c99", "-O2", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    places = [f"-I{FIRMWARE}", f"-I{folder}"]
+    compiler = os.environ.get("CC", "cc")
+    subprocess.run([compiler, *strict, *places, *words, str(source), "-o", str(program), "-lm"], check=True)
+    return program
+
+
+def test_the_frame_for_a_microcontroller_compiles(configured: Path) -> None:
+    for words in ((), ("-DHYDRO_SINGLE",)):
+        compiled(configured, FIRMWARE / "examples" / "bare_metal.c", "-c", "-ffreestanding", *words)
+
+
+class End:
+    """The far end of a pseudo-terminal as a line."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        os.set_blocking(descriptor, False)
+
+    def read(self, timeout: float) -> bytes:
+        import select
+
+        if not select.select([self.descriptor], [], [], timeout)[0]:
+            return b""
+        try:
+            return os.read(self.descriptor, 65536)
+        except OSError:
+            return b""
+
+    def write(self, frame: bytes) -> bool:
+        return os.write(self.descriptor, frame) == len(frame)
+
+
+@pytest.fixture
+def linux_box(configured: Path) -> Iterator[End]:
+    program = compiled(configured, FIRMWARE / "examples" / "linux_serial.c")
+    near, far = os.openpty()
+    tty.setraw(far)
+    process = subprocess.Popen([str(program), os.ttyname(far), "60"], stdout=subprocess.PIPE)
+    yield End(near)
+    process.terminate()
+    process.wait()
+    os.close(near)
+    os.close(far)
+
+
+@pytest.mark.graph
+def test_the_box_for_linux_keeps_the_protocol_over_a_port(linux_box: End) -> None:
+    cases = [case for case in shipped() if case.id.startswith(IN_TIME)]
+    numbers = bench_file.read_numbers(Path(str(bench_file.shipped())))
+    results = run(cases, lambda: Host(linux_box), numbers, moving=False)
+    assert [(result.case.id, result.found) for result in results if result.outcome == FAIL] == []
+    assert sum(result.outcome == PASS for result in results) >= 18
