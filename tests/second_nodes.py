@@ -47,25 +47,26 @@ class Beside:
 
 
 def beside(graph: Defended, folder: Path) -> Beside:
-    """Start second ones beside the armed plant of `graph`; what they leave goes into `folder`."""
+    """Start second ones beside the armed plant of `graph`, one after another; their files go into `folder`."""
     found, probe, said = Beside(), graph.probe, io.StringIO()
-    graph.arm()
     words = ("--plant", "external", "--from", "scratch", "--rearm", "auto", "--runs", str(folder), "--name", "run")
-    second = Companion("hydro_filter", "filter", [], output=said)
-    recorder = Companion("hydro_bridge", "recorder", ["--out", str(folder / "bag")], output=io.StringIO())
-    try:
-        with trainer(*words) as process:
-            probe.forget()
-            told = "probe commands this plant: end it"
-            graph.drive(_PATIENCE, until=lambda: told in process.text and "answers already" in said.getvalue())
-            graph.drive(3.0)
-            found.filter = "answers already" in said.getvalue() and probe.node.count_publishers(CORRECTION) == 1
-            found.trainer = told in process.text and process.process.poll() is None
-            found.recorder = recorder.running
-            found.went_on = all(state.flags & Flag.ARMED for _, state in probe.heard[STATE])
-    finally:
-        second.stop()
-        recorder.stop()
+    told = "probe commands this plant: end it"
+    graph.arm()
+    probe.forget()
+    with Companion("hydro_filter", "filter", [], output=said):
+        graph.drive(_PATIENCE, until=lambda: "answers already" in said.getvalue())
+        graph.drive(1.0)
+        found.filter = "answers already" in said.getvalue() and probe.node.count_publishers(CORRECTION) == 1
+    with Companion("hydro_bridge", "recorder", ["--out", str(folder / "bag")], output=io.StringIO()) as recorder:
+        graph.drive(3.0)
+        found.recorder = recorder.running
+    with trainer(*words) as process:
+        graph.drive(_PATIENCE, until=lambda: told in process.text)
+        graph.drive(3.0)
+        found.trainer = told in process.text and process.process.poll() is None
+    found.went_on = all(state.flags & Flag.ARMED for _, state in probe.heard[STATE])
+    if not found.went_on:
+        print("not armed all the time:", *graph.text[-40:], sep="\n", file=sys.stderr)
     found.plant = beside_a_plant(graph)
     return found
 

@@ -50,6 +50,13 @@ def test_a_claim_lapses_with_silence_and_only_then(authority: Authority) -> None
     assert not authority.lapse(100.0), "nobody is there to lose it"
 
 
+def test_a_holder_whose_requests_are_lost_keeps_it_by_commands(authority: Authority) -> None:
+    authority.take("trainer", 0, 0.0)
+    authority.hear(LEASE)
+    assert "trainer commands" in authority.take("evaluate", 0, LEASE + 0.1)
+    assert not authority.lapse(2 * LEASE) and authority.lapse(2 * LEASE + 0.1)
+
+
 def test_what_carries_no_epoch_or_an_old_one_is_refused_and_counted(authority: Authority) -> None:
     authority.take("trainer", 0, 0.0)
     old = authority.epoch

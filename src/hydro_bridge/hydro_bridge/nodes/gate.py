@@ -28,6 +28,7 @@ from hydro_bridge.ros import (
     AUTHORITY,
     CLAIM_SERVICE,
     COMMANDS,
+    CORRECTION,
     STATE,
     publisher_conflicts,
 )
@@ -93,7 +94,11 @@ class Gate:
             self._give_up(topic)
             return False
         self._follow()
-        return self.authority.admits(topic, epoch, self._now())
+        now = self._now()
+        admitted = self.authority.admits(topic, epoch, now)
+        if admitted and topic != CORRECTION:  # the filter goes on without the holder
+            self.authority.hear(now)
+        return admitted
 
     def crowd(self) -> str:
         """Which topics have more than one publisher, in a sentence; empty if none has."""

@@ -3,7 +3,8 @@
 
 ::
 
-    take    a holder claims the plant, and keeps it by asking again: after `LEASE` of silence another may have it
+    take    a holder claims the plant, and keeps it by asking again or by commands: after `LEASE` of silence another
+            may have it
     epoch   drawn anew when the plant is disarmed or trips, and for each new holder: commands of before are refused
     give    the holder gives it back
 
@@ -71,6 +72,10 @@ class Authority:
     def lapse(self, now: float) -> bool:
         """Take it back from a holder that has been silent for `LEASE`; whether one was. Not while it is armed."""
         return now - self._heard > LEASE and self.give(self.claim, now)
+
+    def hear(self, now: float) -> None:
+        """The holder has commanded: it is not silent."""
+        self._heard = now
 
     def end(self, now: float) -> None:
         """The session ends: what carries its epoch is refused from now on."""
