@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import PLANT_FIELDS, STATE_DTYPE, CorrectionStatus, FloatArray, StateArray
-from hydro_filter.controller.compiled import VectorConstantFilter, filter_parts
+from hydro_filter.controller.compiled import decide, filter_parts
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.model.sample import Sample
 from hydro_sim.model.bench import Bench
@@ -32,17 +32,21 @@ def records(states: FloatArray, seed: int) -> StateArray:
 
 
 @pytest.mark.parametrize("rate", [0.1, 2.0])
-def test_a_bank_decides_as_the_filter_does(bench: Bench, states: FloatArray, rate: float) -> None:
+def test_the_compiled_call_decides_as_the_filter_does(bench: Bench, states: FloatArray, rate: float) -> None:
     at, single = records(states, seed=1), ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=rate))
-    decisions = VectorConstantFilter(single.certificate, len(at)).correct(at)
+    parts = filter_parts(single.certificate)
     seen = set()
-    for k, record in enumerate(at):
-        expected = single.correct(Sample.of(record))
-        assert decisions.status[k] == expected.status
-        assert decisions.delta_u[k] == pytest.approx(expected.delta_u, abs=WITHIN)
-        np.testing.assert_allclose(decisions.before[k], expected.before, rtol=1e-9)
+    for record in at:
+        sample = Sample.of(record)
+        expected = single.correct(sample)
+        delta_u, before, after, status = decide(
+            parts, sample.state, sample.nominal_current, sample.reference_force, sample.proportional_gain
+        )
+        assert status == expected.status
+        assert delta_u == pytest.approx(expected.delta_u, abs=WITHIN)
+        np.testing.assert_allclose(before, expected.before, rtol=1e-9)
         per_ampere = abs((expected.before - expected.after) / expected.delta_u) if expected.delta_u else 0.0
-        np.testing.assert_allclose(decisions.after[k], expected.after, rtol=1e-9, atol=per_ampere * WITHIN)
+        np.testing.assert_allclose(after, expected.after, rtol=1e-9, atol=per_ampere * WITHIN)
         seen.add(expected.status)
     decided = {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
     assert seen == decided | {CorrectionStatus.NAN}

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_bridge.signals import STATE_DTYPE, CorrectionStatus, ReferenceSignal, StateArray, Waveform
-from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, VectorLoopFilter, default_filter
+from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
+from hydro_filter.controller import loop_decision
+from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter
+from hydro_filter.model.displacement import MEMORY_DTYPE
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.trial import Run, Trial, gammas, run
 from hydro_sim.learned.plant import LearnedPlant
@@ -36,15 +38,20 @@ def states(bench: Bench, plant: LearnedPlant) -> StateArray:
     return closed(bench, plant, (250.0, 15.0), default_filter(bench), 1.0).states
 
 
-def test_one_bench_and_many_decide_the_same(bench: Bench, states: StateArray) -> None:
-    one, bank = default_filter(bench), VectorLoopFilter(default_filter(bench).parts, 3)
-    corrected = 0
+def test_the_compiled_call_decides_as_the_filter_does(bench: Bench, states: StateArray) -> None:
+    one, parts = default_filter(bench), default_filter(bench).parts
+    memory, workspace, corrected = np.zeros(1, MEMORY_DTYPE), loop_decision.space(parts), 0
     for record in states:
-        result = one.correct(Sample.of(record))
-        made = bank.correct(np.array([record, record, record], STATE_DTYPE))
-        np.testing.assert_allclose(made.delta_u, result.delta_u, rtol=1e-5, atol=1e-9)  # OSQP beside its closed form
-        np.testing.assert_allclose(made.before, result.before, rtol=1e-9, atol=1e-12)
-        assert set(made.status) == {int(result.status)}
+        sample = Sample.of(record)
+        signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate
+        result = one.correct(sample)
+        made = loop_decision.decide(
+            parts, memory[0], sample.state, *signals, sample.proportional_gain, sample.armed, workspace
+        )
+        delta_u, before, _, status = made
+        np.testing.assert_allclose(delta_u, result.delta_u, rtol=1e-5, atol=1e-9)  # OSQP beside its closed form
+        np.testing.assert_allclose(before, result.before, rtol=1e-9, atol=1e-12)
+        assert status == int(result.status)
         corrected += result.status is CorrectionStatus.MODIFIED
     assert corrected > 50
 

@@ -3,15 +3,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, Command, Flag, ReferenceSignal, Waveform
-from hydro_filter.controller.compiled import VectorConstantFilter
+from hydro_filter.controller import compiled, loop_decision
 from hydro_filter.controller.filter import ContractionFilter
-from hydro_filter.controller.loop_filter import VectorLoopFilter, default_filter
+from hydro_filter.controller.loop_filter import default_filter
+from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_filter.model.sample import Sample
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.environment import Environment
 from hydro_policy.envs.vector_env import VectorBench, records
@@ -164,17 +167,40 @@ def test_rmse_is_that_of_the_offline_simulation() -> None:
     assert np.isnan(tripped).all()
 
 
+def compiled_constant() -> Callable[[Sample], float]:
+    """delta_u [A] of a sample by the constant metric's compiled call."""
+    parts = compiled.filter_parts(ContractionFilter.for_bench(BENCH).certificate)
+
+    def correct(sample: Sample) -> float:
+        at = sample.state, sample.nominal_current, sample.reference_force, sample.proportional_gain
+        return float(compiled.decide(parts, *at)[0])
+
+    return correct
+
+
+def compiled_learned() -> Callable[[Sample], float]:
+    """delta_u [A] of a sample by the learned metric's compiled call."""
+    parts = default_filter(BENCH).parts
+    memory, workspace = np.zeros(1, MEMORY_DTYPE), loop_decision.space(parts)
+
+    def correct(sample: Sample) -> float:
+        signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate
+        at = *signals, sample.proportional_gain, sample.armed
+        return float(loop_decision.decide(parts, memory[0], sample.state, *at, workspace)[0])
+
+    return correct
+
+
 @pytest.mark.parametrize("kind", ["constant", "learned"])
 def test_a_filter_in_the_fleet_is_the_filter_beside_the_box(kind: str) -> None:
-    """Sample by sample with `Box` and the bank of `hydro_filter`, a correction acting one sample late: to the bit."""
+    """With `Box` and the compiled call of `hydro_filter`, a correction acting one sample late: to the bit."""
     cell = replace(BENCH, load_cell_bandwidth=25.0)
     fleet = VectorBench([BENCH] * 2, [AnalyticPlant(cell) for _ in range(2)], filters=fleet_filter(kind, BENCH, 2))
     for index in range(2):
         fleet.begin(index, SINE, index)
     changes = np.array([[0.0, 0.0], [120.0, 10.0]])
     got = np.concatenate([fleet.samples[1, -1:].copy()] + [fleet.step(changes)[1].copy() for _ in range(40)])
-    source = ContractionFilter.for_bench(BENCH).certificate
-    bank = VectorConstantFilter(source, 1) if kind == "constant" else VectorLoopFilter(default_filter(BENCH).parts, 1)
+    correct = compiled_constant() if kind == "constant" else compiled_learned()
     box, plant = Box(BENCH), AnalyticPlant(cell)
     box.receive(Command(), 0.0)
     measurement, delta_u = plant.reset(1), 0.0
@@ -185,7 +211,7 @@ def test_a_filter_in_the_fleet_is_the_filter_beside_the_box(kind: str) -> None:
         want = box.tick(measurement, 0.001 * k)
         assert sample["valve_current"] == want["valve_current"], k
         assert sample["flags"] == want["flags"], k
-        delta_u = float(bank.correct(np.array([want])).delta_u[0])
+        delta_u = correct(Sample.of(want))
         measurement = plant.step(float(want["valve_current"]))
     corrected = np.abs(got["valve_current"] - got["nominal_valve_current"]).max()
     assert corrected > 1e-4 or kind == "constant", "the learned metric corrects K_p = 135"

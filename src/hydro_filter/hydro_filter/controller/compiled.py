@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter with the constant metric in one compiled call: many benches at once, and compiled loops.
+"""The filter with the constant metric as one compiled call, for compiled loops such as the fleet's.
 
 ::
 
-    bank = VectorConstantFilter(contraction_filter.certificate, count=64)
-    decisions = bank.correct(records)                           records of STATE_DTYPE, one per bench
-    decide(bank.parts, x, u_nom, f_r, K_p)                      in a compiled loop: delta_u, before, after, status
+    parts = filter_parts(contraction_filter.certificate)
+    decide(parts, x, u_nom, f_r, K_p)                           delta_u, before, after, status
 
 The QP is solved by its closed form; the numbers are those of `ContractionFilter.correct`, which holds its OSQP against
-the same. `loop_filter.VectorLoopFilter` is the counterpart with the learned metric.
+the same. `loop_decision.decide` is the counterpart with the learned metric.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from hydro_bridge.signals import PLANT_FIELDS, FloatArray, StateArray
+from hydro_bridge.signals import FloatArray
 from hydro_filter.certificate import continuous, qp
 from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.metric.constant import ConstantMetric
@@ -48,24 +47,6 @@ class FilterParts(NamedTuple):
     current_max: float
     contraction_rate: float
     noise_floor: float
-
-
-class Decisions(NamedTuple):
-    """Of N benches, each shape (N,)."""
-
-    delta_u: FloatArray
-    """A."""
-    before: FloatArray
-    """M_c [1/s] without the correction."""
-    after: FloatArray
-    """M_c [1/s] with it."""
-    status: npt.NDArray[np.uint8]
-    """`hydro_bridge.signals.CorrectionStatus`."""
-
-    @classmethod
-    def of(cls, count: int) -> Decisions:
-        """Room for those of `count` benches."""
-        return cls(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, np.uint8))
 
 
 def filter_parts(source: Certificate) -> FilterParts:
@@ -126,42 +107,3 @@ def decide(parts, x, nominal, reference, gain):
         return 0.0, -b, -b, status
     delta_u = change + (applied - nominal) if change != 0.0 else 0.0
     return delta_u, -b, a * change - b, status
-
-
-@njit(cache=True)
-def decide_many(parts, x, nominal, reference, gain, delta_u, before, after, status):
-    """`decide` for N benches: x (N, 8), all others (N,)."""
-    for k in range(len(x)):
-        delta_u[k], before[k], after[k], status[k] = decide(parts, x[k], nominal[k], reference[k], gain[k])
-
-
-class VectorConstantFilter:
-    """The filter for N benches at once, without a solver and without memory: see the module.
-
-    Parameters
-    ----------
-    source
-        Of a `ContractionFilter`.
-    count
-        N, 1 or more.
-
-    Raises
-    ------
-    TypeError
-        If the certificate has no compiled form.
-    """
-
-    def __init__(self, source: Certificate, count: int) -> None:
-        self.parts = filter_parts(source)
-        self.decisions = Decisions.of(count)
-
-    def correct(self, records: StateArray) -> Decisions:
-        """Decide about one sample of each bench, records of `STATE_DTYPE`, shape (N,)."""
-        x = np.stack([records[name] for name in PLANT_FIELDS], axis=1)
-        names = ("nominal_valve_current", "reference_force", "proportional_gain")
-        return self.correct_arrays(x, *(np.ascontiguousarray(records[name]) for name in names))
-
-    def correct_arrays(self, x: FloatArray, nominal: FloatArray, reference: FloatArray, gain: FloatArray) -> Decisions:
-        """Decide about x (N, 8), u_nom [A], f_r [N], K_p [1/s], each (N,). The next call overwrites the answer."""
-        decide_many(self.parts, x, nominal, reference, gain, *self.decisions)
-        return self.decisions

@@ -1,19 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter with the learned metric as objects: one bench with OSQP, or many benches at once.
+"""The filter with the learned metric as an object, as the node runs it.
 
 ::
 
     contraction_filter = default_filter(bench)
     contraction_filter.correct(sample)                    Sample in, Result out, one bench; OSQP, as the node runs it
-    bank = VectorLoopFilter(contraction_filter.parts, count=64)
-    delta_u = bank.correct(records).delta_u               records of STATE_DTYPE, one per bench; the QP's closed form
-    loop_decision.decide(parts, memory[i], x, ...)         the same call for a compiled loop
+    loop_decision.decide(parts, memory[i], x, ...)        the same for a compiled loop; the QP's closed form
 
 Samples must follow one another, each once. A correction acts one sample after its own. Which gains are held, and what
 is not: safety.md.
 
 `LoopFilter` also watches whether the model is still the bench's (`innovations`); where it is not, every answer is
-MISMATCH and corrects nothing. A `VectorLoopFilter` does not: its benches are simulated, by that model or on purpose by
+MISMATCH and corrects nothing. A compiled loop does not: its benches are simulated, by that model or on purpose by
 others.
 """
 
@@ -25,11 +23,10 @@ from typing import Annotated
 
 import numba
 import numpy as np
-import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.settings import check, quantity
-from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag, FloatArray, StateArray
+from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate.qp import QpFilter
 from hydro_filter.controller import innovations, loop_decision
 from hydro_filter.controller.filter import Result
@@ -158,64 +155,6 @@ class LoopFilter:
         before, after = judge(problem, change)
         delta_u = beyond(nominal, change, self.parts.loop.current_max)
         return Result(delta_u, before, after, status)
-
-
-@dataclass(frozen=True)
-class Decisions:
-    """Of N benches, each shape (N,)."""
-
-    delta_u: FloatArray
-    """A."""
-    before: FloatArray
-    """M_c [1/s] without the correction."""
-    after: FloatArray
-    """M_c [1/s] with it."""
-    status: npt.NDArray[np.uint8]
-    """`hydro_bridge.signals.CorrectionStatus`."""
-
-
-class VectorLoopFilter:
-    """The filter for N benches at once: the QP by its closed form, no solver, no ages."""
-
-    def __init__(self, parts: LoopParts, count: int) -> None:
-        self.parts = parts
-        self.memory = np.zeros(count, MEMORY_DTYPE)
-        self._workspace = loop_decision.space(parts)
-        self.decisions = Decisions(np.zeros(count), np.zeros(count), np.zeros(count), np.zeros(count, np.uint8))
-
-    def forget(self, benches: npt.NDArray[np.bool_] | slice = slice(None)) -> None:
-        """Begin anew, all or some benches."""
-        self.memory[benches] = np.zeros(1, MEMORY_DTYPE)[0]
-
-    def correct(self, records: StateArray) -> Decisions:
-        """Decide about one sample of each bench, records of `STATE_DTYPE`, shape (N,); overwritten by the next call."""
-        x = np.stack([records[name] for name in PLANT_FIELDS], axis=1)
-        names = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate")
-        signals = np.stack([records[name] for name in (*names, "proportional_gain")], axis=1)
-        armed = (records["flags"] & int(Flag.ARMED)) != 0
-        made = self.decisions
-        _decide_many(
-            self.parts,
-            self.memory,
-            x,
-            signals,
-            armed,
-            self._workspace,
-            made.delta_u,
-            made.before,
-            made.after,
-            made.status,
-        )
-        return made
-
-
-@njit(cache=True)
-def _decide_many(parts, memory, x, signals, armed, workspace, delta_u, before, after, status):
-    for k in range(len(x)):
-        nominal, current, reference, rate, gain = signals[k]
-        delta_u[k], before[k], after[k], status[k] = loop_decision.decide(
-            parts, memory[k], x[k], nominal, current, reference, rate, gain, armed[k], workspace
-        )
 
 
 def loop_parts(
