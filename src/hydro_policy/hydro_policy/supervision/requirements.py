@@ -8,7 +8,7 @@ from collections.abc import Callable
 from hydro_bridge.safety.readiness import Requirement
 from hydro_policy.supervision.learner_requests import ActingLearner
 
-COMPILES = "where it starts for the first time it compiles, up to a minute"
+COMPILES = "it loads for some seconds; where `make setup` was not run after a change it compiles, up to a minute"
 HOW_TO_GET_A_PLANT = "no samples on /hydro/state yet: start a plant, or use --plant sim, emulator or bench"
 NO_FILTER = "the filter does not answer: base gains are in force unless the plant's guard does not require it"
 
@@ -21,7 +21,7 @@ def plant(ready: Callable[[], bool]) -> Requirement:
 
 def corrections(ready: Callable[[], bool]) -> Requirement:
     """The filter's corrections reach the plant. Without them it goes on, at base gains."""
-    return Requirement(name="the filter", ready=ready, hint=COMPILES, within=90.0, missing=NO_FILTER, essential=False)
+    return Requirement(name="the filter", ready=ready, hint=COMPILES, within=45.0, missing=NO_FILTER, essential=False)
 
 
 def fitting_filter(ready: Callable[[], bool]) -> Requirement:
