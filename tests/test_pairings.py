@@ -13,7 +13,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from benchmarks.pairings import WRONG, Wrong, make_files
-from hydro_filter.nodes.filter import arguments
+from hydro_filter.nodes.options import arguments
 from hydro_policy.nodes.guarding import asked_filter
 from hydro_policy.nodes.planned import refuse_policy, refuse_start
 from hydro_policy.pretraining.source import Source

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_filter.controller.factory import DEFAULT, Choice, Settings
-from hydro_filter.nodes.filter import arguments
+from hydro_filter.nodes.options import arguments
 from hydro_policy.task.mdp import GainRange
 
 
