@@ -162,7 +162,7 @@ def _refusal(setting: Setting, value: Any) -> str:
         return f"must be {_KINDS.get(setting.kind, f'numbers {limits}')}, not {value!r}{told}"
     try:
         number = inf if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         number = inf
     if isfinite(number) and not setting.low <= number <= setting.high:
         return f"must be {limits}, not {number:g}{told}"

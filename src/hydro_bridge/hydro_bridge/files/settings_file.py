@@ -81,7 +81,7 @@ def to_mapping(settings: Any) -> dict[str, Any]:
         value = getattr(settings, field.name)
         if isinstance(value, tuple) and all(map(dataclasses.is_dataclass, value)):
             items = [to_mapping(item) for item in value]
-            if items:
+            if items or field.default:  # no entries is what a default of none says anyway
                 result[field.name] = items[0] if len(items) == 1 else items
         elif dataclasses.is_dataclass(value):
             result[field.name] = to_mapping(value)
