@@ -64,7 +64,9 @@ ENVIRONMENT = {"ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCO
 def run(executable: str, *words: str, timeout: float = 120.0) -> subprocess.CompletedProcess[str]:
     command = [str(executable_path("hydro_policy", executable)), *words]
     environment = os.environ | ENVIRONMENT
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=timeout, check=False)
+    return subprocess.run(
+        command, env=environment, stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=timeout, check=False
+    )
 
 
 def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> None:
@@ -326,6 +328,13 @@ def test_a_run_that_is_refused_leaves_no_folder(tmp_path: Path) -> None:
     done = run("trainer", "--runs", str(tmp_path), "--plant", "sim", "--truth", "t.yaml")
     assert done.returncode == 2 and "of no use" in done.stderr
     assert list(tmp_path.iterdir()) == []
+
+
+def test_without_a_plant_and_without_a_terminal_a_trainer_says_what_to_start(tmp_path: Path) -> None:
+    done = run("trainer", "--runs", str(tmp_path / "runs"), timeout=60.0)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].startswith("error: no plant runs: nobody publishes /hydro/state; start one")
+    assert not (tmp_path / "runs").exists()
 
 
 @pytest.fixture

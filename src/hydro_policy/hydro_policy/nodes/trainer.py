@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Trains a policy on whichever plant publishes /hydro/state.
+"""Trains a policy on whichever plant publishes /hydro/state; where none does, it offers the simulation.
 
 ros2 run hydro_policy trainer --plant emulator --episodes 8 --evaluate
 """
@@ -107,6 +107,7 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
         refuse_changes(parser(), words, str(run.path), {**begun, **place})
         as_begun(result, run.load_plant(), given(parser(), words))
         options = result.parse_args(words)
+    options.plant_named = options.demo or options.resume is not None or "plant" in given(parser(), words)
     return options
 
 

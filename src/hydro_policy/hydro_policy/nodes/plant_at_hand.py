@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which plant is meant where none is named: the one that runs; if none does, the simulation, after asking.
+
+Without a terminal nobody can be asked: then it ends in one sentence, rather than wait for a plant for ever.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+
+from rclpy.node import Node
+
+from hydro_bridge.errors import UserError
+from hydro_bridge.ros import STATE
+
+LOOK = 5.0
+"""s for which a running plant is looked for before a person is asked; discovery takes half a second."""
+
+WAIT = 20.0
+"""s without a terminal: what is started beside this command by a script takes its time."""
+
+NONE = "no plant runs: nobody publishes /hydro/state"
+
+
+def plant_at_hand(node: Node, ask: Callable[[str], str] | None = None) -> str:
+    """Return `external` if a plant runs, or `sim` if a person wants the simulation.
+
+    Parameters
+    ----------
+    node
+        Looks for the publisher of /hydro/state.
+    ask
+        Takes the question, gives the answer; by default `input` on a terminal, and nobody without one.
+
+    Raises
+    ------
+    UserError
+        None runs, and nobody wants the simulation.
+    """
+    if ask is None and sys.stdin is not None and sys.stdin.isatty():
+        ask = input
+    end = time.monotonic() + (LOOK if ask else WAIT)
+    while not node.count_publishers(STATE):
+        if time.monotonic() > end:
+            return _simulation(ask)
+        time.sleep(0.05)
+    return "external"
+
+
+def _simulation(ask: Callable[[str], str] | None) -> str:
+    if ask is not None:
+        try:
+            answer = ask(f"{NONE}. Start the simulation, as --plant sim does? [Y/n] ")
+        except EOFError:
+            answer = "no"
+        if answer.strip().lower() in ("", "y", "yes"):
+            return "sim"
+    raise UserError(f"{NONE}; start one, or name what to start: --plant sim, emulator or bench")
