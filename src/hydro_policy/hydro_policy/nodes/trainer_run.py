@@ -17,7 +17,6 @@ from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import rearms
-from hydro_policy.nodes.plant_at_hand import plant_at_hand
 from hydro_policy.nodes.progress import TrainingProgress
 from hydro_policy.nodes.trainer_results import compared, tell_files, timing
 from hydro_policy.nodes.trainer_start import (
@@ -42,8 +41,6 @@ def train(options: argparse.Namespace) -> int:
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("trainer")
         stack.callback(node.destroy_node)
-        if not options.plant_named:
-            options.plant = plant_at_hand(node)
         prepared = prepare(options, node)
         stack.enter_context(taken_back(prepared, node))
         run, settings = prepared.run, prepared.settings

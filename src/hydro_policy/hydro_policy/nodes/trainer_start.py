@@ -22,6 +22,7 @@ from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.guarding import asked_filter, guard_range, uncovered
 from hydro_policy.nodes.options import SCRATCH, declare_settings, plant_options, plant_words
 from hydro_policy.nodes.planned import made_on, planned, refuse_resumed, refuse_start, surprise
+from hydro_policy.nodes.plant_at_hand import plant_at_hand
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.runs.initial_agent import AGENT, Start, load_start, shipped_start
@@ -76,10 +77,7 @@ def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
 
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     """A new run with its folder and first checkpoint, or one to continue; none where something cannot be used."""
-    start, box = None, planned(options)
-    if options.plant != "external":
-        asked_filter(plant_options(options).filter, options.bench)
-        node.unfit = partial(surprise, box)
+    start, box = None, plan(options, node)
     if options.resume is not None:
         run = RunDirectory(options.resume)
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
@@ -102,6 +100,10 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         settings = replace(settings, exam=replace(settings.exam, every=options.exam_every))
     settings = declare_settings(node, settings)
     refuse_unknown_parameters(node)
+    if not options.plant_named:  # last of all that may be refused: it takes seconds, or a person
+        options.plant = plant_at_hand(node)
+        box = plan(options, node)
+        refuse_start(start, box)
     if options.plant == "external":
         box = met(node)
         refuse_start(start, box)
@@ -116,6 +118,15 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         begin_checkpoint(run, settings, start)
     run.save_settings(settings, plant_words(options))  # last: a folder without it is no run, and its name is free
     return Prepared(run, settings, checkpoint, start, made)
+
+
+def plan(options: argparse.Namespace, node: GraphNode) -> Believed:
+    """The box that the words are about; the node refuses another than that of a plant which is started for it."""
+    box = planned(options)
+    if options.plant != "external":
+        asked_filter(plant_options(options).filter, options.bench)
+        node.unfit = partial(surprise, box)
+    return box
 
 
 def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpoint) -> None:
