@@ -1,5 +1,7 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Runs samples of one kind, for counting: operations KIND SAMPLES. A COMMAND comes in and a STATE goes out with each. */
+/* Runs samples of one kind, for counting: operations KIND SAMPLES; `size` prints the bytes of a box instead.
+ * A COMMAND comes in and a STATE goes out with each sample.
+ */
 #include "check.h"
 
 int main(int argc, char **argv)
@@ -10,6 +12,10 @@ int main(int argc, char **argv)
     uint8_t payload[40], wire[HYDRO_ENCODED_MAX], out[HYDRO_BURST_MAX];
     uint32_t kind = 0, samples = argc > 2 ? (uint32_t)strtoul(argv[2], NULL, 10) : 1000;
     CHECK(argc > 2);
+    if (strcmp(argv[1], "size") == 0) {
+        printf("%zu\n", sizeof box);
+        return 0;
+    }
     while (kind < 6 && strcmp(argv[1], kinds[kind]) != 0) {
         kind++;
     }
