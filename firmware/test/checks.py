@@ -198,6 +198,10 @@ def _dies(program: Path) -> bool:
         return True
 
 
+KINDS = ("hold", "sine", "multisine", "smooth_step", "fade", "disarmed", "filter", "policy")
+"""What is counted: samples of a box, COMMAND in and STATE out included; one decision each of the optional parts."""
+
+
 def operations(folder: Path) -> dict[str, dict[str, int]]:
     """Instructions of one sample by precision and kind, by callgrind: two runs that differ by 1000 samples."""
     found: dict[str, dict[str, int]] = {}
@@ -205,7 +209,7 @@ def operations(folder: Path) -> dict[str, dict[str, int]]:
         program = folder / f"operations_{precision}"
         build(HERE / "operations.c", program, "-O2", *words)
         found[precision] = {}
-        for kind in ("hold", "sine", "multisine", "smooth_step", "fade", "disarmed"):
+        for kind in KINDS:
             few, many = (_instructions(folder, program, kind, samples) for samples in (1000, 2000))
             found[precision][kind] = round((many - few) / 1000)
     return found
@@ -275,7 +279,7 @@ def _all(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
         found["instructions"] = operations(folder)
         for precision, kinds in found["instructions"].items():
             for kind, instructions in kinds.items():
-                print(f"{precision}, {kind}: {instructions} instructions a sample, COMMAND in and STATE out included")
+                print(f"{precision}, {kind}: {instructions} instructions")
     return found
 
 

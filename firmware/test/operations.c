@@ -1,8 +1,48 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Runs samples of one kind, for counting: operations KIND SAMPLES; `size` prints the bytes of a box instead.
- * A COMMAND comes in and a STATE goes out with each sample.
+ * A COMMAND comes in and a STATE goes out with each sample; `filter` and `policy` are one decision each, by themselves.
  */
 #include "check.h"
+
+#include "../hydro/filter.h"
+
+#define HYDRO_POLICY_UNITS 32
+#include "../hydro/policy.h"
+
+/* The path with a correction at the valve's limit; which numbers stand in the metric changes no count. */
+static void decisions(uint32_t samples)
+{
+    hydro_filter filter = {.gain_floor = 100000, .contraction_rate = HYDRO_R(0.1), .noise_floor = HYDRO_R(1.8)};
+    filter.bench = CONFIG.bench;
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        filter.metric[i] = filter.scale[i] = HYDRO_R(1 + i);
+    }
+    for (uint32_t k = 0; k < samples; k++) {
+        hydro_decision made = hydro_decide(&filter, STILL, HYDRO_R(0.001), HYDRO_R(3) + HYDRO_R(k % 100), HYDRO_R(60));
+        CHECK(made.status != HYDRO_NAN);
+    }
+}
+
+static void actions(uint32_t samples)
+{
+    static float weight[HYDRO_POLICY_UNITS * HYDRO_POLICY_UNITS], bias[HYDRO_POLICY_UNITS];
+    hydro_policy policy = {.weight = {weight, weight, weight}, .bias = {bias, bias, bias}, .high = {75, 10}};
+    hydro_real values[HYDRO_STATE_REALS] = {0}, action[HYDRO_ACTIONS] = {0}, gains[HYDRO_ACTIONS];
+    for (int i = 0; i < HYDRO_OBSERVED; i++) {
+        policy.scale[i] = HYDRO_R(1);
+    }
+    for (int i = 0; i < HYDRO_POLICY_UNITS; i++) {
+        bias[i] = 0.1f;
+        for (int j = 0; j < HYDRO_POLICY_UNITS; j++) {
+            weight[i * HYDRO_POLICY_UNITS + j] = 0.01f * (float)(i - j);
+        }
+    }
+    for (uint32_t k = 0; k < samples; k++) {
+        values[0] = HYDRO_R(k % 100);
+        hydro_act(&policy, values, action, gains);
+        CHECK(gains[0] >= 0 && gains[0] <= 75);
+    }
+}
 
 int main(int argc, char **argv)
 {
@@ -14,6 +54,14 @@ int main(int argc, char **argv)
     CHECK(argc > 2);
     if (strcmp(argv[1], "size") == 0) {
         printf("%zu\n", sizeof box);
+        return 0;
+    }
+    if (strcmp(argv[1], "filter") == 0) {
+        decisions(samples);
+        return 0;
+    }
+    if (strcmp(argv[1], "policy") == 0) {
+        actions(samples);
         return 0;
     }
     while (kind < 6 && strcmp(argv[1], kinds[kind]) != 0) {
