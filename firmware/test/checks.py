@@ -198,8 +198,11 @@ def _dies(program: Path) -> bool:
         return True
 
 
-KINDS = ("hold", "sine", "multisine", "smooth_step", "fade", "disarmed", "filter", "policy")
-"""What is counted: samples of a box, COMMAND in and STATE out included; one decision each of the optional parts."""
+SAMPLES = ("hold", "sine", "multisine", "smooth_step", "fade", "disarmed", "greeting")
+"""Samples of a box that are counted: COMMAND in and STATE out; with `greeting` HELLO and DETAILS besides."""
+
+PARTS = ("filter", "policy")
+"""Optional parts, of which one decision is counted."""
 
 
 def operations(folder: Path) -> dict[str, dict[str, int]]:
@@ -209,10 +212,15 @@ def operations(folder: Path) -> dict[str, dict[str, int]]:
         program = folder / f"operations_{precision}"
         build(HERE / "operations.c", program, "-O2", *words)
         found[precision] = {}
-        for kind in KINDS:
-            few, many = (_instructions(folder, program, kind, samples) for samples in (1000, 2000))
-            found[precision][kind] = round((many - few) / 1000)
+        host = _difference(folder, program, "host")
+        found[precision] |= {kind: _difference(folder, program, kind) - host for kind in SAMPLES}
+        found[precision] |= {kind: _difference(folder, program, kind) for kind in PARTS}
     return found
+
+
+def _difference(folder: Path, program: Path, kind: str) -> int:
+    few, many = (_instructions(folder, program, kind, samples) for samples in (1000, 2000))
+    return round((many - few) / 1000)
 
 
 def sizes(folder: Path) -> dict[str, dict[str, int]]:
