@@ -176,3 +176,30 @@ def test_the_policy_in_c_acts_as_the_policy(
         worst = max(worst, float(np.abs(found[:2] - action).max()))
     print(f"{precision}: {worst:g}")
     assert worst < allowed
+
+
+def test_both_commands_write_what_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped = str(POLICIES / "pretrained_paper" / "policy.safetensors")
+    asked = (
+        (filter_header, ["--out", str(tmp_path / "filter_config.h")], FILTER, 11),
+        (policy_header, ["--policy", shipped, "--out", str(tmp_path / "policy_weights.h")], POLICY, 14),
+    )
+    for module, words, source, width in asked:
+        monkeypatch.setattr("sys.argv", ["header", *words])
+        with pytest.raises(SystemExit) as ended:
+            module.main()
+        assert ended.value.code == 0
+        assert np.isfinite(many(tmp_path, "single", source, np.ones((1, width)), 4)).all()
+
+
+def test_a_file_that_is_no_policy_is_told_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other").write_text("nothing")
+    words = ["header", "--policy", str(tmp_path / "other"), "--out", str(tmp_path / "policy_weights.h")]
+    monkeypatch.setattr("sys.argv", words)
+    with pytest.raises(SystemExit) as ended:
+        policy_header.main()
+    assert ended.value.code not in (0, None)
+    assert "is not a policy" in capsys.readouterr().err
+    assert not (tmp_path / "policy_weights.h").exists()
