@@ -142,7 +142,8 @@ def kernel_actions(policy: Policy, rows: FloatArray, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(mlp, "_affine", mlp._affine.py_func)
     pairs = zip(policy.weights, policy.biases, strict=True)
     network = mlp.Layers(*(array for pair in pairs for array in pair))
-    units, action, found = policy.sizes[1], np.zeros(ACTIONS), []
+    units, found = policy.sizes[1], []
+    action: FloatArray = np.zeros(ACTIONS)
     for row in rows:
         observation = observe(row, action)
         if np.isfinite(observation).all():
@@ -169,7 +170,8 @@ def test_the_policy_in_c_acts_as_the_policy(
     trained: tuple[Policy, GainRange, Path], precision: str, allowed: float
 ) -> None:
     policy, _, folder = trained
-    rows, action, worst = drawn_states(2000).astype(np.float32).astype(np.float64), np.zeros(ACTIONS), 0.0
+    rows, worst = drawn_states(2000).astype(np.float32).astype(np.float64), 0.0
+    action: FloatArray = np.zeros(ACTIONS)
     for row, found in zip(rows, many(folder, precision, POLICY, rows, 4), strict=True):
         observation = observe(row, action)
         action = policy.act(observation) if np.isfinite(observation).all() else action
