@@ -20,6 +20,9 @@ Bench = Mapping[str, Any] | None
 _SINGLE = 1e-6
 """Relative error of a float32, with room for one operation."""
 
+_CORRECTION_HOLD = 3500
+"""us for which the correction of a command acts."""
+
 
 def value(state: State, name: str) -> float:
     """A float field of a state by its name."""
@@ -199,13 +202,16 @@ def idle(host: Host, bench: Bench, last: int = 0) -> str:
 
 
 def current(host: Host, bench: Bench) -> str:
-    """valve_current = clamp(nominal + delta_u), and SATURATED where it was clamped."""
+    """valve_current = clamp(nominal + delta_u), 3.5 ms long from the sample that took it, and SATURATED where clamped."""
     limit, commands = _info(host).valve_current_max, {each.sequence: each.command for each in host.sent}
-    for state in host.new_states:
+    newest, since = None, 0
+    for n, state in enumerate(host.states):
+        if state.last_command != newest:
+            newest, since = state.last_command, state.time_us
         command = commands.get(state.last_command)
-        if not state.flags & Flag.ARMED or command is None:
+        if n < host.marked or not state.flags & Flag.ARMED or command is None:
             continue
-        delta = 0.0 if state.flags & Flag.WATCHDOG else command.delta_u
+        delta = command.delta_u if state.time_us - since <= _CORRECTION_HOLD else 0.0
         wanted = value(state, "nominal_valve_current") + delta
         clamped = min(max(wanted, -limit), limit)
         if not abs(value(state, "valve_current") - clamped) <= 1e-7 + _SINGLE * abs(clamped):
