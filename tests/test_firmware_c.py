@@ -55,8 +55,21 @@ def test_every_line_and_branch_of_the_guarded_parts_is_reached(checks: ModuleTyp
 
 def test_the_mutator_makes_mutants_that_die(checks: ModuleType, tmp_path: Path) -> None:
     text = "static inline bool late(int age)\n{\n    return age > 50;\n}\n"
-    made = {change: mutant for _, change, mutant in checks.mutants(text)}
+    made = {mutant.change: mutant.text for mutant in checks.mutants(text)}
     assert "return age >= 50;" in made["> -> >="] and "return age > 51;" in made["50 -> 51"]
+
+
+def test_each_mutant_that_is_said_to_change_nothing_is_one(checks: ModuleType) -> None:
+    for part, becomes in checks.EQUIVALENT:
+        made = [mutant.becomes for mutant in checks.mutants((FIRMWARE / "hydro" / part).read_text())]
+        assert becomes in made, f"{part} has no mutant {becomes!r}"
+
+
+def test_without_a_tool_the_checks_say_so_in_one_line(checks: ModuleType, monkeypatch, capsys) -> None:  # type: ignore[no-untyped-def]
+    monkeypatch.setattr(checks.shutil, "which", lambda tool: None if tool == "valgrind" else tool)
+    monkeypatch.setattr(checks.sys, "argv", ["checks.py"])
+    assert checks.main() == 2
+    assert capsys.readouterr().err == "not found: valgrind; --no-operations leaves out what needs valgrind\n"
 
 
 @pytest.fixture
@@ -121,3 +134,27 @@ def test_the_box_for_linux_keeps_the_protocol_over_a_port(linux_box: End) -> Non
     results = run(cases, lambda: Host(linux_box), numbers, moving=False)
     assert [(result.case.id, result.found) for result in results if result.outcome == FAIL] == []
     assert sum(result.outcome == PASS for result in results) >= 18
+
+
+def test_a_signal_ends_the_box_for_linux_behind_its_loop(configured: Path) -> None:
+    program = compiled(configured, FIRMWARE / "examples" / "linux_serial.c")
+    near, far = os.openpty()
+    tty.setraw(far)
+    end, process = End(near), subprocess.Popen([str(program), os.ttyname(far)], stdout=subprocess.PIPE, text=True)
+    assert end.read(20.0)  # it runs
+    process.terminate()
+    said, _ = process.communicate(timeout=20)
+    os.close(near)
+    os.close(far)
+    assert process.returncode == 0 and "samples, 0 commands taken" in said
+
+
+def test_two_starts_of_the_box_for_linux_have_two_epochs(configured: Path) -> None:
+    text = (FIRMWARE / "examples" / "linux_serial.c").read_text().replace('"../hydro/box.h"', '"hydro/box.h"')
+    source = configured / "epochs.c"
+    source.write_text(
+        text.replace("int main(", "int box(") + 'int main(void) { return printf("%u", drawn_epoch()) < 0; }'
+    )
+    program = compiled(configured, source)
+    found = {subprocess.run([str(program)], capture_output=True, check=True).stdout for _ in range(3)}
+    assert len(found) == 3 and b"0" not in found

@@ -4,8 +4,17 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from pathlib import Path
+from random import Random
+from zlib import crc32
 
+import pytest
+from cobs import cobs
+
+from hydro_bridge.conformance.law import floor, nominal_current
+from hydro_bridge.conformance.waveforms import faded, shape
+from hydro_bridge.files import bench_file
 from hydro_bridge.serial.protocol import (
     BoxDetails,
     BoxInfo,
@@ -17,6 +26,8 @@ from hydro_bridge.serial.protocol import (
     encode_state,
 )
 from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.model.bench import Bench
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "manual" / "reference" / "protocol.md"
 INFO = BoxInfo(name="example 1.0", delta_kp_min=-5.0, integral="bumpless")
@@ -63,3 +74,77 @@ def test_the_codec_reads_the_bytes_of_the_page() -> None:
     assert [type(frame).__name__ for frame in frames] == ["Hello", "Hello", "Details", "State", "CommandFrame"]
     assert frames[3][2] == VALUES and frames[3][5:] == (0, 1)
     assert frames[4][2] == COMMAND
+
+
+@pytest.fixture(scope="module")
+def algorithms() -> dict[str, Callable[..., object]]:
+    """The functions of the page, run as they stand there."""
+    found: dict[str, Callable[..., object]] = {}
+    for block in re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL):
+        exec(block, found)
+    return found
+
+
+def test_the_algorithms_of_the_page_are_those_of_the_libraries(algorithms: dict[str, Callable[..., object]]) -> None:
+    random = Random(6)
+    assert algorithms["crc32"](b"123456789") == 0xCBF43926
+    for length in [*range(250), 254, 300, 600]:
+        body = bytes(random.choice((0, 1, 255, random.randrange(256))) for _ in range(length))
+        assert algorithms["crc32"](body) == crc32(body)
+        assert algorithms["unstuff"](cobs.encode(body)) == body
+        if length < 254:
+            assert algorithms["stuff"](body) == cobs.encode(body)
+    for broken in (b"\x05ab", b"\x00", b"\x02a\x00"):
+        assert algorithms["unstuff"](broken) is None
+
+
+def test_the_flags_of_the_page_are_those_of_the_graph() -> None:
+    text = PAGE.read_text(encoding="utf-8")
+    for flag in Flag:
+        assert re.search(rf"\b{int(flag)} {flag.name}\b", text), flag
+
+
+def stated(sentence: str) -> list[float]:
+    """Numbers of the one line that matches."""
+    (found,) = re.findall(sentence, " ".join(PAGE.read_text(encoding="utf-8").split()))
+    return [float(number) for number in ([found] if isinstance(found, str) else found)]
+
+
+def test_the_law_of_the_page_gives_its_numbers() -> None:
+    bench = bench_file.read_numbers(Path(str(bench_file.shipped())))
+    assert stated(r"g_min (1\.[\d.e]+) N/s/A") == pytest.approx([floor(bench)], rel=1e-6)
+    values = {
+        "load_force": -2.25, "reference_force": -2.0, "proportional_gain": 15.0, "pressure_a": 4e6, "pressure_b": 6e6,
+        "piston_position": 0.0625,
+    }  # fmt: skip
+    numbers = stated(r"f_r' 100 N/s u_nom is (\S+) A; with -0.01 m/s and -100 N/s it is (\S+) A")
+    for number, sign in zip(numbers, (1.0, -1.0), strict=True):
+        moving = values | {"piston_velocity": 0.01 * sign, "reference_force_rate": 100.0 * sign}
+        assert number == pytest.approx(nominal_current(bench, moving, 2.0, "load_force"), rel=1e-6)
+
+
+@pytest.mark.parametrize("waveform", [Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP])
+def test_the_references_of_the_page_give_its_numbers(waveform: Waveform) -> None:
+    name = waveform.name.lower().replace("_", " ")
+    pair = r"(\S+), (\S+)"
+    numbers = stated(rf"\| {int(waveform)} {name} \| {pair} \| {pair} \| {pair} \|")
+    signal = ReferenceSignal(waveform=waveform, amplitude=100.0, offset=-20.0, frequency=2.0, phase=0.5)
+    right = [each for time in (0.0, 0.01, 0.3) for each in faded((12.5, 0.0), shape(signal, time), time)]
+    assert numbers == pytest.approx(right, abs=6e-6)
+
+
+def test_the_lengths_and_rates_of_the_line_are_those_of_its_frames() -> None:
+    state, command, old = MADE[3], MADE[4], encode_state(258, 258_000, VALUES, 0, 3, None)
+    assert [len(state), len(command)] == stated(r"STATE of version 2 has (\d+) bytes on the line, a COMMAND (\d+)")
+    assert [10_000 * len(old)] == [1000 * each for each in stated(r"version 1 \((\d+) 000 bit/s\)")]
+
+
+def test_the_ranges_of_the_page_are_those_of_the_box() -> None:
+    record = BoxConfig().constants(Bench.nominal())[0]
+    force, low, high, near, far, rate, velocity = stated(
+        r"force_range \((\d+) N\). Pressures: (\S+) to (\S+) MPa. Position: .*?, (\S+) to (\S+) mm. "
+        r"Rates of the forces: \+- (\S+) N/s; rate of the position: \+- (\S+) m/s"
+    )
+    wanted = [force, rate, force, rate, high * 1e6, high * 1e6, far * 1e-3, velocity]
+    assert record["high"] == pytest.approx(wanted)
+    assert record["low"] == pytest.approx([-force, -rate, -force, -rate, low * 1e6, low * 1e6, near * 1e-3, -velocity])

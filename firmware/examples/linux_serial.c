@@ -1,13 +1,17 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* A box on Linux with a real serial port: linux_serial PORT [SECONDS].
  *
- * The bench is a stub that stands still: f_l 12.5 N, mid-stroke. Put your converters into read_sensors and hold_current.
+ * The bench is a stub that stands still: f_l 12.5 N, mid-stroke. Put your converters into read_sensors and
+ * hold_current.
  * 2 Mbaud, 8N1, raw. Real time: run it by `chrt -f 80`, on a kernel with PREEMPT_RT where valves hang on it.
  */
 #define _GNU_SOURCE
+#include <errno.h>
 #include <fcntl.h>
+#include <signal.h>
 #include <stdio.h>
 #include <stdlib.h>
+#include <sys/random.h>
 #include <termios.h>
 #include <time.h>
 #include <unistd.h>
@@ -28,6 +32,37 @@ static void read_sensors(hydro_real raw[5])
 static void hold_current(hydro_real ampere)
 {
     (void)ampere;
+}
+
+static volatile sig_atomic_t ended;
+
+static void end(int signal_number)
+{
+    (void)signal_number;
+    ended = 1;
+}
+
+/* Ctrl-C, a stop of the service and a closed terminal end the loop, and the current goes to 0 behind it. */
+static void end_on_signals(void)
+{
+    static const int signals[3] = {SIGINT, SIGTERM, SIGHUP};
+    struct sigaction action = {.sa_handler = end};
+    for (int i = 0; i < 3; i++) {
+        (void)sigaction(signals[i], &action, NULL);
+    }
+}
+
+/* A number that two starts do not share, and that is not 0: a clock in seconds repeats where a service restarts. */
+static uint32_t drawn_epoch(void)
+{
+    uint32_t epoch = 0;
+    while (epoch == 0) {
+        if (getrandom(&epoch, sizeof epoch, 0) != (ssize_t)sizeof epoch && errno != EINTR) {
+            perror("getrandom");
+            exit(2);
+        }
+    }
+    return epoch;
 }
 
 static int open_port(const char *path)
@@ -62,10 +97,11 @@ int main(int argc, char **argv)
     }
     samples = argc > 2 ? 1000 * strtoul(argv[2], NULL, 10) : 0; /* 0: until it is ended */
     port = open_port(argv[1]);
-    hydro_box_power_on(&box, &HYDRO_BOX_CONFIG, (uint32_t)time(NULL) | 1u);
+    end_on_signals();
+    hydro_box_power_on(&box, &HYDRO_BOX_CONFIG, drawn_epoch());
     hydro_rates_reset(&rates, &HYDRO_BOX_CONFIG);
     clock_gettime(CLOCK_MONOTONIC, &due);
-    for (tick = 0; samples == 0 || tick < samples; tick++) {
+    for (tick = 0; !ended && (samples == 0 || tick < samples); tick++) {
         ssize_t count = read(port, in, sizeof in);
         size_t left, sent = 0;
         if (count > 0) {

@@ -83,7 +83,7 @@ static inline void hydro_write64(uint8_t *data, uint64_t value)
     hydro_write32(data + 4, (uint32_t)(value >> 32));
 }
 
-/* COBS in place: `data` of `count` bytes without delimiters becomes the bytes that it stands for; their number, or 0. */
+/* COBS in place: `data`, `count` bytes without delimiters, becomes the bytes that it stands for; their number, or 0. */
 static inline size_t hydro_unstuff(uint8_t *data, size_t count)
 {
     size_t read = 0, written = 0;

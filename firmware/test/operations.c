@@ -1,28 +1,100 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Runs samples of one kind, for counting: operations KIND SAMPLES. A COMMAND comes in and a STATE goes out with each. */
+/* Runs samples of one kind, for counting: operations KIND SAMPLES; `size` prints the bytes of a box instead.
+ * A COMMAND comes in and a STATE goes out with each sample, with `greeting` a HELLO in, and HELLO, DETAILS, STATE out.
+ * `host` is what this program does for the host; `filter` and `policy` are one decision each, by themselves.
+ */
 #include "check.h"
+
+#include "../hydro/filter.h"
+
+#define HYDRO_POLICY_UNITS 32
+#include "../hydro/policy.h"
+
+/* Not inlined: what does not change from one call to the next is computed again, as on a box. */
+__attribute__((noinline)) static hydro_decision decided(
+    const hydro_filter *filter, const hydro_real *x, hydro_real nominal, hydro_real reference)
+{
+    return hydro_decide(filter, x, nominal, reference, HYDRO_R(60));
+}
+
+/* The path with a correction at the valve's limit; which numbers stand in the metric changes no count. */
+static void decisions(uint32_t samples)
+{
+    hydro_filter filter = {.gain_floor = 100000, .contraction_rate = HYDRO_R(0.1), .noise_floor = HYDRO_R(1.8)};
+    filter.bench = CONFIG.bench;
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        filter.metric[i] = filter.scale[i] = HYDRO_R(1 + i);
+    }
+    for (uint32_t k = 0; k < samples; k++) {
+        hydro_decision made = decided(&filter, STILL, HYDRO_R(0.001), HYDRO_R(3) + HYDRO_R(k % 100));
+        CHECK(made.status != HYDRO_NAN);
+    }
+}
+
+static void actions(uint32_t samples)
+{
+    static float weight[HYDRO_POLICY_UNITS * HYDRO_POLICY_UNITS], bias[HYDRO_POLICY_UNITS];
+    hydro_policy policy = {.weight = {weight, weight, weight}, .bias = {bias, bias, bias}, .high = {75, 10}};
+    hydro_real values[HYDRO_STATE_REALS] = {0}, action[HYDRO_ACTIONS] = {0}, gains[HYDRO_ACTIONS];
+    for (int i = 0; i < HYDRO_OBSERVED; i++) {
+        policy.scale[i] = HYDRO_R(1);
+    }
+    for (int i = 0; i < HYDRO_POLICY_UNITS; i++) {
+        bias[i] = 0.1f;
+        for (int j = 0; j < HYDRO_POLICY_UNITS; j++) {
+            weight[i * HYDRO_POLICY_UNITS + j] = 0.01f * (float)(i - j);
+        }
+    }
+    for (uint32_t k = 0; k < samples; k++) {
+        values[0] = HYDRO_R(k % 100);
+        hydro_act(&policy, values, action, gains);
+        CHECK(gains[0] >= 0 && gains[0] <= 75);
+    }
+}
 
 int main(int argc, char **argv)
 {
-    static const char *const kinds[6] = {"hold", "sine", "multisine", "smooth_step", "fade", "disarmed"};
+    static const char *const kinds[8] = {"hold", "sine", "multisine", "smooth_step", "fade", "disarmed",
+                                         "greeting", "host"};
     static hydro_box box;
     const float gains[3] = {10.0f, 1.0f, 0.001f};
     uint8_t payload[40], wire[HYDRO_ENCODED_MAX], out[HYDRO_BURST_MAX];
     uint32_t kind = 0, samples = argc > 2 ? (uint32_t)strtoul(argv[2], NULL, 10) : 1000;
     CHECK(argc > 2);
-    while (kind < 6 && strcmp(argv[1], kinds[kind]) != 0) {
+    if (strcmp(argv[1], "size") == 0) {
+        printf("%zu\n", sizeof box);
+        return 0;
+    }
+    if (strcmp(argv[1], "filter") == 0) {
+        decisions(samples);
+        return 0;
+    }
+    if (strcmp(argv[1], "policy") == 0) {
+        actions(samples);
+        return 0;
+    }
+    while (kind < 8 && strcmp(argv[1], kinds[kind]) != 0) {
         kind++;
     }
-    CHECK(kind < 6);
+    CHECK(kind < 8);
     hydro_box_power_on(&box, &CONFIG, 1);
     for (uint32_t k = 0; k < samples + 400; k++) {
         /* the fade that costs most: a new multisine while the last one leaves, again and again */
         float shape[4] = {kind == 0 ? 0.0f : 100.0f, kind == 4 ? (float)(k / 300 % 2) : 0.0f, 1.1f, 0.3f};
-        host_command(payload, kind == 5 || k == 0 ? 0u : 3u, gains, kind == 4 ? HYDRO_MULTISINE : kind % 5, shape);
-        hydro_box_bytes(&box, wire, host_frame(1, HYDRO_COMMAND, k + 1, payload, 40, wire));
+        if (kind == 6) {
+            uint8_t hello[72] = {1, 2};
+            hydro_box_bytes(&box, wire, host_frame(0, HYDRO_HELLO, 0, hello, 72, wire));
+        }
+        host_command(payload, kind == 5 || k == 0 ? 0u : 3u, gains, kind == 4 ? HYDRO_MULTISINE : kind % 4, shape);
+        size_t count = host_frame(1, HYDRO_COMMAND, k + 1, payload, 40, wire);
+        if (kind == 7) {
+            CHECK(count == 61 && wire[0] == 0);
+            continue;
+        }
+        hydro_box_bytes(&box, wire, count);
         (void)hydro_box_tick(&box, STILL, k * HYDRO_PERIOD);
         (void)hydro_box_frames(&box, out);
     }
-    CHECK(kind == 5 || (box.sample.flags & HYDRO_ARMED) != 0);
+    CHECK(kind >= 5 || (box.sample.flags & HYDRO_ARMED) != 0);
     return 0;
 }

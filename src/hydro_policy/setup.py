@@ -27,6 +27,7 @@ setup(
             "pretrain = hydro_bridge.process.start:main_of.hydro_policy.pretraining.pretrain",
             "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer",
             "evaluate = hydro_bridge.process.start:main_of.hydro_policy.nodes.evaluate",
+            "policy_header = hydro_bridge.process.start:main_of.hydro_policy.sac.header",
             "override = hydro_bridge.process.start:main_of.hydro_policy.nodes.override",
         ],
     },

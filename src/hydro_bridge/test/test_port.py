@@ -10,6 +10,7 @@ from contextlib import suppress
 import pytest
 
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
+from hydro_bridge.settings import SettingsError
 
 
 @pytest.fixture
@@ -85,3 +86,8 @@ def test_a_closed_port_says_so():
     port = Port(PortSettings(path="/dev/ttyNONE"))
     with pytest.raises(PortLostError, match="closed"):
         port.read(0.01)
+
+
+def test_a_line_too_slow_for_version_2_is_refused_with_the_number():
+    with pytest.raises(SettingsError, match=r"baud must be within .* not 921600: .* takes 930000"):
+        PortSettings(baud=921600)

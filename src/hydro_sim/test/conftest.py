@@ -18,3 +18,26 @@ def bench() -> Bench:
 def ideal(bench: Bench) -> Bench:
     """The same with an ideal load cell."""
     return replace(bench, load_cell_bandwidth=None)
+
+
+class Memory:
+    """A line of bytes without a port: what `BoxLink` needs of a terminal."""
+
+    plugged = opened = True
+
+    def __init__(self) -> None:
+        self.down, self.up = b"", b""
+
+    def read(self) -> bytes:
+        data, self.down = self.down, b""
+        return data
+
+    def write(self, data: bytes) -> int:
+        self.up += data
+        return len(data)
+
+
+@pytest.fixture
+def memory() -> Memory:
+    """A new line of bytes."""
+    return Memory()

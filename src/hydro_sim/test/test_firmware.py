@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterator
 from math import inf, nan
 from random import Random
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -26,23 +27,6 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Sensors, condition, restart
 
 BROKEN = (nan, inf, -inf, 1e30, -1e30, 5001.0)
-
-
-class Memory:
-    """A line of bytes without a port: what `BoxLink` needs of a terminal."""
-
-    plugged = opened = True
-
-    def __init__(self) -> None:
-        self.down, self.up = b"", b""
-
-    def read(self) -> bytes:
-        data, self.down = self.down, b""
-        return data
-
-    def write(self, data: bytes) -> int:
-        self.up += data
-        return len(data)
 
 
 def drawn_number(random: Random, scale: float) -> float:
@@ -103,13 +87,13 @@ def streams(seed: int, samples: int) -> Iterator[tuple[bytes, FloatArray]]:
         yield (b"" if silent else drawn_bytes(random, sequence, command)), y
 
 
-def pair(integral: str = "bumpless") -> tuple[Box, BoxLink, Memory, Firmware]:
-    """The Python box with its line, and the box in C, alike."""
+def pair(line: Any, integral: str = "bumpless") -> tuple[Box, BoxLink, Firmware]:
+    """The Python box on a line, and the box in C, alike."""
     bench, config = Bench.nominal(), BoxConfig(integral=integral)  # type: ignore[arg-type]
-    box, line = Box(bench, config), Memory()
+    box = Box(bench, config)
     details = box_details(bench, config, Sensors(), epoch=7)
-    link = BoxLink(line, box_info(bench, config, NAME), LinkFaults(), 0, details, lambda: refused(box))  # type: ignore[arg-type]
-    return box, link, line, Firmware(bench, config, epoch=7)
+    link = BoxLink(line, box_info(bench, config, NAME), LinkFaults(), 0, details, lambda: refused(box))
+    return box, link, Firmware(bench, config, epoch=7)
 
 
 def bits(sample: np.void) -> bytes:
@@ -122,11 +106,11 @@ def refused(box: Box) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize(("seed", "integral"), [(1, "bumpless"), (2, "bumpless"), (3, "paper")])
-def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(seed: int, integral: str) -> None:
-    box, link, line, firmware = pair(integral)
+def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(memory: Any, seed: int, integral: str) -> None:
+    box, link, firmware = pair(memory, integral)
     seen: set[int] = set()
     for k, (data, x) in enumerate(streams(seed, 20_000)):
-        line.down += data
+        memory.down += data
         command = link.poll(k * 1e-3)
         if command is not None:
             box.receive(command, k * 1e-3)
@@ -134,8 +118,8 @@ def test_samples_and_bytes_are_those_of_the_python_box_to_the_bit(seed: int, int
         expected, found = box.tick(x, k * 1e-3), firmware.tick(x, k * 1e-3)[0]
         assert bits(found) == bits(expected), k
         link.send(expected, k * 1e-3)
-        assert firmware.frames() == line.up, k
-        line.up = b""
+        assert firmware.frames() == memory.up, k
+        memory.up = b""
         seen.add(int(expected["flags"]))
     counts = firmware.counts()
     assert (counts["refused"], counts["refused_references"]) == refused(box)
@@ -193,9 +177,8 @@ def test_rates_are_those_of_the_sensors_module() -> None:
         np.testing.assert_array_equal(x, y)
 
 
-def test_what_the_box_says_of_itself_is_what_python_says() -> None:
-    box, _, _, firmware = pair()
-    del box
+def test_what_the_box_says_of_itself_is_what_python_says(memory: Any) -> None:
+    _, _, firmware = pair(memory)
     firmware.take(encode_hello(0, 0))
     firmware.tick(np.array([0, 0, 0, 0, 3e6, 3e6, 0.04, 0.0]), 0.0)
     hello, details, state = Decoder().feed(firmware.frames())

@@ -20,6 +20,9 @@ Bench = Mapping[str, Any] | None
 _SINGLE = 1e-6
 """Relative error of a float32, with room for one operation."""
 
+_CORRECTION_HOLD = 3500
+"""us for which the correction of a command acts."""
+
 
 def value(state: State, name: str) -> float:
     """A float field of a state by its name."""
@@ -29,6 +32,12 @@ def value(state: State, name: str) -> float:
 def _info(host: Host) -> BoxInfo:
     assert host.hello is not None and host.hello.info is not None
     return host.hello.info
+
+
+def followed(host: Host) -> str:
+    """Field of the force that the box's law follows: what DETAILS tell, else the load force."""
+    told = host.details.details.feedback if host.details else ""
+    return f"{told or 'load'}_force"
 
 
 def _settled(host: Host) -> Sequence[State]:
@@ -181,8 +190,7 @@ def refused(host: Host, bench: Bench, values: int, references: int) -> str:
 
 def idle(host: Host, bench: Bench, last: int = 0) -> str:
     """What a box shows that is not armed: no current, and the reference rests on the force that it follows."""
-    told = host.details.details.feedback if host.details else ""
-    force = f"{told or 'load'}_force"
+    force = followed(host)
     for state in _settled(host)[-last:]:
         if any(value(state, name) != 0.0 for name in ("valve_current", "nominal_valve_current")):
             return "a current is not 0"
@@ -194,13 +202,16 @@ def idle(host: Host, bench: Bench, last: int = 0) -> str:
 
 
 def current(host: Host, bench: Bench) -> str:
-    """valve_current = clamp(nominal + delta_u), and SATURATED where it was clamped."""
+    """valve_current = clamp(nominal + delta_u), 3.5 ms long from the sample that took it, and SATURATED where clamped."""
     limit, commands = _info(host).valve_current_max, {each.sequence: each.command for each in host.sent}
-    for state in host.new_states:
+    newest, since = None, 0
+    for n, state in enumerate(host.states):
+        if state.last_command != newest:
+            newest, since = state.last_command, state.time_us
         command = commands.get(state.last_command)
-        if not state.flags & Flag.ARMED or command is None:
+        if n < host.marked or not state.flags & Flag.ARMED or command is None:
             continue
-        delta = 0.0 if state.flags & Flag.WATCHDOG else command.delta_u
+        delta = command.delta_u if state.time_us - since <= _CORRECTION_HOLD else 0.0
         wanted = value(state, "nominal_valve_current") + delta
         clamped = min(max(wanted, -limit), limit)
         if not abs(value(state, "valve_current") - clamped) <= 1e-7 + _SINGLE * abs(clamped):
@@ -211,10 +222,14 @@ def current(host: Host, bench: Bench) -> str:
 
 
 def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) -> str:
-    """u_nom since arming is that of the force law for what the box measured, with the integral that it tells."""
+    """u_nom since arming is that of the force law for what the box measured, with the integral that it tells.
+
+    Where the integral stands is told by the current: at its limit, and K_i e has the current's sign. Whether the
+    correction came into it is what `current` checks.
+    """
     assert bench is not None
-    commands, integral, armed = {each.sequence: each.command for each in host.sent}, 0.0, False
-    form = _info(host).integral
+    integral, armed, form, force = 0.0, False, _info(host).integral, followed(host)
+    full = (1.0 - _SINGLE) * _info(host).valve_current_max
     for n, state in enumerate(host.states):
         names = dict(zip(STATE_FIELDS, state.values, strict=True))
         if not state.flags & Flag.ARMED:
@@ -222,27 +237,26 @@ def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) 
             continue
         armed = True
         action = integral if form != "paper" else names["integral_gain"] * integral
-        wanted = nominal_current(bench, names, action)
+        wanted = nominal_current(bench, names, action, force)
         if not abs(names["nominal_valve_current"] - wanted) <= tolerance + share * abs(wanted):
             return f"nominal_valve_current is {names['nominal_valve_current']:g} A in sample {n}, {wanted:g} A is right"
-        error = names["reference_force"] - names["load_force"]
-        slope = names["integral_gain"] * error
-        delta = 0.0 if state.flags & Flag.WATCHDOG else commands[state.last_command].delta_u
-        if not (names["nominal_valve_current"] + delta - names["valve_current"]) * slope > 1e-9 * abs(slope):
+        error = names["reference_force"] - names[force]
+        slope, current = names["integral_gain"] * error, names["valve_current"]
+        if not (abs(current) >= full and current * slope > 0.0):
             integral += SAMPLE_PERIOD * (slope if form != "paper" else error)
     return "" if armed else "it was not armed"
 
 
 def reference(host: Host, bench: Bench, tolerance: float = 0.01, rate_tolerance: float = 0.5) -> str:
     """f_r and f_r' are those of the commands that were taken, by their definition, fades included."""
-    return generator.compare(host, tolerance, rate_tolerance)
+    return generator.compare(host, followed(host), tolerance, rate_tolerance)
 
 
 def follows(host: Host, bench: Bench, by: float) -> str:
-    """The load force went the way of the reference, by so many N at least: the signs are right."""
-    states = _settled(host)
-    moved = value(states[-1], "load_force") - value(states[0], "load_force")
-    asked = value(states[-1], "reference_force") - value(states[0], "load_force")
+    """The followed force went the way of the reference, by so many N at least: the signs are right."""
+    states, force = _settled(host), followed(host)
+    moved = value(states[-1], force) - value(states[0], force)
+    asked = value(states[-1], "reference_force") - value(states[0], force)
     return "" if moved * asked > 0.0 and abs(moved) >= by else f"asked for {asked:g} N, the force went by {moved:g} N"
 
 

@@ -10,15 +10,15 @@ from hydro_bridge.serial.protocol import State
 from hydro_bridge.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
 
 _VALUE, _RATE = STATE_FIELDS.index("reference_force"), STATE_FIELDS.index("reference_force_rate")
-_FORCE = STATE_FIELDS.index("load_force")
 _ROUNDING = 1e-6
 """s: whether a fade ends at its 300th or 301st sample is a matter of the clock's rounding."""
 
 
 class Generator:
-    """What f_r and f_r' must be."""
+    """What f_r and f_r' must be: `force` is the field of the force that the law follows, `fade` [s] its cross-fade."""
 
-    def __init__(self, fade: float) -> None:
+    def __init__(self, force: str, fade: float) -> None:
+        self.force = STATE_FIELDS.index(force)
         self.fade = fade
         self.armed = False
         self.old: tuple[ReferenceSignal, float] = (ReferenceSignal(), 0.0)
@@ -31,7 +31,7 @@ class Generator:
             return None
         if not self.armed:
             self.armed = True
-            self.old, self.new = (ReferenceSignal(offset=state.values[_FORCE]), time), (wanted, time)
+            self.old, self.new = (ReferenceSignal(offset=state.values[self.force]), time), (wanted, time)
         elif time - self.new[1] >= self.fade and wanted != self.new[0]:
             self.old, self.new = self.new, (wanted, time)
         points = [shape(signal, time - begun) for signal, begun in (self.old, self.new)]
@@ -48,16 +48,17 @@ def playable(signal: ReferenceSignal, force_range: float) -> bool:
     return signal.waveform is Waveform.HOLD or 0.0 < signal.frequency < 1000.0
 
 
-def compare(host: Host, tolerance: float, rate_tolerance: float) -> str:
+def compare(host: Host, force: str, tolerance: float, rate_tolerance: float) -> str:
     """Where the box's reference differs [N], [N/s]; nothing if it is right with either rounding of the fade's end."""
-    found = [_compare(host, tolerance, rate_tolerance, FADE + rounding) for rounding in (-_ROUNDING, _ROUNDING)]
+    made = [Generator(force, FADE + rounding) for rounding in (-_ROUNDING, _ROUNDING)]
+    found = [_compare(host, tolerance, rate_tolerance, generator) for generator in made]
     return "" if "" in found else found[0]
 
 
-def _compare(host: Host, tolerance: float, rate_tolerance: float, fade: float) -> str:
+def _compare(host: Host, tolerance: float, rate_tolerance: float, generator: Generator) -> str:
     info: BoxInfo | None = host.hello.info if host.hello else None
     reach = host.details.details.force_range if host.details else 0.0
-    generator, commands, seen = Generator(fade), {each.sequence: each.command for each in host.sent}, 0
+    commands, seen = {each.sequence: each.command for each in host.sent}, 0
     wanted = ReferenceSignal()
     assert info is not None
     for n, state in enumerate(host.states):

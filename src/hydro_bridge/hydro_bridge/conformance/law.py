@@ -38,10 +38,8 @@ def floor(bench: Mapping[str, Any]) -> float:
     return FLOOR_SHARE * _gain(bench, bench["spring_rest_position"], (alpha * pressure_b, pressure_b), 1.0)
 
 
-def nominal_current(
-    bench: Mapping[str, Any], values: Mapping[str, float], integral: float, force: str = "load_force"
-) -> float:
-    """u_nom [A] of one STATE, by the names of its fields; `integral` is I [N/s]."""
+def nominal_current(bench: Mapping[str, Any], values: Mapping[str, float], integral: float, force: str) -> float:
+    """u_nom [A] of one STATE, by the names of its fields; `integral` is I [N/s], `force` the one that is followed."""
     position = min(max(values["piston_position"], 0.0), bench["stroke"])
     volume_a, volume_b = _volumes(bench, position)
     stiffness = bench["bulk_modulus"] * bench["piston_area"] ** 2 * (1 / volume_a + bench["area_ratio"] ** 2 / volume_b)

@@ -1,0 +1,160 @@
+/* SPDX-License-Identifier: Apache-2.0 */
+/* Optional: the contraction filter with the constant metric on the analytic bench, one sample at a time.
+ *
+ *   a = 2 v' M B,   b = -(2 v' M B (K v) + 2 lambda v' M v),   smallest |du| with a du <= b within the valve's rest
+ *
+ * v = (f_l - f_r) / scale lies along the load force alone, and no equation of the bench reads the load force: of A
+ * nothing is left, of K only -K_p/g, of M one row. docs/manual/explanation/safety.md has the certificate. Give it armed
+ * samples: within the ranges of the sensors nothing overflows. `ros2 run hydro_filter filter_header` writes HYDRO_FILTER.
+ */
+#ifndef HYDRO_FILTER_H
+#define HYDRO_FILTER_H
+
+#include "force_law.h"
+
+#define HYDRO_LEAST_IMPROVEMENT 0.01 /* share of the violation that a correction at the valve's limit must remove */
+#define HYDRO_SMALLEST_DROP 1e3      /* Pa, no slope of a square root is taken nearer to zero pressure drop */
+
+enum { HYDRO_PASS = 0, HYDRO_MODIFIED = 1, HYDRO_RELAXED = 2, HYDRO_INFEASIBLE = 3, HYDRO_NAN = 4 };
+
+typedef struct {
+    hydro_bench bench;
+    hydro_real gain_floor;             /* N/s/A */
+    hydro_real metric[HYDRO_MEASURED]; /* row of M along the load force, on normalized states */
+    hydro_real scale[HYDRO_MEASURED];  /* what each state is divided by */
+    hydro_real contraction_rate;       /* lambda, 1/s */
+    hydro_real noise_floor;            /* N, force errors up to it are none */
+} hydro_filter;
+
+typedef struct {
+    hydro_real delta_u;       /* A, finite */
+    hydro_real before, after; /* M_c without and with it, 1/s; 0 where something was not finite */
+    uint32_t status;
+} hydro_decision;
+
+/* q/u [m3/s/A] of both lands, and its slope [m3/s/A/Pa] by the pressure of the land's own chamber. */
+typedef struct {
+    hydro_real gain_a, gain_b, slope_a, slope_b;
+} hydro_lands;
+
+static inline hydro_lands hydro_open_lands(
+    const hydro_bench *bench, hydro_real pressure_a, hydro_real pressure_b, hydro_real opening)
+{
+    bool forward = opening >= HYDRO_R(0);
+    hydro_real drop_a = forward ? bench->supply_pressure - pressure_a : pressure_a - bench->tank_pressure;
+    hydro_real drop_b = forward ? pressure_b - bench->tank_pressure : bench->supply_pressure - pressure_b;
+    hydro_real half = forward ? HYDRO_R(-0.5) : HYDRO_R(0.5);
+    hydro_lands lands;
+    lands.gain_a = bench->valve_gain * hydro_signed_sqrt(drop_a);
+    lands.gain_b = bench->valve_gain * hydro_signed_sqrt(drop_b);
+    lands.slope_a = half * bench->valve_gain / HYDRO_SQRT(hydro_max(hydro_abs(drop_a), HYDRO_R(HYDRO_SMALLEST_DROP)));
+    lands.slope_b = -half * bench->valve_gain / HYDRO_SQRT(hydro_max(hydro_abs(drop_b), HYDRO_R(HYDRO_SMALLEST_DROP)));
+    return lands;
+}
+
+/* B = dx'/du at a state and a current [A]. */
+static inline void hydro_input_vector(
+    const hydro_bench *bench, const hydro_real *x, hydro_real current, hydro_real out[HYDRO_MEASURED])
+{
+    hydro_lands lands = hydro_open_lands(bench, x[4], x[5], current);
+    hydro_real area = bench->piston_area, ratio = bench->area_ratio, scale = bench->bulk_modulus * area;
+    hydro_real volume_a = hydro_volume_a(bench, x[6]), volume_b = hydro_volume_b(bench, x[6]);
+    hydro_real soft_a = bench->bulk_modulus / volume_a, soft_b = bench->bulk_modulus / volume_b;
+    hydro_real swept = area * x[7];
+    hydro_real rate_a = soft_a * (lands.gain_a * current - swept);
+    hydro_real rate_b = soft_b * (ratio * swept - lands.gain_b * current);
+    hydro_real by_a = scale * lands.slope_a * current / volume_a;
+    hydro_real by_b = scale * ratio * lands.slope_b * current / volume_b;
+    hydro_real to_a = -scale * area / (volume_a * volume_a);
+    hydro_real to_b = scale * area * (ratio * ratio) / (volume_b * volume_b);
+    out[0] = hydro_input_gain(bench, x[6], x[4], x[5], current);
+    out[2] = out[3] = out[6] = out[7] = HYDRO_R(0);
+    out[4] = soft_a * lands.gain_a;
+    out[5] = -soft_b * lands.gain_b;
+    out[1] = by_a * out[4] + by_b * out[5];
+    out[1] += (to_a * lands.gain_a + to_b * lands.gain_b) * x[7];
+    out[1] += scale * (lands.slope_a / volume_a * rate_a + ratio * lands.slope_b / volume_b * rate_b);
+}
+
+/* An error [N], zero up to `floor` and untouched from twice that. */
+static inline hydro_real hydro_dead_zone(hydro_real error, hydro_real floor)
+{
+    hydro_real size = hydro_abs(error), share;
+    if (size >= HYDRO_R(2) * floor || !(size > HYDRO_R(0))) {
+        return error;
+    }
+    if (size <= floor) {
+        return HYDRO_R(0);
+    }
+    share = size / floor - HYDRO_R(1);
+    return error * share * share * (HYDRO_R(3) - HYDRO_R(2) * share);
+}
+
+/* The half-line a du <= b. */
+static inline void hydro_half_line(
+    const hydro_filter *filter, const hydro_real *x, hydro_real nominal, hydro_real reference, hydro_real k_p,
+    hydro_real *a, hydro_real *b)
+{
+    hydro_real limit = filter->bench.valve_current_max, input[HYDRO_MEASURED];
+    hydro_real law = -k_p / hydro_max(hydro_input_gain(&filter->bench, x[6], x[4], x[5], nominal), filter->gain_floor);
+    hydro_real v = -hydro_dead_zone(reference - x[2], filter->noise_floor) / filter->scale[2];
+    hydro_real feedback = law * (filter->scale[2] * v), drift = HYDRO_R(0), push = HYDRO_R(0);
+    hydro_input_vector(&filter->bench, x, hydro_clamp(nominal, -limit, limit), input);
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        hydro_real weight = filter->metric[i] * v;
+        drift += weight * (input[i] * feedback) / filter->scale[i];
+        push += weight * input[i] / filter->scale[i];
+    }
+    *a = HYDRO_R(2) * push;
+    *b = -(HYDRO_R(2) * drift + HYDRO_R(2) * filter->contraction_rate * (filter->metric[2] * v * v));
+}
+
+/* min |du| with a du <= b and low <= du <= high, low <= 0 <= high; never divides by an `a` that vanishes. */
+static inline hydro_real hydro_closed_form(
+    hydro_real a, hydro_real b, hydro_real low, hydro_real high, uint32_t *status)
+{
+    hydro_real bound = a > HYDRO_R(0) ? low : high, reach = a * bound;
+    *status = HYDRO_PASS;
+    if (b >= HYDRO_R(0)) {
+        return HYDRO_R(0);
+    }
+    if (reach <= b) {
+        *status = HYDRO_MODIFIED;
+        return b / a;
+    }
+    if (reach > HYDRO_R(HYDRO_LEAST_IMPROVEMENT) * b) {
+        *status = HYDRO_INFEASIBLE;
+        return HYDRO_R(0);
+    }
+    *status = HYDRO_RELAXED;
+    return bound;
+}
+
+/* Decide about one sample: its measurement, u_nom [A], f_r [N] and K_p [1/s]. */
+static inline hydro_decision hydro_decide(
+    const hydro_filter *filter, const hydro_real *x, hydro_real nominal, hydro_real reference, hydro_real k_p)
+{
+    hydro_decision made = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_NAN};
+    hydro_real limit = filter->bench.valve_current_max, applied, change, a, b;
+    bool finite = hydro_finite(nominal) && hydro_finite(reference) && hydro_finite(k_p);
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        finite = finite && hydro_finite(x[i]);
+    }
+    if (!finite) {
+        return made;
+    }
+    hydro_half_line(filter, x, nominal, reference, k_p, &a, &b);
+    if (!hydro_finite(a) || !hydro_finite(b)) {
+        return made;
+    }
+    applied = hydro_clamp(nominal, -limit, limit);
+    change = hydro_closed_form(a, b, -limit - applied, limit - applied, &made.status);
+    made.before = -b;
+    made.after = a * change - b;
+    if (change < HYDRO_R(0) || change > HYDRO_R(0)) {
+        made.delta_u = change + (applied - nominal); /* sat(u_nom + delta_u) = sat(u_nom) + change */
+    }
+    return made;
+}
+
+#endif

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""ros2 run hydro_policy policy_header --policy FILE --out policy_weights.h: a policy's mean action for C.
+
+The header holds the weights of a policy.safetensors, its observation and its gains; firmware/hydro/policy.h acts.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+
+from hydro_bridge.cli.console import command, writable
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.signals import FloatArray
+from hydro_policy.sac.policy import Policy, load_policy
+from hydro_policy.task.mdp import ACTIONS, OBSERVATION_CENTER, OBSERVATION_SCALE, GainRange
+from hydro_sim.box.c_text import header_file, reals, wrapped
+
+
+def parser() -> argparse.ArgumentParser:
+    """Parser of the command line."""
+    parser = argparse.ArgumentParser(
+        prog="policy_header",
+        description="Write a policy's weights for a box in C (firmware/hydro/policy.h).",
+        allow_abbrev=False,
+    )
+    parser.add_argument("--policy", type=Path, required=True, metavar="FILE", help="policy.safetensors of a run")
+    parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
+    return parser
+
+
+def header(policy: Policy, gains: GainRange, origin: str) -> str:
+    """Text of the header that defines `HYDRO_POLICY`; of the last layer only what makes the mean."""
+    weights = [*policy.weights[:-1], policy.weights[-1][:, :ACTIONS]]
+    biases = [*policy.biases[:-1], policy.biases[-1][:ACTIONS]]
+    arrays = [
+        f"static const float {name}_{k + 1}[{array.size}] = {{\n{_floats(array)}}};"
+        for k, pair in enumerate(zip(weights, biases, strict=True))
+        for name, array in zip(("HYDRO_POLICY_WEIGHT", "HYDRO_POLICY_BIAS"), pair, strict=True)
+    ]
+    low, high = (gains.changes(np.full(ACTIONS, end)) for end in (-1.0, 1.0))
+    members = [
+        "    .weight = {HYDRO_POLICY_WEIGHT_1, HYDRO_POLICY_WEIGHT_2, HYDRO_POLICY_WEIGHT_3},",
+        "    .bias = {HYDRO_POLICY_BIAS_1, HYDRO_POLICY_BIAS_2, HYDRO_POLICY_BIAS_3},",
+        f"    .center = {reals(OBSERVATION_CENTER)},",
+        f"    .scale = {reals(OBSERVATION_SCALE)},",
+        f"    .low = {reals(low)},",
+        f"    .high = {reals(high)},",
+    ]
+    body = [
+        f'#define HYDRO_POLICY_UNITS {policy.sizes[1]}\n#include "hydro/policy.h"\n',
+        *(f"{array}\n" for array in arrays),
+        "static const hydro_policy HYDRO_POLICY = {\n" + "\n".join(members) + "\n};",
+    ]
+    return header_file("HYDRO_POLICY_WEIGHTS_H", origin, "\n".join(body))
+
+
+def _floats(array: FloatArray) -> str:
+    """Numbers of a float32 file, row by row, as decimals that give the same float32 back."""
+    return wrapped(f"{_decimal(number)}f" for number in np.asarray(array, np.float32).ravel())
+
+
+def _decimal(number: np.float32) -> str:
+    text = str(number)
+    return text if "." in text or "e" in text else f"{text}.0"
+
+
+@command(ValueError)
+def main() -> None:
+    """Entry point."""
+    options = parser().parse_args()
+    policy, gains, _ = load_policy(options.policy)
+    origin = f"Written by `ros2 run hydro_policy policy_header` from {options.policy.name}."
+    write_whole(Path(options.out), header(policy, gains, origin).encode())
+    print(
+        f"{options.out}: {policy.sizes[1]} units twice, delta_kp {gains.delta_kp_min:g} to {gains.delta_kp_max:g} 1/s"
+    )

@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers and headers as C text, for what is generated beside the box in C."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+
+def reals(numbers: Iterable[float]) -> str:
+    """Initializer of an array of `hydro_real`: decimals that give the same doubles back."""
+    return "{" + ", ".join(f"HYDRO_R({float(number)!r})" for number in numbers) + "}"
+
+
+def wrapped(words: Iterable[str], width: int = 118, indent: str = "    ") -> str:
+    """Words with commas between them, in lines of no more than `width` characters."""
+    lines, line = [], indent
+    for word in words:
+        if len(line) + len(word) + 2 > width and line.strip():
+            lines.append(line.rstrip())
+            line = indent
+        line += f"{word}, "
+    return "\n".join([*lines, line.rstrip().rstrip(",")])
+
+
+def header_file(guard: str, origin: str, body: str) -> str:
+    """A whole header: licence, where it came from, include guard, text."""
+    head = f"/* SPDX-License-Identifier: Apache-2.0 */\n/* {origin} */\n"
+    return f"{head}#ifndef {guard}\n#define {guard}\n\n{body}\n\n#endif\n"

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The optional parts in C, generated here and compiled: the filter's decision, a policy's forward pass."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS, FloatArray
+from hydro_filter.controller import header as filter_header
+from hydro_filter.controller.compiled import FilterParts, decide, filter_parts
+from hydro_filter.controller.filter import ContractionFilter
+from hydro_policy.sac import header as policy_header
+from hydro_policy.sac.policy import Policy, load_policy
+from hydro_policy.task.mdp import ACTIONS, GainRange, observe
+from hydro_sim.model.bench import Bench
+from hydro_sim.neural import mlp
+
+ROOT = Path(__file__).resolve().parent.parent
+POLICIES = ROOT / "src" / "hydro_policy" / "hydro_policy" / "data"
+PRECISIONS = {"double": ([], ctypes.c_double), "single": (["-DHYDRO_SINGLE"], ctypes.c_float)}
+FILTER = """#include "filter_config.h"
+void many(int count, const hydro_real *in, hydro_real *out)
+{
+    for (int k = 0; k < count; k++, in += 11, out += 4) {
+        hydro_decision made = hydro_decide(&HYDRO_FILTER, in, in[8], in[9], in[10]);
+        out[0] = made.delta_u;
+        out[1] = made.before;
+        out[2] = made.after;
+        out[3] = (hydro_real)made.status;
+    }
+}
+"""
+POLICY = """#include "policy_weights.h"
+void many(int count, const hydro_real *in, hydro_real *out)
+{
+    hydro_real action[2] = {0, 0};
+    for (int k = 0; k < count; k++, in += 14, out += 4) {
+        hydro_act(&HYDRO_POLICY, in, action, out + 2);
+        out[0] = action[0];
+        out[1] = action[1];
+    }
+}
+"""
+
+
+def many(folder: Path, precision: str, source: str, rows: FloatArray, width: int) -> FloatArray:
+    """What the C code makes of rows of inputs: rows of `width` numbers. Compiled as a freestanding program is."""
+    words, kind = PRECISIONS[precision]
+    (folder / "many.c").write_text(source)
+    library = folder / f"many_{precision}.so"
+    strict = ["-std=c99", "-O2", "-ffreestanding", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+    places = [f"-I{ROOT / 'firmware'}", f"-I{folder}", "-fPIC", "-shared"]
+    program = [os.environ.get("CC", "cc"), *strict, *places, *words, str(folder / "many.c"), "-o", str(library), "-lm"]
+    subprocess.run(program, check=True)
+    given, made = np.ascontiguousarray(rows, kind), np.zeros((len(rows), width), kind)
+    pointer = ctypes.POINTER(kind)
+    ctypes.CDLL(str(library)).many(len(rows), given.ctypes.data_as(pointer), made.ctypes.data_as(pointer))
+    return made.astype(np.float64)
+
+
+@pytest.fixture(scope="module")
+def parts() -> FilterParts:
+    return filter_parts(ContractionFilter.for_bench(Bench.nominal()).certificate)
+
+
+@pytest.fixture(scope="module")
+def filtered(parts: FilterParts, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("filter")
+    (folder / "filter_config.h").write_text(filter_header.header(parts, Bench.nominal().digest))
+    return folder
+
+
+def drawn_samples(count: int) -> FloatArray:
+    """x, u_nom, f_r, K_p of samples over and beyond what a bench does: saturated, cavitating, within the noise."""
+    rng = np.random.default_rng(4)
+    low = [-800, -2e4, -800, -2e4, -0.4e6, -0.4e6, -4e-3, -0.4, -0.08, -400, -40]
+    high = [800, 2e4, 800, 2e4, 17e6, 17e6, 0.084, 0.4, 0.08, 400, 300]
+    rows = rng.uniform(low, high, (count, 11))
+    near = rng.random(count) < 0.4
+    rows[near, 9] = rows[near, 2] + rng.normal(0.0, 2.5, near.sum())
+    rows[::50, 9] = rows[::50, 2]
+    return rows
+
+
+def judged(parts: FilterParts, rows: FloatArray) -> FloatArray:
+    return np.array([decide(parts, row[:8].copy(), row[8], row[9], row[10]) for row in rows])
+
+
+def test_the_filter_in_c_decides_as_the_kernel_to_the_bit(parts: FilterParts, filtered: Path) -> None:
+    rows = drawn_samples(20_000)
+    expected, found = judged(parts, rows), many(filtered, "double", FILTER, rows, 4)
+    np.testing.assert_array_equal(found, expected)
+    assert set(expected[:, 3]) == {0.0, 1.0, 2.0, 3.0}, "every status is tried"
+
+
+def test_the_filter_in_single_precision_stays_near(parts: FilterParts, filtered: Path) -> None:
+    rows = drawn_samples(20_000).astype(np.float32).astype(np.float64)
+    expected, found = judged(parts, rows), many(filtered, "single", FILTER, rows, 4)
+    same = found[:, 3] == expected[:, 3]
+    print(f"other status: {(~same).sum()}; delta_u {np.abs(found - expected)[same, 0].max():g} A")
+    assert (~same).mean() < 1e-3
+    assert np.abs(found - expected)[same, 0].max() < 1e-6
+    assert (np.abs(found - expected)[:, 1] <= 1e-4 * np.abs(expected[:, 1]) + 1e-6).all()
+
+
+@pytest.mark.parametrize("place", range(11))
+def test_the_filter_corrects_nothing_where_a_number_is_not_finite(filtered: Path, place: int) -> None:
+    rows = np.repeat(drawn_samples(1), 3, axis=0)
+    rows[:, place] = math.nan, math.inf, -math.inf
+    found = many(filtered, "double", FILTER, rows, 4)
+    assert (found == [0.0, 0.0, 0.0, 4.0]).all()
+
+
+@pytest.fixture(scope="module", params=["pretrained_paper", "pretrained_wide"])
+def trained(request: Any, tmp_path_factory: pytest.TempPathFactory) -> tuple[Policy, GainRange, Path]:
+    policy, gains, _ = load_policy(POLICIES / request.param / "policy.safetensors")
+    folder = tmp_path_factory.mktemp(request.param)
+    (folder / "policy_weights.h").write_text(policy_header.header(policy, gains, "A test."))
+    return policy, gains, folder
+
+
+def drawn_states(count: int) -> FloatArray:
+    rng = np.random.default_rng(5)
+    spread = [200, 3e3, 200, 3e3, 2e6, 2e6, 8e-3, 0.1, 0.02, 0.02, 200, 3e3, 40, 5]
+    center = [0, 0, 0, 0, 8e6, 8e6, 0.04, 0, 0, 0, 0, 0, 50, 8]
+    assert len(center) == len(STATE_FIELDS)
+    rows = center + rng.normal(0.0, 1.0, (count, 14)) * spread
+    rows[count // 2, 4] = math.nan  # there the last action stays
+    return np.asarray(rows)
+
+
+def kernel_actions(policy: Policy, rows: FloatArray, monkeypatch: pytest.MonkeyPatch) -> FloatArray:
+    """The actions by `hydro_sim.neural.mlp.forward`, its sums in the order in which they are written."""
+    monkeypatch.setattr(mlp, "_affine", mlp._affine.py_func)
+    pairs = zip(policy.weights, policy.biases, strict=True)
+    network = mlp.Layers(*(array for pair in pairs for array in pair))
+    units, found = policy.sizes[1], []
+    action: FloatArray = np.zeros(ACTIONS)
+    for row in rows:
+        observation = observe(row, action)
+        if np.isfinite(observation).all():
+            first, second, output = np.zeros(units), np.zeros(units), np.zeros(2 * ACTIONS)
+            mlp.forward.py_func(network, observation, first, second, output)
+            action = np.array([math.tanh(value) for value in output[:ACTIONS]])
+        found.append(action)
+    return np.array(found)
+
+
+def test_the_policy_in_c_acts_as_the_kernel_to_the_bit(
+    trained: tuple[Policy, GainRange, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy, gains, folder = trained
+    rows = drawn_states(100)
+    expected, found = kernel_actions(policy, rows, monkeypatch), many(folder, "double", POLICY, rows, 4)
+    np.testing.assert_array_equal(found[:, :2], expected)
+    np.testing.assert_array_equal(found[:, 2:], gains.changes(expected))
+    assert np.ptp(expected, axis=0).min() > 0.1, "the actions differ"
+
+
+@pytest.mark.parametrize(("precision", "allowed"), [("double", 1e-13), ("single", 2e-5)])
+def test_the_policy_in_c_acts_as_the_policy(
+    trained: tuple[Policy, GainRange, Path], precision: str, allowed: float
+) -> None:
+    policy, _, folder = trained
+    rows, worst = drawn_states(2000).astype(np.float32).astype(np.float64), 0.0
+    action: FloatArray = np.zeros(ACTIONS)
+    for row, found in zip(rows, many(folder, precision, POLICY, rows, 4), strict=True):
+        observation = observe(row, action)
+        action = policy.act(observation) if np.isfinite(observation).all() else action
+        worst = max(worst, float(np.abs(found[:2] - action).max()))
+    print(f"{precision}: {worst:g}")
+    assert worst < allowed
+
+
+def test_both_commands_write_what_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    shipped = str(POLICIES / "pretrained_paper" / "policy.safetensors")
+    asked = (
+        (filter_header, ["--out", str(tmp_path / "filter_config.h")], FILTER, 11),
+        (policy_header, ["--policy", shipped, "--out", str(tmp_path / "policy_weights.h")], POLICY, 14),
+    )
+    for module, words, source, width in asked:
+        monkeypatch.setattr("sys.argv", ["header", *words])
+        with pytest.raises(SystemExit) as ended:
+            module.main()
+        assert ended.value.code == 0
+        assert np.isfinite(many(tmp_path, "single", source, np.ones((1, width)), 4)).all()
+
+
+def test_a_file_that_is_no_policy_is_told_in_a_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other").write_text("nothing")
+    words = ["header", "--policy", str(tmp_path / "other"), "--out", str(tmp_path / "policy_weights.h")]
+    monkeypatch.setattr("sys.argv", words)
+    with pytest.raises(SystemExit) as ended:
+        policy_header.main()
+    assert ended.value.code not in (0, None)
+    assert "is not a policy" in capsys.readouterr().err
+    assert not (tmp_path / "policy_weights.h").exists()
