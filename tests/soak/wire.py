@@ -8,6 +8,7 @@ Orders come on standard input, one a line::
     hostile N    so many hostile bytes a millisecond each way, on average, from now on
     replay N     so many old frames each way, at once
     mute N       nothing of the host's reaches the box for so many seconds
+    unplug N     the bridge's port is gone for so many seconds
     report       answer with one line of JSON: `Line.report`
 """
 
@@ -50,7 +51,7 @@ class Line:
     def __init__(self, box: Path, bridge: Path, seed: int, trace: Path | None = None) -> None:
         self._trace = trace.open("ab", buffering=0) if trace else None
         self.up, self.down = Direction(Random(seed)), Direction(Random(seed + 1))
-        self.rate, self.muted_until = 0.0, 0.0
+        self.rate, self.muted_until, self._gone_until = 0.0, 0.0, 0.0
         self._box, self._port = box, -1
         self._terminal = Terminal(bridge)
         self._terminal.unplug()
@@ -75,7 +76,10 @@ class Line:
             data = os.read(self._port, 65536) if ready else b""
             if ready and not data:
                 raise OSError("gone")
-            self._carry(data, self._terminal.read(), time.monotonic())
+            now = time.monotonic()
+            if not self._terminal.plugged and now >= self._gone_until:
+                self._terminal.plug()
+            self._carry(data, self._terminal.read() if self._terminal.plugged else b"", now)
             self.down.write(self._port)
         except OSError:  # the box has gone: so has the adapter
             os.close(self._port)
@@ -87,6 +91,11 @@ class Line:
         else:
             self.up.unwritten = b""
 
+    def unplug(self, seconds: float) -> None:
+        """Take the bridge's port away for so long; the box goes on."""
+        self._terminal.unplug()
+        self._gone_until = time.monotonic() + seconds
+
     def _plug(self) -> None:
         try:
             self._port = os.open(self._box, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -94,7 +103,8 @@ class Line:
             time.sleep(0.02)
             return
         self.up.unwritten = self.down.unwritten = b""
-        self._terminal.plug()
+        if time.monotonic() >= self._gone_until:
+            self._terminal.plug()
 
     def _carry(self, up: bytes, down: bytes, now: float) -> None:
         for piece in self.down.whole(down):
@@ -116,7 +126,9 @@ class Line:
     def _look_at(self, state: State, now: float) -> None:
         force, current = state.values[_FORCE], state.values[_CURRENT]
         if self._trace is not None:
-            self._trace.write(RECORD.pack(now, state.sequence, state.flags, force, current, state.values[_KP]))
+            self._trace.write(
+                RECORD.pack(now, state.sequence, state.flags, state.last_command, force, current, state.values[_KP])
+            )
         found = self._found
         found["forged"] += state.last_command not in self._commands
         found["armed" if state.flags & Flag.ARMED else "disarmed"] += 1
@@ -140,6 +152,8 @@ def obey(line: Line, order: str) -> None:
         line.rate = float(number)
     elif word == "mute":
         line.muted_until = time.monotonic() + float(number)
+    elif word == "unplug":
+        line.unplug(float(number))
     elif word == "replay":
         line.up.replay(int(number))
         line.down.replay(int(number))
