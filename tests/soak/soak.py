@@ -12,6 +12,7 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
+from hydro_bridge.process.endings import undisturbed
 from tests.graph_probe import own_domain
 from tests.soak.crew import Crew
 from tests.soak.faults import Fault, Scene, drawn
@@ -128,4 +129,5 @@ def soaking(folder: Path, seed: int) -> Iterator[Soak]:
         try:
             yield soak
         finally:
-            soak.close()
+            with undisturbed():
+                soak.close()

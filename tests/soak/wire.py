@@ -57,11 +57,13 @@ class Line:
         self._terminal.unplug()
         self._commands: deque[int] = deque([0], maxlen=4096)
         self._commanded = self._disturbed = time.monotonic()
-        self._found = {"forged": 0, "armed": 0, "disarmed": 0, "longest": 0.0}
+        self._found = {"forged": 0, "armed": 0, "disarmed": 0, "longest": 0.0, "unheard": 0}
+        self._taken, self._taken_at = 0, 0  # the box's last command, and in which of its samples it came
 
     def report(self) -> dict[str, object]:
         """What passed: `forged`, states that name a command that never passed; `armed` and `disarmed`, states;
-        `longest`, s after the last command at which a state still had a valve current."""
+        `longest`, s after the last command at which a state still had a valve current; `unheard`, the same in samples
+        of the box after the last command that it took: a machine that stands still does not make it longer."""
         ways = {"up": self.up, "down": self.down}
         passed = {name: {"frames": way.frames, "hostile": way.hostile} for name, way in ways.items()}
         return {**passed, **self._found}
@@ -132,7 +134,10 @@ class Line:
         found = self._found
         found["forged"] += state.last_command not in self._commands
         found["armed" if state.flags & Flag.ARMED else "disarmed"] += 1
+        if state.last_command != self._taken or state.sequence < self._taken_at:
+            self._taken, self._taken_at = state.last_command, state.sequence
         if current:
+            found["unheard"] = max(found["unheard"], state.sequence - self._taken_at)
             found["longest"] = max(found["longest"], now - self._commanded)
 
 
