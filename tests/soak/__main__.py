@@ -79,7 +79,7 @@ def run(asked: argparse.Namespace, folder: Path) -> int:
                 ended = ending
     rows(soak.outcomes).show(asked.json)
     print()
-    memory(soak).show(asked.json and asked.json.with_suffix(".memory.json"))
+    memory(soak).show(asked.json and Path(asked.json).with_suffix(".memory.json"))
     found = soak.violations()
     print(f"\n{len(soak.records)} samples, {soak.lost} of them not recorded", *(found or ["all held"]), sep="\n")
     if found:
