@@ -289,6 +289,24 @@ def test_another_node_is_told_who_commands_and_gets_its_turn(steered, probe):
         other.close()
 
 
+def test_a_plant_is_armed_and_handed_over_by_name(steered, probe):
+    def claim(**words) -> Claim.Response:
+        answer = probe.arming.call_async(Claim.Request(**words))
+        probe.wait(answer.done)
+        return answer.result()
+
+    refused = claim(act=Claim.Request.ARM, name="person", whom="evaluate")
+    assert not refused.success and refused.message == "probe commands this plant, not evaluate"
+    assert claim(act=Claim.Request.ARM, name="person", whom="probe").success
+    probe.commands = False
+    answer = probe.commander.give("evaluate")
+    probe.wait(answer.done)
+    assert answer.result().message == "disarmed, handed over to evaluate" and not steered.armed()
+    assert "handed over to evaluate" in claim(act=Claim.Request.TAKE, name="collect").message
+    heir = claim(act=Claim.Request.TAKE, name="evaluate")
+    assert heir.success and heir.epoch
+
+
 def test_who_succeeds_a_holder_that_has_fallen_silent_finds_the_plant_disarmed(steered, probe):
     other = Probe()
     try:
