@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`make fuzz-line` in short: hostile bytes on the serial line of an armed plant; what a slow machine loses is its own."""
+"""`make fuzz-line` in short: hostile bytes on the serial line of an armed plant; a slow machine may lose samples."""
 
 from __future__ import annotations
 

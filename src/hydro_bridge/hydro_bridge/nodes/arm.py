@@ -62,7 +62,9 @@ def ask(node: Node, *, arm: bool, timeout: float, whom: str = "") -> str:
         There is no plant, or none that answers within `timeout` [s], or it refuses.
     """
     client = node.create_client(Claim, CLAIM_SERVICE) if arm else node.create_client(SetBool, ARM_SERVICE)
-    request = Claim.Request(act=Claim.Request.ARM, name=node.get_name(), whom=whom) if arm else SetBool.Request(data=False)
+    request = (
+        Claim.Request(act=Claim.Request.ARM, name=node.get_name(), whom=whom) if arm else SetBool.Request(data=False)
+    )
     if not client.wait_for_service(timeout_sec=timeout):
         raise UserError("no plant runs here: start a bridge or a simulation first")
     answer = client.call_async(request)

@@ -116,7 +116,10 @@ class Gate:
             trouble = self.authority.take(request.name, request.claim, self._now())
             done = "taken"
         elif request.act == Claim.Request.ARM:
-            trouble, done = self._arm(request.claim, request.whom), f"armed for {self.authority.holder or 'nobody: base gains'}"
+            trouble, done = (
+                self._arm(request.claim, request.whom),
+                f"armed for {self.authority.holder or 'nobody: base gains'}",
+            )
         elif request.act == Claim.Request.GIVE:
             trouble = self._take_back(request.claim, request.whom)
             done = f"disarmed, handed over to {request.whom}" if request.whom else "disarmed, given back"
