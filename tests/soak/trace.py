@@ -24,6 +24,7 @@ TYPE = np.dtype(
         ("kp", "<f4"),
     ]
 )
+_LASTING = 300  # samples at base gains that a policy does not choose: thirty steps
 BASE_KP = 15.0  # 1/s, of the emulated box
 
 
@@ -55,8 +56,18 @@ def acting(records: NDArray[np.void]) -> bool:
 
 
 def safe(records: NDArray[np.void]) -> NDArray[np.bool_]:
-    """Which of them are disarmed with no current, or at the box's base gains."""
-    return np.where(armed(records), np.abs(records["kp"] - BASE_KP) < 1e-3, records["current"] == 0.0)
+    """Which of them are disarmed with no current, or at base gains that no policy has chosen.
+
+    A policy may choose the box's base gains, for some steps. They count where box or guard flags them, or where they
+    last.
+    """
+    still = ~armed(records) & (records["current"] == 0.0)
+    base = still | (np.abs(records["kp"] - BASE_KP) < 1e-3)
+    ends = np.flatnonzero(np.diff(base, prepend=False, append=False))
+    lasting = np.zeros(len(records), bool)
+    for begin, end in zip(ends[::2], ends[1::2], strict=True):
+        lasting[begin:end] = end - begin >= _LASTING
+    return still | (base & ((records["flags"] & (Flag.WATCHDOG | Flag.FILTER_STALE)) != 0)) | lasting
 
 
 def boots(records: NDArray[np.void]) -> NDArray[np.int64]:
