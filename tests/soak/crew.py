@@ -120,7 +120,7 @@ class Crew:
                 os.kill(pid, number)
 
     def look(self) -> None:
-        """Take note of the memory of each."""
+        """Take note of the memory of each; call it while all of them work, for one that imports still grows."""
         now = time.monotonic()
         for name in (*self.posts, LEARNER):
             pid = self.pid(name)

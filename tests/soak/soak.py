@@ -39,6 +39,7 @@ class Soak:
         trace.touch()
         wire = Wire(stack, folder / "box", folder / "port", seed, "--trace", str(trace))
         self._trace, self._scene = Trace(trace), Scene(self.crew, wire, self._random)
+        self._acting = False
         self._parts: list[NDArray[np.void]] = []
 
     @property
@@ -93,11 +94,12 @@ class Soak:
         return [*late, *invariants(self.records), *growth(self.crew.memory), *self.broken]
 
     def _wait_until_acting(self, restarted: list[str]) -> bool:
-        end = time.monotonic() + _PATIENCE
+        end, self._acting = time.monotonic() + _PATIENCE, False
         while time.monotonic() < end:
             restarted += [name for name in self.crew.revive() if name not in restarted]
             self._rest(_CALM)
             if acting(self._since(time.monotonic() - _CALM)):
+                self._acting = True
                 return True
         return False
 
@@ -109,7 +111,8 @@ class Soak:
 
     def _look(self) -> None:
         self._hear()
-        self.crew.look()
+        if self._acting:
+            self.crew.look()
         self._tick(time.monotonic() - self._begun)
 
     def _hear(self) -> None:
