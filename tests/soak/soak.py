@@ -34,10 +34,10 @@ class Soak:
         """What was unsafe, but for what is found in the trace and in memory at the end."""
         self.lost = 0
         self._random = Random(seed)
-        self.crew = Crew(folder, seed)
         trace = folder / "trace"
         trace.touch()
         wire = Wire(stack, folder / "box", folder / "port", seed, "--trace", str(trace))
+        self.crew = Crew(folder, seed)  # after the wire, which stays until all has ended
         self._trace, self._scene = Trace(trace), Scene(self.crew, wire, self._random)
         self._acting = False
         self._parts: list[NDArray[np.void]] = []
