@@ -17,10 +17,10 @@ CORES := setup $(wildcard src/hydro_*/hydro_*)
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 test test-slow graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
 # Tests and benchmarks have nodes of their own, which no keystore knows.
-test test-slow graph-repeat fast-tests colcon-test bench fuzz-line: export ROS_SECURITY_ENABLE := false
+test test-slow graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
 
 .PHONY: help setup environment build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
-.PHONY: bench bench-peers fuzz fuzz-line firmware format reference docs coverage clean
+.PHONY: bench bench-peers fuzz fuzz-line soak firmware format reference docs coverage clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -81,6 +81,9 @@ fuzz: setup  ## a million hostile frames to the decoder
 
 fuzz-line: setup  ## ten million hostile bytes each way of an armed plant's serial line
 	@$(SOURCED) .venv/bin/python -m tests.hostile_line $(ARGS)
+
+soak: setup  ## an hour of training under faults drawn at random (ARGS="--seed 1 --hours 0.1")
+	@$(SOURCED) .venv/bin/python -m tests.soak $(ARGS)
 
 firmware:  ## the box in C: unit tests, 10^7 hostile bytes under sanitizers, coverage, mutants, operations (ARGS="--no-mutants")
 	@$(PYTHON) firmware/test/checks.py $(ARGS)

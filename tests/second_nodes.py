@@ -13,9 +13,13 @@ import argparse
 import io
 import sys
 import tempfile
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
+from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.cli.console import Table, add_json_argument, command
 from hydro_bridge.ros import CORRECTION, STATE, Companion
 from hydro_bridge.signals import Flag
@@ -34,7 +38,7 @@ class Beside:
     trainer: bool = False
     """The second trainer said who commands, and waited."""
     recorder: bool = False
-    """The recorder went on recording."""
+    """Each of two recorders said that there is another, and both recordings have all samples meanwhile."""
     went_on: bool = False
     """All samples meanwhile were armed."""
     plant: bool = False
@@ -57,9 +61,7 @@ def beside(graph: Defended, folder: Path) -> Beside:
         graph.drive(_PATIENCE, until=lambda: "answers already" in said.getvalue())
         graph.drive(1.0)
         found.filter = "answers already" in said.getvalue() and probe.node.count_publishers(CORRECTION) == 1
-    with Companion("hydro_bridge", "recorder", ["--out", str(folder / "bag")], output=io.StringIO()) as recorder:
-        graph.drive(3.0)
-        found.recorder = recorder.running
+    found.recorder = beside_a_recorder(graph, folder)
     with trainer(*words) as process:
         graph.drive(_PATIENCE, until=lambda: told in process.text)
         graph.drive(3.0)
@@ -69,6 +71,21 @@ def beside(graph: Defended, folder: Path) -> Beside:
         print("not armed all the time:", *graph.text[-40:], sep="\n", file=sys.stderr)
     found.plant = beside_a_plant(graph)
     return found
+
+
+def beside_a_recorder(graph: Defended, folder: Path) -> bool:
+    """Start two recorders: whether each told of the other, and both recorded the same, whole but for a hundredth."""
+    said, bags = [io.StringIO(), io.StringIO()], [folder / "first", folder / "second"]
+    with ExitStack() as stack:
+        for bag, output in zip(bags, said, strict=True):
+            stack.enter_context(Companion("hydro_bridge", "recorder", ["--out", str(bag)], output=output))
+            graph.drive(_PATIENCE, until=lambda output=output: "recording into" in output.getvalue())  # type: ignore[misc]
+        graph.drive(_PATIENCE, until=lambda: all("another recorder" in output.getvalue() for output in said))
+        graph.drive(3.0)
+    first, second = (read_bag(bag).state["sequence"] for bag in bags)
+    both = np.intersect1d(first, second)
+    whole = len(both) > 2000 and len(both) > 0.99 * (both[-1] - both[0] + 1)
+    return whole and all("another recorder" in output.getvalue() for output in said)
 
 
 def beside_a_plant(graph: Defended) -> bool:

@@ -23,6 +23,7 @@ class Wire:
                 stdout=subprocess.PIPE,
                 text=True,
                 bufsize=1,
+                start_new_session=True,
             )
         )
         stack.callback(self.process.kill)

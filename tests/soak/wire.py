@@ -8,6 +8,7 @@ Orders come on standard input, one a line::
     hostile N    so many hostile bytes a millisecond each way, on average, from now on
     replay N     so many old frames each way, at once
     mute N       nothing of the host's reaches the box for so many seconds
+    unplug N     the bridge's port is gone for so many seconds
     report       answer with one line of JSON: `Line.report`
 """
 
@@ -50,17 +51,19 @@ class Line:
     def __init__(self, box: Path, bridge: Path, seed: int, trace: Path | None = None) -> None:
         self._trace = trace.open("ab", buffering=0) if trace else None
         self.up, self.down = Direction(Random(seed)), Direction(Random(seed + 1))
-        self.rate, self.muted_until = 0.0, 0.0
+        self.rate, self.muted_until, self._gone_until = 0.0, 0.0, 0.0
         self._box, self._port = box, -1
         self._terminal = Terminal(bridge)
         self._terminal.unplug()
         self._commands: deque[int] = deque([0], maxlen=4096)
         self._commanded = self._disturbed = time.monotonic()
-        self._found = {"forged": 0, "armed": 0, "disarmed": 0, "longest": 0.0}
+        self._found = {"forged": 0, "armed": 0, "disarmed": 0, "longest": 0.0, "unheard": 0}
+        self._taken, self._taken_at = 0, 0  # the box's last command, and in which of its samples it came
 
     def report(self) -> dict[str, object]:
         """What passed: `forged`, states that name a command that never passed; `armed` and `disarmed`, states;
-        `longest`, s after the last command at which a state still had a valve current."""
+        `longest`, s after the last command at which a state still had a valve current; `unheard`, the same in samples
+        of the box after the last command that it took: a machine that stands still does not make it longer."""
         ways = {"up": self.up, "down": self.down}
         passed = {name: {"frames": way.frames, "hostile": way.hostile} for name, way in ways.items()}
         return {**passed, **self._found}
@@ -75,7 +78,10 @@ class Line:
             data = os.read(self._port, 65536) if ready else b""
             if ready and not data:
                 raise OSError("gone")
-            self._carry(data, self._terminal.read(), time.monotonic())
+            now = time.monotonic()
+            if not self._terminal.plugged and now >= self._gone_until:
+                self._terminal.plug()
+            self._carry(data, self._terminal.read() if self._terminal.plugged else b"", now)
             self.down.write(self._port)
         except OSError:  # the box has gone: so has the adapter
             os.close(self._port)
@@ -87,6 +93,11 @@ class Line:
         else:
             self.up.unwritten = b""
 
+    def unplug(self, seconds: float) -> None:
+        """Take the bridge's port away for so long; the box goes on."""
+        self._terminal.unplug()
+        self._gone_until = time.monotonic() + seconds
+
     def _plug(self) -> None:
         try:
             self._port = os.open(self._box, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
@@ -94,7 +105,8 @@ class Line:
             time.sleep(0.02)
             return
         self.up.unwritten = self.down.unwritten = b""
-        self._terminal.plug()
+        if time.monotonic() >= self._gone_until:
+            self._terminal.plug()
 
     def _carry(self, up: bytes, down: bytes, now: float) -> None:
         for piece in self.down.whole(down):
@@ -116,11 +128,16 @@ class Line:
     def _look_at(self, state: State, now: float) -> None:
         force, current = state.values[_FORCE], state.values[_CURRENT]
         if self._trace is not None:
-            self._trace.write(RECORD.pack(now, state.sequence, state.flags, force, current, state.values[_KP]))
+            self._trace.write(
+                RECORD.pack(now, state.sequence, state.flags, state.last_command, force, current, state.values[_KP])
+            )
         found = self._found
         found["forged"] += state.last_command not in self._commands
         found["armed" if state.flags & Flag.ARMED else "disarmed"] += 1
+        if state.last_command != self._taken or state.sequence < self._taken_at:
+            self._taken, self._taken_at = state.last_command, state.sequence
         if current:
+            found["unheard"] = max(found["unheard"], state.sequence - self._taken_at)
             found["longest"] = max(found["longest"], now - self._commanded)
 
 
@@ -140,6 +157,8 @@ def obey(line: Line, order: str) -> None:
         line.rate = float(number)
     elif word == "mute":
         line.muted_until = time.monotonic() + float(number)
+    elif word == "unplug":
+        line.unplug(float(number))
     elif word == "replay":
         line.up.replay(int(number))
         line.down.replay(int(number))

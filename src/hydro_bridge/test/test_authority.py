@@ -7,7 +7,7 @@ from itertools import count
 
 import pytest
 
-from hydro_bridge.safety.authority import LEASE, Authority
+from hydro_bridge.safety.authority import KEPT, LEASE, Authority
 
 
 @pytest.fixture
@@ -81,3 +81,17 @@ def test_only_the_holder_can_give_it_back(authority: Authority) -> None:
 def test_numbers_are_drawn_anew_and_are_never_0() -> None:
     drawn = {Authority().epoch for _ in range(100)}
     assert len(drawn) == 100 and 0 not in drawn and max(drawn) < 2**64
+
+
+def test_a_plant_that_is_handed_over_is_kept_for_its_heir_and_not_for_ever(authority: Authority) -> None:
+    authority.take("trainer", 0, 0.0)
+    old = authority.epoch
+    assert authority.give(authority.claim, 1.0, heir="evaluate")
+    assert "handed over to evaluate" in authority.take("collect", 0, 1.1)
+    assert "handed over to evaluate" in authority.take("trainer", 0, 1.1), "nor he who gave it"
+    assert authority.take("evaluate", 0, 2.0) == "" and authority.holder == "evaluate"
+    assert authority.epoch != old
+    authority.give(authority.claim, 3.0)
+    assert authority.take("collect", 0, 3.1) == "", "given back to whoever asks"
+    authority.give(authority.claim, 4.0, heir="evaluate")
+    assert authority.take("collect", 0, 4.0 + KEPT) == "", "the heir has not come"

@@ -31,6 +31,7 @@ from hydro_bridge.nodes.arm import parser as arm_parser  # noqa: E402
 from hydro_bridge.nodes.bridge import BridgeNode  # noqa: E402
 from hydro_bridge.ros import (  # noqa: E402
     ARM_SERVICE,
+    AUTHORITY,
     BOX,
     CLAIM_SERVICE,
     CORRECTION,
@@ -287,6 +288,37 @@ def test_another_node_is_told_who_commands_and_gets_its_turn(steered, probe):
         assert other.commander.epoch != 0
     finally:
         other.close()
+
+
+def test_who_is_refused_is_told_again_who_commands(steered, probe):
+    heard = []
+    kind, qos = GRAPH[AUTHORITY]
+    probe.node.create_subscription(kind, AUTHORITY, heard.append, qos)
+    probe.wait(lambda: heard)  # latched
+    probe.listen(1.5)
+    assert len(heard) == 1, "it is said once"
+    epoch, probe.commander._epoch = probe.commander.epoch, 1  # as one has it that did not believe the last word
+    probe.commander.gains(20.0, 0.0)
+    probe.wait(lambda: len(heard) > 1, 3.0)
+    assert heard[-1].epoch == epoch
+
+
+def test_a_plant_is_armed_and_handed_over_by_name(steered, probe):
+    def claim(**words) -> Claim.Response:
+        answer = probe.arming.call_async(Claim.Request(**words))
+        probe.wait(answer.done)
+        return answer.result()
+
+    refused = claim(act=Claim.Request.ARM, name="person", whom="evaluate")
+    assert not refused.success and refused.message == "probe commands this plant, not evaluate"
+    assert claim(act=Claim.Request.ARM, name="person", whom="probe").success
+    probe.commands = False
+    answer = probe.commander.give("evaluate")
+    probe.wait(answer.done)
+    assert answer.result().message == "disarmed, handed over to evaluate" and not steered.armed()
+    assert "handed over to evaluate" in claim(act=Claim.Request.TAKE, name="collect").message
+    heir = claim(act=Claim.Request.TAKE, name="evaluate")
+    assert heir.success and heir.epoch
 
 
 def test_who_succeeds_a_holder_that_has_fallen_silent_finds_the_plant_disarmed(steered, probe):

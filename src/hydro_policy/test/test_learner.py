@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -107,6 +109,26 @@ def test_ctrl_c_while_it_starts_does_not_reach_the_learner(tmp_path: Path) -> No
         assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, ()), "ours still comes"
     finally:
         learner.stop({})
+
+
+FIRST = """
+import signal, sys
+from pathlib import Path
+from hydro_policy.learner_process.supervisor import LearnerSupervisor
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
+if __name__ == "__main__":
+    learner = LearnerSupervisor(TrainingSettings(), RunDirectory(Path(sys.argv[1])).create())
+    blocked = Path(f"/proc/{learner.pid}/status").read_text().split("SigBlk:")[1].split()[0]
+    print(int(blocked, 16) >> (signal.SIGINT - 1) & 1)
+"""
+
+
+def test_ctrl_c_does_not_reach_the_first_child_of_a_program(tmp_path: Path) -> None:
+    """With that one the standard library starts its resource tracker, which lets SIGINT through."""
+    program = tmp_path / "first.py"
+    program.write_text(FIRST)
+    done = subprocess.run([sys.executable, program, tmp_path / "run"], capture_output=True, text=True, check=False)
+    assert done.stdout == "1\n", done.stderr
 
 
 def test_a_learner_that_cannot_begin_says_why_at_once(tmp_path: Path) -> None:

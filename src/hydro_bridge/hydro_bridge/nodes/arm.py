@@ -2,6 +2,7 @@
 """Arms the plant that runs, for whoever has the authority over it, or disarms it, and says what the plant answered.
 
 ros2 run hydro_bridge arm            # exit status 0 once the box confirms, 2 with the plant's reason if it refuses
+ros2 run hydro_bridge arm --for trainer    # only if the trainer commands it
 ros2 run hydro_bridge arm --off
 """
 
@@ -24,6 +25,7 @@ def parser() -> argparse.ArgumentParser:
     """The command line."""
     result = argparse.ArgumentParser(prog="arm", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     result.add_argument("--off", action="store_true", help="disarm: the valve closes")
+    result.add_argument("--for", dest="whom", default="", metavar="NODE", help="arm only if this node commands it")
     result.add_argument("--timeout", type=_seconds, default=10.0, metavar="S", help="for each step, default 10 s")
     return result
 
@@ -40,17 +42,19 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     asked = parser().parse_args(own)
+    if asked.off and asked.whom:
+        raise UserError("--off is for everybody: leave --for out")
     start_ros(ros)
     node = Node("arm")
     try:
-        print(ask(node, arm=not asked.off, timeout=asked.timeout))
+        print(ask(node, arm=not asked.off, timeout=asked.timeout, whom=asked.whom))
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
 
 
-def ask(node: Node, *, arm: bool, timeout: float) -> str:
-    """Ask the plant; what it says.
+def ask(node: Node, *, arm: bool, timeout: float, whom: str = "") -> str:
+    """Ask the plant, and arm it only if `whom` commands it where one is named; what it says.
 
     Raises
     ------
@@ -58,7 +62,9 @@ def ask(node: Node, *, arm: bool, timeout: float) -> str:
         There is no plant, or none that answers within `timeout` [s], or it refuses.
     """
     client = node.create_client(Claim, CLAIM_SERVICE) if arm else node.create_client(SetBool, ARM_SERVICE)
-    request = Claim.Request(act=Claim.Request.ARM, name=node.get_name()) if arm else SetBool.Request(data=False)
+    request = (
+        Claim.Request(act=Claim.Request.ARM, name=node.get_name(), whom=whom) if arm else SetBool.Request(data=False)
+    )
     if not client.wait_for_service(timeout_sec=timeout):
         raise UserError("no plant runs here: start a bridge or a simulation first")
     answer = client.call_async(request)

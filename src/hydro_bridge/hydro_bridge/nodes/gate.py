@@ -116,9 +116,13 @@ class Gate:
             trouble = self.authority.take(request.name, request.claim, self._now())
             done = "taken"
         elif request.act == Claim.Request.ARM:
-            trouble, done = self._arm(request.claim), f"armed for {self.authority.holder or 'nobody: base gains'}"
+            trouble, done = (
+                self._arm(request.claim, request.whom),
+                f"armed for {self.authority.holder or 'nobody: base gains'}",
+            )
         elif request.act == Claim.Request.GIVE:
-            trouble, done = self._take_back(request.claim), "disarmed, given back"
+            trouble = self._take_back(request.claim, request.whom)
+            done = f"disarmed, handed over to {request.whom}" if request.whom else "disarmed, given back"
         else:
             trouble, done = f"act {request.act} is not known", ""
         if self.authority.claim != held:
@@ -139,19 +143,21 @@ class Gate:
         self._words.say(response.message)
         return response
 
-    def _arm(self, claim: int) -> str:
+    def _arm(self, claim: int, whom: str) -> str:
+        if whom and whom != self.authority.holder:
+            return f"{self.authority.holder or 'nobody'} commands this plant, not {whom}"
         if claim not in (0, self.authority.claim):
             return f"{self.authority.holder or 'nobody'} commands this plant now"
         trouble = self.crowd() or self._plant.arm(True)
         self._follow()
         return trouble
 
-    def _take_back(self, claim: int) -> str:
+    def _take_back(self, claim: int, heir: str) -> str:
         if not claim or claim != self.authority.claim:
             return f"{self.authority.holder or 'nobody'} commands this plant now"
         trouble = self._plant.arm(False)
         self._follow()
-        self.authority.give(claim, self._now())
+        self.authority.give(claim, self._now(), heir)
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:

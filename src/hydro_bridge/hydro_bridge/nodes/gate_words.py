@@ -40,8 +40,14 @@ class GateWords:
         self._publisher.publish(message)
 
     def tell_refused(self) -> None:
-        """Log how many commands were refused since the last call, and who publishes these topics."""
+        """Log how many commands were refused since the last call, and who publishes these topics.
+
+        They are told again who commands: a word of a plant that was started anew is not believed while the one before,
+        killed, still stands in the graph, and the new one does not know of that.
+        """
         news = self._authority.refused - self._told
+        if news:
+            self.tell()
         self._told = self._authority.refused.copy()
         if news[CORRECTION] <= _NEWCOMERS:
             del news[CORRECTION]

@@ -51,6 +51,7 @@ class RecorderNode(Node):
         self.create_timer(FLUSH_PERIOD, partial(self._write, self._run.writer.flush), clock=steady)
         if self._unknown:
             self.create_timer(0.5, self._look_for_unknown, clock=steady)
+        self._others = self.create_timer(1.0, self._look_for_others, clock=steady)
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self.get_logger().info(f"recording into {self._run.writer.folder}; {scheduling}")
 
@@ -89,6 +90,12 @@ class RecorderNode(Node):
             self.failed = True
             self.get_logger().error(f"{self._run.writer.folder}: the recording ends here: {error.strerror}")
             rclpy.try_shutdown()
+
+    def _look_for_others(self) -> None:
+        """Say once that another recorder is there: neither hinders the other, but both take their share of the disk."""
+        if self.get_node_names().count(self.get_name()) > 1:
+            self.get_logger().warning(f"another recorder runs here: both go on, this one in {self._run.writer.folder}")
+            self._others.cancel()
 
     def _look_for_unknown(self) -> None:
         """Subscribe to topics outside our graph once somebody publishes them and says their type."""

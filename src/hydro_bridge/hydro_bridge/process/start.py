@@ -9,7 +9,7 @@ from __future__ import annotations
 import signal
 from importlib import import_module
 
-from hydro_bridge.process import endings
+from hydro_bridge.process import endings, middleware
 
 
 class MainOf:
@@ -26,6 +26,9 @@ class MainOf:
     def __call__(self) -> int | None:
         """Answer signals from now on, import the module, and run its `main`, which answers them in its own way."""
         endings.answer(endings.leave)  # importing takes seconds, and a traceback tells nobody anything
+        if trouble := middleware.missing():
+            endings.complain(trouble)
+            return 2
         main = import_module(self._module).main
         try:
             status: int | None = main()

@@ -104,16 +104,22 @@ class Commander:
             return None
         return self._ask(Claim.Request.ARM) if arm else self._arming.call_async(SetBool.Request(data=False))
 
-    def give(self) -> Future | None:
-        """Give the authority back, which disarms; the plant's answer, or None if there is nothing to give."""
+    def give(self, heir: str = "") -> Future | None:
+        """Give the authority back, which disarms; the plant's answer, or None if there is nothing to give.
+
+        Parameters
+        ----------
+        heir
+            Name of the node that alone may have it next, for 10 s; empty: whoever asks first.
+        """
         if not (self.held and self._claims.service_is_ready()):
             return None
-        answer = self._ask(Claim.Request.GIVE)
+        answer = self._ask(Claim.Request.GIVE, heir)
         self._lose("")
         return answer
 
-    def _ask(self, act: int) -> Future:
-        request = Claim.Request(act=act, name=self._node.get_name(), claim=self._claim)
+    def _ask(self, act: int, whom: str = "") -> Future:
+        request = Claim.Request(act=act, name=self._node.get_name(), claim=self._claim, whom=whom)
         return self._claims.call_async(request)
 
     def _on_taken(self, answer: Future) -> None:

@@ -14,6 +14,9 @@ from importlib import resources
 
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from hydro_bridge.errors import UserError
+from hydro_bridge.process import middleware
+
 RANGE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
 THIS_MACHINE = "LOCALHOST"
@@ -23,7 +26,15 @@ _OLD_RANGE = "ROS_LOCALHOST_ONLY"  # goes before `RANGE` where it is set; deprec
 
 
 def stay_on_this_machine() -> None:
-    """Set the environment of this process and of those it starts; before ROS is. What the user has set stays."""
+    """Set the environment of this process and of those it starts; before ROS is. What the user has set stays.
+
+    Raises
+    ------
+    UserError
+        The middleware that the user has set is not installed.
+    """
+    if trouble := middleware.missing():
+        raise UserError(trouble)
     here = os.environ.setdefault(RANGE, THIS_MACHINE) == THIS_MACHINE
     profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))
     ours = os.environ.setdefault(PROFILES, profile) == profile

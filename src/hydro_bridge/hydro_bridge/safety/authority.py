@@ -6,7 +6,7 @@
     take    a holder claims the plant, and keeps it by asking again or by commands: after `LEASE` of silence another
             may have it
     epoch   drawn anew when the plant is disarmed or trips, and for each new holder: commands of before are refused
-    give    the holder gives it back
+    give    the holder gives it back, or hands it over: then nobody but the heir may take it for `KEPT`
 
 The epoch of the next arming is handed out before it, so that the reference can be there when the plant is armed. It
 tells old and foreign commands from present ones. It is no secret: whoever can read the graph can copy it.
@@ -21,6 +21,9 @@ from math import inf
 
 LEASE = 3.0
 """s without a word of the holder after which another may have the authority."""
+
+KEPT = 10.0
+"""s for which a plant that was handed over is kept for its heir."""
 
 _LATE = 0.5  # s in which commands of the epoch before are on their way, and no stranger's
 
@@ -49,23 +52,28 @@ class Authority:
         self.refused: Counter[str] = Counter()
         """How many commands were refused, by topic."""
         self._heard, self._before, self._ended = -inf, 0, -inf
+        self._heir, self._kept_until = "", -inf
 
     def take(self, name: str, claim: int, now: float) -> str:
         """Give it to `name`, or let the holder of `claim` keep it; why not, or nothing."""
         kept = bool(self.claim) and claim == self.claim
         if self.holder and not kept and now - self._heard <= LEASE:
             return f"{self.holder} commands this plant: end it, or wait until it gives the authority back"
+        if not self.holder and self._heir not in ("", name) and now < self._kept_until:
+            return f"this plant is handed over to {self._heir}, which may take it within {KEPT:g} s"
         if not kept:
+            self._heir = ""
             self.holder, self.claim = name, self._draw()
             self.end(now)
         self._heard = now
         return ""
 
-    def give(self, claim: int, now: float) -> bool:
-        """Take it back from the holder of `claim`; whether that one had it."""
+    def give(self, claim: int, now: float, heir: str = "") -> bool:
+        """Take it back from the holder of `claim`, and keep it for `heir` if one is named; whether that one had it."""
         if not self.claim or claim != self.claim:
             return False
         self.holder, self.claim = "", 0
+        self._heir, self._kept_until = heir, now + KEPT
         self.end(now)
         return True
 

@@ -9,6 +9,7 @@ import signal
 import time
 from collections import deque
 from contextlib import suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any
@@ -240,7 +241,9 @@ class LearnerSupervisor:
             target=run_learner, args=arguments, name="learner", daemon=True
         )
         # Ctrl-C and a hangup go to the whole terminal, and would meet the child importing, long before it can say that
-        # it ignores them. A blocked signal is inherited; ours, if one comes now, waits.
+        # it ignores them. A blocked signal is inherited; ours, if one comes now, waits. Where the resource tracker of
+        # multiprocessing is first started it lets SIGINT through again: so that comes before.
+        resource_tracker.ensure_running()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT, signal.SIGHUP})
         try:
             self._process.start()

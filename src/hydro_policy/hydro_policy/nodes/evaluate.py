@@ -102,6 +102,7 @@ def evaluate(options: argparse.Namespace) -> int:
     wanted = guard_range(reach(compared(options, box), grid, box.base_gains))
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("evaluate")
+        node.heir = options.hand_over or ""
         stack.callback(node.destroy_node)
         settings = declare_parameters(node, settings)
         refuse_unknown_parameters(node)

@@ -86,6 +86,8 @@ class GraphNode(Node):
         self.override = GainOverride(say=lambda sentence: self.say(sentence, warning=True))
         self.box: KnownBox | None = None
         """What the plant says of its box, once it was met."""
+        self.heir = ""
+        """Name of the node that is handed the plant in the end; empty: whoever asks first."""
         self.unfit: Callable[[KnownBox], str] = lambda box: ""
         """Why a box is not the one that this run is for, in a sentence, or nothing; asked whenever a box is told of."""
         self._foreign, self._sampled = "", math.inf
@@ -159,9 +161,12 @@ class GraphNode(Node):
             drop_realtime()
 
     def disarm(self) -> None:
-        """Give the authority back, which disarms the plant, and wait for its answer, at most 2 s."""
+        """Give the authority back, which disarms the plant, and wait for its answer, at most 2 s.
+
+        Where there is an `heir` the plant keeps it for that one.
+        """
         self._session = None
-        answer = self._commander.give()
+        answer = self._commander.give(self.heir)
         if answer is None:
             return
         executor = EventsExecutor()
@@ -241,6 +246,8 @@ class GraphNode(Node):
 
     def _on_override(self, request: OverrideGains.Request, answer: OverrideGains.Response) -> OverrideGains.Response:
         try:
+            if request.whom not in ("", self.get_name()):
+                raise ValueError(f"{self.get_name()} chooses the gains here, not {request.whom}")
             if request.active:
                 gains = (request.proportional_gain, request.integral_gain)
                 answer.message = self.override.hold(*gains, request.seconds, time.monotonic())

@@ -23,6 +23,7 @@ SCRATCH = "scratch"
 
 _PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "base_gains", "filter", "rearm")
 _NEEDS = {
+    "hand_over": ("external",),
     "truth": ("emulator",),
     "faults": ("emulator",),
     "port": ("bench", "emulator"),
@@ -63,6 +64,9 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         "--rearm",
         choices=("auto", "ask"),
         help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or /hydro/arm",
+    )
+    group.add_argument(
+        "--hand-over", metavar="NODE", help="in the end hand an external plant to this node, which waits for it"
     )
 
 

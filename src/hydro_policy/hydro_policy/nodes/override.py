@@ -4,6 +4,7 @@
 ros2 run hydro_policy override --kp 60 --ki 10 --seconds 30
 ros2 run hydro_policy override --kp 60 --ki 10      # until --off, or until the trainer ends
 ros2 run hydro_policy override --off
+ros2 run hydro_policy override --kp 60 --ki 10 --of trainer    # only of a node of this name
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--ki", type=float, metavar="1/s^2", help="K_i in all")
     result.add_argument("--seconds", type=float, default=0.0, metavar="S", help="give back after so long")
     result.add_argument("--off", action="store_true", help="give back now")
+    result.add_argument("--of", dest="whom", default="", metavar="NODE", help="only if this node chooses the gains")
     return result
 
 
@@ -45,9 +47,13 @@ def request(options: argparse.Namespace) -> OverrideGains.Request:
     if given != (0 if options.off else 2):
         raise UserError("override needs --kp and --ki, or --off")
     if options.off:
-        return OverrideGains.Request(active=False)
+        return OverrideGains.Request(active=False, whom=options.whom)
     return OverrideGains.Request(
-        active=True, proportional_gain=options.kp, integral_gain=options.ki, seconds=options.seconds
+        active=True,
+        proportional_gain=options.kp,
+        integral_gain=options.ki,
+        seconds=options.seconds,
+        whom=options.whom,
     )
 
 

@@ -40,6 +40,7 @@ def train(options: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("trainer")
+        node.heir = options.hand_over or ""
         stack.callback(node.destroy_node)
         prepared = prepare(options, node)
         stack.enter_context(taken_back(prepared, node))

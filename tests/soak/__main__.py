@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A training under faults drawn at random, by the hour: `make soak`.
+
+python -m tests.soak [--seed S] [--hours H] [--causes CAUSE ...] [--json FILE]
+
+Emulator, bridge, filter, trainer (external, from scratch) and recorder run at 1 kHz; a process on the serial line keeps
+what the box says. Whatever ends is started again as its user would. Ctrl-C ends it with the table so far. Exit status 1
+if something unsafe happened: not safe in time, a valve current without commands or beyond the valve's, a process left
+behind, a traceback, memory that grows, no way on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
+from hydro_bridge.process.endings import Ended
+from hydro_bridge.ros.network import stay_on_this_machine
+from tests.soak.faults import FAULTS
+from tests.soak.judge import Outcome
+from tests.soak.soak import Soak, soaking
+
+COLUMNS = {
+    "cause": "",
+    "times": "",
+    "lost": "samples of the box until the next fault that no recording has, in all",
+    "safe_ms": "until disarmed with no current, or at base gains, the longest; none: it went on",
+    "force_N": "the largest until then",
+    "current_mA": "the largest until then",
+    "back_s": "until a policy acted again, the longest",
+    "way_on": "who was started again",
+}
+
+
+def rows(outcomes: list[Outcome]) -> Table:
+    """The outcomes by cause, in the order of the list of faults."""
+    table = Table(COLUMNS, title="Faults")
+    for cause in (fault.cause for fault in FAULTS):
+        own = [outcome for outcome in outcomes if outcome.cause == cause]
+        if own:
+            safe = [1e3 * outcome.safe_after for outcome in own if outcome.safe_after is not None]
+            back = [outcome.back_after for outcome in own if outcome.back_after is not None]
+            table.add(
+                cause=cause,
+                times=len(own),
+                lost=sum(outcome.lost for outcome in own),
+                safe_ms=f"{max(safe):.0f}" if safe else "",
+                force_N=f"{max(outcome.force for outcome in own):.0f}",
+                current_mA=f"{1e3 * max(outcome.current for outcome in own):.1f}",
+                back_s=f"{max(back):.0f}" if back else "",
+                way_on="; ".join(sorted({outcome.way_on for outcome in own})),
+            )
+    return table
+
+
+def memory(soak: Soak) -> Table:
+    """Memory of each process that lived for a while."""
+    table = Table({"process": "", "first": "MiB", "last": "MiB", "seconds": "between"}, title="Memory")
+    for each in soak.crew.memory:
+        if each.seconds:
+            table.add(
+                process=each.process, first=f"{each.first:.1f}", last=f"{each.last:.1f}", seconds=round(each.seconds)
+            )
+    return table
+
+
+def run(asked: argparse.Namespace, folder: Path) -> int:
+    """Soak, and print what came of it."""
+    ended = None
+    with soaking(folder, asked.seed) as soak:
+        seconds = 3600.0 * asked.hours
+        with progress(total=round(seconds), label="soak", unit="s") as bar:
+            try:
+                soak.run(seconds, tuple(asked.causes), lambda now: bar.update(int(now) - bar.n))
+            except Ended as ending:
+                ended = ending
+    rows(soak.outcomes).show(asked.json)
+    print()
+    memory(soak).show(asked.json and Path(asked.json).with_suffix(".memory.json"))
+    found = soak.violations()
+    print(f"\n{len(soak.records)} samples, {soak.lost} of them not recorded", *(found or ["all held"]), sep="\n")
+    if found:
+        print(*soak.crew.text.splitlines()[-60:], sep="\n", file=sys.stderr)
+    if ended is not None and not found:
+        raise ended
+    return 1 if found else 0
+
+
+@command()
+def main() -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(prog="python -m tests.soak", description=__doc__)
+    parser.add_argument("--seed", type=int, default=0, help="of all that is random (default: %(default)s)")
+    parser.add_argument("--hours", type=float, default=1.0, help="default: %(default)s")
+    parser.add_argument("--causes", nargs="+", default=[], metavar="CAUSE", help="only these faults, each once")
+    parser.add_argument("--keep", type=writable_folder, metavar="DIR", help="keep all files, the log among them, here")
+    add_json_argument(parser)
+    asked = parser.parse_args()
+    known = [fault.cause for fault in FAULTS]
+    if unknown := [cause for cause in asked.causes if cause not in known]:
+        raise UserError(f"{unknown[0]!r} is no fault of the soak: {', '.join(known)}")
+    if not asked.hours > 0.0:
+        raise UserError(f"--hours {asked.hours:g}: more than 0 is meant")
+    stay_on_this_machine()
+    with tempfile.TemporaryDirectory() as folder:
+        if asked.keep is not None:
+            asked.keep.mkdir(parents=True, exist_ok=True)
+        return run(asked, asked.keep or Path(folder))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What goes wrong in a soak: each fault begins, lasts, and is taken back; by when the plant must be safe."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from random import Random
+
+from tests.soak.crew import LEARNER, Crew
+from tests.soak.intruder import STRIKES, intrude
+from tests.soak.line import Wire
+
+_WATCHDOG = 0.35
+"""s: the box' watchdog of 200 ms, and what had been sent before."""
+_FRESH = 0.5
+"""s: the guard's 200 ms for gains and 20 ms for corrections, and its ramp to base gains."""
+_ENDED = 2.0
+"""s: a node looks for signals five times a second, then disarms."""
+_FOUND = 3.5
+"""s from which a stranger of the graph must have been found."""
+
+
+@dataclass
+class Scene:
+    """Where it happens."""
+
+    crew: Crew
+    wire: Wire
+    random: Random
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault:
+    """One thing that goes wrong."""
+
+    cause: str
+    strike: Callable[[Scene], AbstractContextManager[Callable[[], None]]]
+    """Begins it; what is to be done again and again meanwhile; its end takes it back."""
+    lasts: float = 2.0
+    """s until it is taken back."""
+    safe_within: float | None = None
+    """s within which the plant is disarmed with no current, or at base gains; None: it may go on."""
+
+
+def _nothing() -> None:
+    time.sleep(0.01)
+
+
+@contextmanager
+def _order(order: str, scene: Scene) -> Iterator[Callable[[], None]]:
+    scene.wire.order(order)
+    yield _nothing
+    scene.wire.order("hostile 0")
+
+
+@contextmanager
+def _signal(name: str, number: int, scene: Scene) -> Iterator[Callable[[], None]]:
+    scene.crew.signal(name, number)
+    yield _nothing
+
+
+@contextmanager
+def _stop(name: str, scene: Scene) -> Iterator[Callable[[], None]]:
+    pid = scene.crew.pid(name)
+    if pid:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        yield _nothing
+    finally:
+        with suppress(ProcessLookupError):
+            if pid:
+                os.kill(pid, signal.SIGCONT)
+
+
+@contextmanager
+def _full_disk(names: tuple[str, ...], scene: Scene) -> Iterator[Callable[[], None]]:
+    """No file grows any more: a quota of the kernel's, for these processes alone (EFBIG instead of ENOSPC)."""
+    before = {}
+    for name in names:
+        if pid := scene.crew.pid(name):
+            before[pid] = resource.prlimit(pid, resource.RLIMIT_FSIZE)
+            resource.prlimit(pid, resource.RLIMIT_FSIZE, (1, before[pid][1]))
+    try:
+        yield _nothing
+    finally:
+        for pid, limits in before.items():
+            with suppress(ProcessLookupError):
+                resource.prlimit(pid, resource.RLIMIT_FSIZE, limits)
+
+
+@contextmanager
+def _busy(scene: Scene) -> Iterator[Callable[[], None]]:
+    """Each core gets a process that computes without end."""
+    with ExitStack() as stack:
+        for _ in range(os.cpu_count() or 1):
+            process = stack.enter_context(subprocess.Popen([sys.executable, "-c", "while True: pass"]))
+            stack.callback(process.kill)
+        yield _nothing
+
+
+@contextmanager
+def _stranger(name: str, scene: Scene) -> Iterator[Callable[[], None]]:
+    with intrude(name) as once:
+        yield once
+
+
+def _killed(name: str, within: float | None) -> Fault:
+    return Fault(cause=f"kill -9 {name}", strike=partial(_signal, name, signal.SIGKILL), safe_within=within)
+
+
+def _stopped(name: str, within: float | None) -> Fault:
+    return Fault(cause=f"SIGSTOP {name}", strike=partial(_stop, name), safe_within=within)
+
+
+def _hung_up(name: str, within: float | None) -> Fault:
+    return Fault(cause=f"SIGHUP {name}", strike=partial(_signal, name, signal.SIGHUP), lasts=3.0, safe_within=within)
+
+
+FAULTS = (
+    Fault(cause="unplug", strike=partial(_order, "unplug 1.5"), safe_within=_WATCHDOG),
+    Fault(cause="stall of commands", strike=partial(_order, "mute 1"), safe_within=_WATCHDOG),
+    Fault(cause="corrupt bytes", strike=partial(_order, "hostile 100")),
+    Fault(cause="replayed frames", strike=partial(_order, "replay 400")),
+    *(
+        Fault(cause=f"stranger: {name}", strike=partial(_stranger, name), lasts=4.0, safe_within=_FOUND)
+        for name in STRIKES
+    ),
+    _killed("emulator", None),
+    _killed("bridge", _WATCHDOG),
+    _killed("filter", _FRESH),
+    _killed("trainer", _FRESH),
+    _killed("recorder", None),
+    _killed(LEARNER, None),
+    _stopped("emulator", None),
+    _stopped("bridge", _WATCHDOG),
+    _stopped("filter", _FRESH),
+    _stopped("trainer", _FRESH),
+    _stopped("recorder", None),
+    _stopped(LEARNER, None),
+    _hung_up("bridge", _ENDED),
+    _hung_up("filter", _ENDED),
+    _hung_up("trainer", _ENDED),
+    _hung_up("recorder", None),
+    Fault(cause="full disk: recorder", strike=partial(_full_disk, ("recorder",)), lasts=4.0),
+    Fault(cause="full disk: trainer", strike=partial(_full_disk, ("trainer", LEARNER)), lasts=8.0),
+    Fault(cause="CPU hogged", strike=_busy, lasts=4.0),
+)
+"""All of them. No clock is set: that needs rights over the whole machine (test_link.py steps one that is injected)."""
+
+
+def drawn(random: Random, causes: tuple[str, ...] = ()) -> Iterator[Fault]:
+    """Faults in random order without end, each once before any comes again; some `causes` only where they are given."""
+    chosen = [fault for fault in FAULTS if not causes or fault.cause in causes]
+    while chosen:
+        yield from random.sample(chosen, len(chosen))

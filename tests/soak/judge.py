@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the box's trace says of each fault, and what of it was unsafe."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydro_bridge.bags.recording import RecordingError, read_bag
+from tests.soak.crew import Memory
+from tests.soak.trace import TYPE, armed, boots, longest_unheard, safe
+
+CURRENT_MAX = 0.05
+"""A, the rated current of the shipped bench's valve."""
+UNHEARD_MAX = 203
+"""Samples: the box's watchdog of 200 ms, its period, and a command that comes between two samples."""
+GROWTH = {"trainer": 40.0, "learner": 40.0}
+"""MiB that a process may grow: these fill a replay buffer."""
+_GROWTH = 12.0  # MiB, of all others
+
+
+@dataclass
+class Outcome:
+    """What came of one fault."""
+
+    cause: str
+    began: float
+    """s of the monotonic clock."""
+    safe_within: float | None
+    safe_after: float | None = None
+    """s until disarmed with no current, or at base gains; None: it went on."""
+    force: float = 0.0
+    """N, largest until then, of either sign."""
+    current: float = 0.0
+    """A, largest until then, of either sign."""
+    ended: dict[str, int] = field(default_factory=dict)
+    """How processes ended."""
+    restarted: list[str] = field(default_factory=list)
+    """Those that the soak started anew."""
+    back_after: float | None = None
+    """s from its beginning until a policy acted again; None: it did not."""
+    lost: int = 0
+    """Samples of the box until the next fault that no recording has."""
+
+    def look(self, records: NDArray[np.void]) -> None:
+        """Judge the box's samples from the fault's beginning until it is over."""
+        good = np.flatnonzero(safe(records))
+        until = records
+        if len(good):
+            until, self.safe_after = records[: good[0] + 1], max(float(records["time"][good[0]]) - self.began, 0.0)
+        self.force = float(np.abs(until["force"]).max(initial=0.0))
+        self.current = float(np.abs(until["current"]).max(initial=0.0))
+
+    def violations(self, slack: float = 1.0) -> list[str]:
+        """What was unsafe; `slack` times later is still in time."""
+        if self.safe_within is None:
+            return []
+        if self.safe_after is None:
+            return [f"{self.cause}: never safe"]
+        late = self.safe_after > slack * self.safe_within
+        return [f"{self.cause}: safe after {self.safe_after:.2f} s, not {self.safe_within} s"] if late else []
+
+    @property
+    def way_on(self) -> str:
+        """How it went on."""
+        if self.back_after is None:
+            return "none"
+        return f"{', '.join(self.restarted)} by the soak" if self.restarted else "by itself"
+
+
+def invariants(records: NDArray[np.void]) -> list[str]:
+    """What must hold in every sample of the box, and does not."""
+    found = []
+    if (largest := float(np.abs(records["current"]).max(initial=0.0))) > CURRENT_MAX + 1e-6:
+        found.append(f"a valve current of {largest:.4f} A")
+    if count := int(((records["current"] != 0.0) & ~armed(records)).sum()):
+        found.append(f"{count} disarmed samples with a valve current")
+    if (late := longest_unheard(records)) > UNHEARD_MAX:
+        found.append(f"valve current {late} samples after the last command")
+    return found
+
+
+def growth(memory: Iterable[Memory], least: float = 60.0) -> list[str]:
+    """Which processes that lived `least` s from their first figure on have grown."""
+    return [
+        f"{each.process}: {each.last - each.first:.1f} MiB more memory"
+        for each in memory
+        if each.seconds > least and each.last - each.first > GROWTH.get(each.process.split()[0], _GROWTH)
+    ]
+
+
+def count_lost(records: NDArray[np.void], bags: Iterable[Path], outcomes: list[Outcome]) -> int:
+    """Samples of the box that no recording has: those of each fault into its outcome; returns those of all."""
+    if not len(records):
+        return 0
+    life = boots(records)
+    begins = records["time"][np.searchsorted(life, np.arange(life[-1] + 1))] + (time.time() - time.monotonic())
+    kept = [_numbers(bag, begins) for bag in bags]
+    own = life << 32 | records["sequence"].astype(np.int64)
+    missing = records["time"][~np.isin(own, np.concatenate([*kept, np.zeros(0, np.int64)]))]
+    edges = np.array([outcome.began for outcome in outcomes] + [np.inf])
+    for outcome, count in zip(outcomes, np.histogram(missing, edges)[0] if outcomes else (), strict=True):
+        outcome.lost = int(count)
+    return len(missing)
+
+
+def _numbers(bag: Path, begins: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Life of the box and sequence of each sample of a recording."""
+    try:
+        states = read_bag(bag).state
+    except RecordingError:
+        return np.zeros(0, np.int64)
+    states = states[states["time"] > begins[0] - 1.0]
+    life = np.searchsorted(begins, states["time"] + 0.2, side="right") - 1
+    return np.maximum(life, 0).astype(np.int64) << 32 | states["sequence"].astype(np.int64)
+
+
+def empty() -> NDArray[np.void]:
+    """No records."""
+    return np.zeros(0, TYPE)
