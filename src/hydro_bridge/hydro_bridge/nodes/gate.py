@@ -116,7 +116,10 @@ class Gate:
             trouble = self.authority.take(request.name, request.claim, self._now())
             done = "taken"
         elif request.act == Claim.Request.ARM:
-            trouble, done = self._arm(request.claim), f"armed for {self.authority.holder or 'nobody: base gains'}"
+            trouble, done = (
+                self._arm(request.claim, request.epoch),
+                f"armed for {self.authority.holder or 'nobody: base gains'}",
+            )
         elif request.act == Claim.Request.GIVE:
             trouble, done = self._take_back(request.claim), "disarmed, given back"
         else:
@@ -139,9 +142,11 @@ class Gate:
         self._words.say(response.message)
         return response
 
-    def _arm(self, claim: int) -> str:
+    def _arm(self, claim: int, epoch: int) -> str:
         if claim not in (0, self.authority.claim):
             return f"{self.authority.holder or 'nobody'} commands this plant now"
+        if epoch not in (0, self.authority.epoch):
+            return "the plant was disarmed, tripped or changed hands since: look, and ask again"
         trouble = self.crowd() or self._plant.arm(True)
         self._follow()
         return trouble
