@@ -44,8 +44,8 @@ STATE_COLUMNS = (
 )
 CORRECTION_COLUMNS = (
     Column("correction", "delta_u", "mA", 1e3),
-    Column("certificate without", "certificate_before", "1/s"),
-    Column("certificate with", "certificate_after", "1/s"),
+    Column("without correction", "certificate_before", "1/s"),
+    Column("with correction", "certificate_after", "1/s"),
 )
 STATE_EXTRA = (Column("error", "", "N"), Column("armed", ""), Column("tripped", ""))
 """What follows from the state's fields: f_r - f_l; 1 or 0; 1 or 0."""

@@ -17,7 +17,7 @@ const PLOTS = [
   { title: "Correction of the filter", unit: "mA", span: 0.4, lines: [[1, "correction", VERMILION]] },
   {
     title: "Certificate M_c", unit: "1/s, holds at 0 or less", span: 0.01,
-    lines: [[1, "certificate without", VERMILION, [6, 3]], [1, "certificate with", GREEN]],
+    lines: [[1, "without correction", VERMILION, [6, 3]], [1, "with correction", GREEN]],
   },
   { title: "Pressures", unit: "bar", span: 4, lines: [[0, "pressure a", BLUE], [0, "pressure b", VERMILION, [6, 3]]] },
   { title: "Position", unit: "mm", span: 1, lines: [[0, "position", BLUE]] },
