@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the live page costs, and how soon it disarms: the graph of `benchmarks.latency` with no dashboard and with one.
 
-By turns, a new graph each time: without a dashboard, and with one that has 0, 1 and 3 viewers, which read all that they
-are sent. Then clicks on disarm in a headless Chromium, if there is one.
+By turns, a new graph each time: without a dashboard, with one that has 0, 1 and 3 viewers, which read all that they are
+sent, and with one that joins while the plant is armed. Then clicks on disarm in a headless Chromium, if there is one.
 
 python -m benchmarks.dashboard [--seconds 10] [--rounds 2] [--clicks 20] [--json FILE]
 """
@@ -35,19 +35,26 @@ COLUMNS = {
     "p50": "box frame in to correction frame out [ms], as the bridge counts it since it started",
     "p99": "the same",
     "lost": "sequence numbers missing in the recording",
-    "late": "samples with commands older than 50 ms (WATCHDOG)",
+    "stale": "samples without a correction of the last 20 ms (FILTER_STALE), while measured",
+    "late": "samples with commands older than 50 ms (WATCHDOG), while measured",
     "cpu": "of the dashboard [% of a core]",
     "load": "load average of the machine over the last minute",
 }
-CASES = (None, 0, 1, 3)
-"""Viewers; None: no dashboard."""
+JOINS = -1
+CASES = (None, 0, 1, 3, JOINS)
+"""Viewers; None: no dashboard; JOINS: one that comes while the plant is armed."""
+
+
+def launched() -> subprocess.Popen[str]:
+    """The process of a dashboard on any free port."""
+    words = [str(executable_path("hydro_bridge", "dashboard")), "--port", "0"]
+    return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
 @contextmanager
 def dashboard() -> Iterator[tuple[subprocess.Popen[str], str]]:
     """A dashboard on any free port, and its address with the token."""
-    words = [str(executable_path("hydro_bridge", "dashboard")), "--port", "0"]
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    process = launched()
     try:
         assert process.stdout is not None
         found = re.search(r"http://\S+:\d+/#token=\S+", process.stdout.readline())
@@ -83,11 +90,13 @@ def cost(looking: int | None, seconds: float, folder: Path) -> dict[str, object]
         driver = Driver()
         stack.callback(driver.close)
         process = None
-        if looking is not None:
+        if looking is not None and looking != JOINS:
             process, address = stack.enter_context(dashboard())
             stack.enter_context(viewers(address, looking))
         start(stack, driver, folder, metric="learned", realtime=True)
         driver.run(2.0)
+        if looking == JOINS:
+            stack.callback(launched().kill)
         begin, before = time.monotonic(), cpu_seconds(process.pid) if process else 0.0
         driver.run(seconds)
         share = (cpu_seconds(process.pid) - before) / (time.monotonic() - begin) if process else float("nan")
@@ -97,12 +106,14 @@ def cost(looking: int | None, seconds: float, folder: Path) -> dict[str, object]
     if not found:
         raise UserError(f"the bridge does not say how soon corrections leave: {told}")
     states = read_bag(folder / "bag").state
+    flags = states["flags"][states["time"] > states["time"][-1] - seconds - 1.0]
     return {
-        "dashboard": "none" if looking is None else f"{looking} viewers",
+        "dashboard": {None: "none", JOINS: "joins"}.get(looking, f"{looking} viewers"),
         "p50": float(found[1]),
         "p99": float(found[2]),
         "lost": continuity(states).lost,
-        "late": int(np.count_nonzero(states["flags"] & Flag.WATCHDOG)),
+        "stale": int(np.count_nonzero(flags & Flag.FILTER_STALE)),
+        "late": int(np.count_nonzero(flags & Flag.WATCHDOG)),
         "cpu": 100.0 * share,
         "load": os.getloadavg()[0],
     }

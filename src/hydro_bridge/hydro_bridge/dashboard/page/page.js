@@ -136,7 +136,7 @@ function words(told) {
 
 // "p50 0.66 p99 1.70 p99.9 2.54 max 9.03 ms" in two figures.
 function latency(sentence) {
-  const found = /p50 (\S+) p99 (\S+).* (\S+)$/.exec(sentence ?? "");
+  const found = /p50 (\S+)\s+p99 (\S+).* (\S+)$/.exec(sentence ?? "");
   return found ? `${Number(found[1]).toFixed(1)}, p99 ${Number(found[2]).toFixed(1)} ${found[3]}` : sentence ?? "-";
 }
 
