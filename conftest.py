@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from contextlib import suppress
 
@@ -13,11 +14,13 @@ def pytest_configure() -> None:
     """Take Ctrl-C and hang-ups as a terminal gives them, also where they are ignored: so would all that tests start.
 
     A shell's background job ignores the one, nohup the other; what has a handler here is by default in a new program.
-    Tests' own nodes stay on this machine and are found as soon as those of the executables.
+    No live page is beside each run. Tests' own nodes stay on this machine and are found as soon as those of the
+    executables.
     """
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:
         signal.signal(signal.SIGHUP, lambda *_: None)
+    os.environ.setdefault("HYDRO_DASHBOARD", "off")  # tests of the live page start their own
     with suppress(ModuleNotFoundError):  # nothing is built
         from hydro_bridge.ros.network import stay_on_this_machine
 

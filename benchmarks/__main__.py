@@ -18,6 +18,7 @@ STUDIES = frozenset(
     {
         "adaptivity",
         "controllers",
+        "dashboard",
         "diagnosis_peers",
         "foreign_truth",
         "integral_form",

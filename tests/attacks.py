@@ -114,6 +114,13 @@ class Defended:
         self.drive(2.0)
         assert self.probe.flags() & Flag.ARMED
 
+    def valve_closed_at(self) -> float:
+        """When the valve current went to 0 for good: by the stamp of the first such sample of those heard, s."""
+        states = [state for _, state in self.probe.heard[STATE]]
+        assert not states[-1].flags & Flag.ARMED and states[-1].valve_current == 0.0, "it is closed"
+        driven = max(n for n, s in enumerate(states) if s.flags & Flag.ARMED or s.valve_current != 0.0)
+        return seconds(states[driven + 1].header.stamp)
+
     def own_flags(self) -> int:
         """Flags of the plant's latest sample."""
         own = [state for _, state in self.probe.heard[STATE][-50:] if state.header.frame_id == "bench"]

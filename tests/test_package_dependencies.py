@@ -34,6 +34,7 @@ KEYS = {
     "serial": "python3-serial",
     "torch": "python3-torch",
     "tqdm": "python3-tqdm",
+    "websockets": "python3-websockets",
     "yaml": "python3-yaml",
 }
 """rosdep's keys of modules that are no ROS packages."""

@@ -9,7 +9,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "bags/schemas.json", "conformance/cases.yaml", "ros/*.xml"]},
+    package_data={name: ["py.typed", "bags/schemas.json", "conformance/cases.yaml", "dashboard/page/*", "ros/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -27,6 +27,7 @@ setup(
             "arm = hydro_bridge.process.start:main_of.hydro_bridge.nodes.arm",
             "bridge = hydro_bridge.process.start:main_of.hydro_bridge.nodes.bridge",
             "conformance = hydro_bridge.process.start:main_of.hydro_bridge.conformance.command",
+            "dashboard = hydro_bridge.process.start:main_of.hydro_bridge.nodes.dashboard",
             "recorder = hydro_bridge.process.start:main_of.hydro_bridge.nodes.recorder",
             "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
             "secure = hydro_bridge.process.start:main_of.hydro_bridge.nodes.secure",

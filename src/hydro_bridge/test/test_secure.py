@@ -22,6 +22,7 @@ from hydro_bridge.ros import (
     AUTHORITY,
     CLAIM_SERVICE,
     CORRECTION,
+    END_SERVICE,
     GAINS,
     GRAPH,
     OVERRIDE_SERVICE,
@@ -37,7 +38,7 @@ from hydro_bridge.ros.keys.rights import RIGHTS, enclave_of
 from hydro_bridge.settings import SettingsError
 
 ENCLAVES = [enclave_of(executable) for executable in RIGHTS]
-SERVICES = (ARM_SERVICE, CLAIM_SERVICE, OVERRIDE_SERVICE)
+SERVICES = (ARM_SERVICE, CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE)
 needs_sros2 = pytest.mark.skipif(
     find_spec("sros2") is None or shutil.which("openssl") is None, reason="sros2 or openssl is not here"
 )
@@ -60,9 +61,10 @@ def test_only_who_has_to_may_command_the_plant() -> None:
     assert allowed("topic", "publish", CORRECTION) == {"filter"}
     assert allowed("topic", "publish", STATE) == {"bridge", "sim", "replayer"}
     assert allowed("topic", "publish", AUTHORITY) == {"bridge", "sim"}
-    assert allowed("service", "request", ARM_SERVICE) == drivers | {"arm"}
-    assert allowed("service", "request", CLAIM_SERVICE) == drivers | {"arm"}
-    assert allowed("service", "request", OVERRIDE_SERVICE) == {"override"}
+    assert allowed("service", "request", ARM_SERVICE) == drivers | {"arm", "dashboard"}
+    assert allowed("service", "request", CLAIM_SERVICE) == drivers | {"arm", "dashboard"}
+    assert allowed("service", "request", OVERRIDE_SERVICE) == {"override", "dashboard"}
+    assert allowed("service", "request", END_SERVICE) == {"dashboard"}
 
 
 def test_a_person_who_watches_reads_all_of_the_graph_and_commands_nothing() -> None:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The whole graph: a plant, the filter, the recorder, the trainer.
 
-`ros2 launch hydro_policy train.launch.py plant:=sim|emulator|bench [port:=/dev/ttyUSB0] [out:=runs/launched]`. When the
-trainer ends, so does everything else. On the bench it waits until somebody arms: `ros2 run hydro_bridge
-arm`.
+`ros2 launch hydro_policy train.launch.py plant:=sim|emulator|bench [port:=/dev/ttyUSB0] [out:=runs/launched]
+[dashboard:=true]`. When the trainer ends, so does everything else. On the bench it waits until
+somebody arms: `ros2 run hydro_bridge arm`.
 """
 
 from pathlib import Path
@@ -45,7 +45,7 @@ def trainer(kind: str, out: Path) -> Node:
     return Node(
         package="hydro_policy",
         executable="trainer",
-        arguments=["--plant", "external", "--rearm", "ask" if kind == "bench" else "auto", *run],
+        arguments=["--plant", "external", "--rearm", "ask" if kind == "bench" else "auto", "--no-dashboard", *run],
         output="screen",
         emulate_tty=True,
         sigterm_timeout="30",  # on Ctrl-C: it disarms, and writes what was learnt

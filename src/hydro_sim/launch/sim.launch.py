@@ -3,8 +3,11 @@
 
 from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
+from launch.conditions import IfCondition
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+
+from hydro_bridge.ros import page_wanted
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -12,6 +15,15 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("speed", default_value="1", description="times real time; 0: in lock-step"),
+            DeclareLaunchArgument(
+                "dashboard", default_value=str(page_wanted()).lower(), description="whether to serve the live page"
+            ),
+            Node(
+                package="hydro_bridge",
+                executable="dashboard",
+                output="screen",
+                condition=IfCondition(LaunchConfiguration("dashboard")),
+            ),
             Node(package="hydro_sim", executable="sim", arguments=["--realtime", "--speed", speed], output="screen"),
         ]
     )

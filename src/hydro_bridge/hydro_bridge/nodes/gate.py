@@ -117,7 +117,7 @@ class Gate:
             done = "taken"
         elif request.act == Claim.Request.ARM:
             trouble, done = (
-                self._arm(request.claim, request.whom),
+                self._arm(request.claim, request.epoch, request.whom),
                 f"armed for {self.authority.holder or 'nobody: base gains'}",
             )
         elif request.act == Claim.Request.GIVE:
@@ -143,11 +143,13 @@ class Gate:
         self._words.say(response.message)
         return response
 
-    def _arm(self, claim: int, whom: str) -> str:
+    def _arm(self, claim: int, epoch: int, whom: str) -> str:
         if whom and whom != self.authority.holder:
             return f"{self.authority.holder or 'nobody'} commands this plant, not {whom}"
         if claim not in (0, self.authority.claim):
             return f"{self.authority.holder or 'nobody'} commands this plant now"
+        if epoch not in (0, self.authority.epoch):
+            return "the plant was disarmed, tripped or changed hands since: look, and ask again"
         trouble = self.crowd() or self._plant.arm(True)
         self._follow()
         return trouble

@@ -8,6 +8,7 @@ from hydro_bridge.ros.box_info import listen_to_box
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
+from hydro_bridge.ros.live_page import add_page_option, page_wanted, start_page
 from hydro_bridge.ros.messages import (
     StateMessage,
     box_from_message,
@@ -35,6 +36,7 @@ from hydro_bridge.ros.topics import (
     CORRECTION_QOS,
     DIAGNOSTICS,
     DIAGNOSTICS_QOS,
+    END_SERVICE,
     GAINS,
     GAINS_QOS,
     GRAPH,
@@ -60,6 +62,7 @@ __all__ = [
     "CORRECTION_QOS",
     "DIAGNOSTICS",
     "DIAGNOSTICS_QOS",
+    "END_SERVICE",
     "GAINS",
     "GAINS_QOS",
     "GRAPH",
@@ -80,6 +83,7 @@ __all__ = [
     "Status",
     "drop_realtime",
     "request_realtime",
+    "add_page_option",
     "box_from_message",
     "box_to_message",
     "declare_parameters",
@@ -88,11 +92,13 @@ __all__ = [
     "reference_from_message",
     "reference_to_message",
     "refuse_unknown_parameters",
+    "page_wanted",
     "publisher_conflicts",
     "ros_arguments",
     "run_node",
     "seconds",
     "spin",
+    "start_page",
     "start_ros",
     "state_from_message",
     "with_publisher_conflicts",

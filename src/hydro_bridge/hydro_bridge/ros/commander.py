@@ -11,8 +11,9 @@ from math import inf
 
 from rclpy.node import Node
 from rclpy.publisher import Publisher
+from rclpy.service import Service
 from rclpy.task import Future
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from hydro_bridge.ros.messages import reference_to_message
 from hydro_bridge.ros.topics import (
@@ -20,6 +21,7 @@ from hydro_bridge.ros.topics import (
     AUTHORITY,
     AUTHORITY_QOS,
     CLAIM_SERVICE,
+    END_SERVICE,
     GAINS,
     GAINS_QOS,
     REFERENCE,
@@ -43,10 +45,18 @@ class Commander:
         Who commands; its name is the holder's.
     changed
         Called when the authority has come (with an empty sentence) or has been lost (with the reason).
+    end
+        Ends the run, as Ctrl-C does; anybody may ask for it by /hydro/end while this node commands. None: nobody may.
     """
 
-    def __init__(self, node: Node, changed: Callable[[str], None] = lambda why: None) -> None:
-        self._node, self._changed = node, changed
+    def __init__(
+        self,
+        node: Node,
+        changed: Callable[[str], None] = lambda why: None,
+        end: Callable[[], None] | None = None,
+    ) -> None:
+        self._node, self._changed, self._end = node, changed, end
+        self._end_service: Service | None = None
         self._claims = node.create_client(Claim, CLAIM_SERVICE)
         self._arming = node.create_client(SetBool, ARM_SERVICE)
         self._said = Authority()  # the plant's last word on who commands
@@ -145,6 +155,8 @@ class Commander:
         if self._reference is not None:
             self.reference(self._reference)
         if first:
+            if self._end is not None:
+                self._end_service = self._node.create_service(Trigger, END_SERVICE, self._on_end)
             self._changed("")
 
     def _lose(self, why: str) -> None:
@@ -154,8 +166,17 @@ class Commander:
             if publisher is not None:
                 self._node.destroy_publisher(publisher)
         self._gains_publisher = self._reference_publisher = None
+        if self._end_service is not None:
+            self._node.destroy_service(self._end_service)
+        self._end_service = None
         if why:
             self._changed(why)
+
+    def _on_end(self, _: Trigger.Request, answer: Trigger.Response) -> Trigger.Response:
+        assert self._end is not None
+        self._end()
+        answer.success, answer.message = True, f"{self._node.get_name()} ends: it disarms, and keeps what it has"
+        return answer
 
     def _on_authority(self, message: Authority) -> None:
         if self._words.get_publisher_count() > 1:

@@ -23,6 +23,7 @@ CLOCK = "/clock"
 ARM_SERVICE = "/hydro/arm"
 CLAIM_SERVICE = "/hydro/claim"
 OVERRIDE_SERVICE = "/hydro/override"
+END_SERVICE = "/hydro/end"
 
 
 def _qos(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:

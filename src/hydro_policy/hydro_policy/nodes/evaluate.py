@@ -21,7 +21,14 @@ import rclpy
 from hydro_bridge.bags.recording_run import code_version
 from hydro_bridge.cli.console import command, writable, writable_folder
 from hydro_bridge.process.endings import undisturbed
-from hydro_bridge.ros import CompanionError, declare_parameters, refuse_unknown_parameters, ros_arguments, start_ros
+from hydro_bridge.ros import (
+    CompanionError,
+    declare_parameters,
+    refuse_unknown_parameters,
+    ros_arguments,
+    start_page,
+    start_ros,
+)
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
@@ -112,6 +119,8 @@ def evaluate(options: argparse.Namespace) -> int:
         stack.callback(quiet.enter_context, undisturbed())
         if not node.meet() or node.box is None:
             return 130
+        if options.plant == "external":  # only now it is known whether the graph has a page
+            start_page(stack, node, wanted=options.dashboard, keep=node.sayings.keep)
         box = Believed.of_box(node.box)
         controllers = compared(options, box)
         node.unfit = partial(surprise, box)
@@ -158,6 +167,7 @@ def start_plant(
     stack: ExitStack, node: GraphNode, options: argparse.Namespace, box: Believed, wanted: GainRange
 ) -> None:
     """Start the plant and what runs beside it; PairingError, and nothing runs, if its filter is not this box's."""
+    start_page(stack, node, wanted=options.dashboard, keep=node.sayings.keep)
     folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
     policies = tuple(map(policy_file, options.policy))
     plant = plant_options(options, recording=options.record, seed=options.seed, policies=policies)

@@ -19,6 +19,7 @@ from rclpy.node import Node
 from rclpy.service import Service
 from rclpy.task import Future
 
+from hydro_bridge.process import endings
 from hydro_bridge.process.latency import Latency
 from hydro_bridge.ros import (
     CORRECTION,
@@ -101,7 +102,7 @@ class GraphNode(Node):
         self._done = Future()
         self._gains_out = self._published = 0.0
         self._gains = Gains()
-        self._commander = Commander(self, self._on_authority)
+        self._commander = Commander(self, self._on_authority, endings.ask)
         self._override_service: Service | None = None  # while this node commands the plant
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)

@@ -14,7 +14,7 @@ from typing import Any
 from rclpy.node import Node
 
 from hydro_bridge.cli.console import UserError
-from hydro_bridge.ros import declare_parameters
+from hydro_bridge.ros import add_page_option, declare_parameters
 from hydro_policy.nodes.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
 
@@ -68,6 +68,7 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--hand-over", metavar="NODE", help="in the end hand an external plant to this node, which waits for it"
     )
+    add_page_option(group)
 
 
 def plant_words(options: argparse.Namespace) -> dict[str, Any]:

@@ -101,6 +101,7 @@ class TrainingProgress:
             "lost samples": session.clock.lost,
             "interruptions": session.progress.interruptions,
             "rollbacks": session.progress.rollbacks,
+            "examination": _exam_line(exams[-1], session) if (exams := session.progress.exams) else "none yet",
             "last stop": session.state_of_run.last_stop or "none",
             "override": session.override.description,
             "best score": session.progress.best_score,

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.cli.console import writable_folder
-from hydro_bridge.ros import CompanionError, refuse_unknown_parameters
+from hydro_bridge.ros import CompanionError, refuse_unknown_parameters, start_page
 from hydro_policy.learner_process.learner import SaveRequest, write_run
 from hydro_policy.nodes.companions import start_companions
 from hydro_policy.nodes.graph import GraphNode
@@ -216,6 +216,7 @@ def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespac
 def start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepared, node: GraphNode) -> Path | None:
     """Start what runs beside the node, which follows it from now on; returns where the recording goes."""
     run = prepared.run
+    start_page(stack, node, wanted=options.dashboard, keep=node.sayings.keep)
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
     kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from shutil import rmtree
 from tempfile import TemporaryDirectory
@@ -19,7 +20,15 @@ import yaml
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable, writable_folder
-from hydro_bridge.ros import Companion, CompanionError, refuse_unknown_parameters, ros_arguments, start_ros
+from hydro_bridge.ros import (
+    Companion,
+    CompanionError,
+    add_page_option,
+    refuse_unknown_parameters,
+    ros_arguments,
+    start_page,
+    start_ros,
+)
 from hydro_sim.excitation.coverage import coverage
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.excitation.schedules import Segment, load_schedule, save_schedule
@@ -89,16 +98,19 @@ def _record(
     """Drive the plant beside a recorder; why nothing records any more, and whether a signal ended it."""
     drawn = [] if options.schedule else [f"seed={options.seed}"]
     words = ["--out", str(options.out), "--metadata", f"plant={node.plant or 'unknown'}", *drawn]
-    with TemporaryDirectory() as scratch:
+    with ExitStack() as stack:
+        scratch = stack.enter_context(TemporaryDirectory())
+        start_page(stack, node, wanted=options.dashboard)
         kept = [Path(scratch, "schedule.yaml"), Path(scratch, "bench.yaml")]
         save_schedule(schedule, kept[0])
         kept[1].write_text(yaml.safe_dump(bench.to_mapping(), sort_keys=False), encoding="utf-8")
-        with Companion("hydro_bridge", "recorder", [*words, "--attach", *map(str, kept)]) as recorder:
-            try:
-                broken = node.drive(recorder, options.out)
-                return _why_ended(recorder, options.out), broken
-            finally:
-                node.leave()
+        attached = [*words, "--attach", *map(str, kept)]
+        recorder = stack.enter_context(Companion("hydro_bridge", "recorder", attached))
+        try:
+            broken = node.drive(recorder, options.out)
+            return _why_ended(recorder, options.out), broken
+        finally:
+            node.leave()
 
 
 def _why_ended(recorder: Companion, out: Path) -> str:
@@ -166,6 +178,7 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
         choices=("auto", "ask"),
         help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or /hydro/arm",
     )
+    add_page_option(parser)
     add_json_argument(parser)
     options = parser.parse_args(own)
     if not 1.0 <= options.seconds <= 36000.0:

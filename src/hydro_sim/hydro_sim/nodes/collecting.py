@@ -21,7 +21,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 
 from hydro_bridge.cli.console import UserError, progress
-from hydro_bridge.process.endings import undisturbed
+from hydro_bridge.process import endings
 from hydro_bridge.ros import (
     COMMANDS,
     STATE,
@@ -78,7 +78,7 @@ class CollectNode(Node):
         self._begun, self._still_since = False, inf  # whether it may be armed; since when it is not, s
         self._changes = (0.0, 0.0)  # to K_p [1/s] and K_i [1/s^2] of the box
         self._bar: Any = None
-        self._commander = Commander(self, self._on_authority)
+        self._commander = Commander(self, self._on_authority, endings.ask)
         self._arming = Arming(self, self._commander)
         self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
         listen_to_box(self, self._on_box)
@@ -107,7 +107,7 @@ class CollectNode(Node):
 
     def leave(self) -> None:
         """Leave the plant disarmed, with a reference of 0 N for who arms it next, and give back the authority."""
-        with undisturbed():  # a second Ctrl-C waits
+        with endings.undisturbed():  # a second Ctrl-C waits
             self._driving = False
             self._commander.reference(Signal())
             if self._commander.held and not self._arming.give_back():

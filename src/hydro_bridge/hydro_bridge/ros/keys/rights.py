@@ -19,6 +19,7 @@ from hydro_bridge.ros.topics import (
     COMMANDS,
     CORRECTION,
     DIAGNOSTICS,
+    END_SERVICE,
     GAINS,
     GRAPH,
     OVERRIDE_SERVICE,
@@ -91,7 +92,7 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
             Rights(
                 publishes=(GAINS, REFERENCE, TRAINING, DIAGNOSTICS),
                 subscribes=(STATE, BOX, AUTHORITY, CORRECTION, DIAGNOSTICS),
-                answers=(OVERRIDE_SERVICE,),
+                answers=(OVERRIDE_SERVICE, END_SERVICE),
                 calls=_ARMING,
             ),
         ),
@@ -102,7 +103,7 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
             Rights(
                 publishes=(GAINS, REFERENCE),
                 subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS),
-                answers=(OVERRIDE_SERVICE,),
+                answers=(OVERRIDE_SERVICE, END_SERVICE),
                 calls=_ARMING,
             ),
         ),
@@ -110,10 +111,26 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
     "collect": {
         "collect": node(
             "collect",
-            Rights(publishes=(GAINS, REFERENCE), subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), calls=_ARMING),
+            Rights(
+                publishes=(GAINS, REFERENCE),
+                subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS),
+                answers=(END_SERVICE,),
+                calls=_ARMING,
+            ),
         ),
     },
     "recorder": {"recorder": node("recorder", Rights(publishes=(DIAGNOSTICS,), subscribes=tuple(GRAPH)))},
+    "dashboard": {
+        "dashboard": node(
+            "dashboard",
+            Rights(
+                publishes=(DIAGNOSTICS,),
+                subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
+                calls=(*_ARMING, OVERRIDE_SERVICE, END_SERVICE),
+            ),
+        ),
+        "dashboard_samples": Rights(publishes=(PARAMETER_EVENTS,), subscribes=(STATE, CORRECTION)),
+    },
     "arm": {"arm": node("arm", Rights(calls=_ARMING))},
     "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},
     "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK, LOG)))},

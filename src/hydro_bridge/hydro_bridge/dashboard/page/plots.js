@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: Apache-2.0
+// The plots: one uPlot each, all over the same seconds; where the plant was disarmed or tripped is shaded.
+
+const INK = "#1a1a1a";
+const BLUE = "#0072b2";
+const VERMILION = "#d55e00";
+const GREEN = "#00795a";
+const HEIGHT = 168;
+const POINTS = 500; // groups of slots in a plot: of two points each, about as many as it has pixels
+
+// title, [series of states or corrections, name, colour, dash, own axis], least span of the axis
+const PLOTS = [
+  { title: "Force", unit: "N", span: 40, wide: true, lines: [[0, "force", BLUE], [0, "reference", INK, [6, 4]]] },
+  { title: "Error", unit: "N", span: 10, lines: [[0, "error", VERMILION]] },
+  { title: "Gains", unit: "1/s, 1/s²", span: 10, lines: [[0, "K_p", BLUE], [0, "K_i", VERMILION, [6, 3]]] },
+  { title: "Valve current", unit: "mA", span: 4, lines: [[0, "current", BLUE]] },
+  { title: "Correction of the filter", unit: "mA", span: 0.4, lines: [[1, "correction", VERMILION]] },
+  {
+    title: "Certificate M_c", unit: "1/s, holds at 0 or less", span: 0.01,
+    lines: [[1, "without correction", VERMILION, [6, 3]], [1, "with correction", GREEN]],
+  },
+  { title: "Pressures", unit: "bar", span: 4, lines: [[0, "pressure a", BLUE], [0, "pressure b", VERMILION, [6, 3]]] },
+  { title: "Position", unit: "mm", span: 1, wide: true, lines: [[0, "position", BLUE]] },
+];
+
+export function shown(value) {
+  if (!Number.isFinite(value)) return "-";
+  const size = Math.abs(value);
+  return value.toFixed(size >= 100 ? 0 : size >= 10 ? 1 : size >= 1 ? 2 : 3);
+}
+
+function swatch(colour, dash) {
+  const pattern = dash ? ` stroke-dasharray="${dash.join(" ")}"` : "";
+  return `<svg viewBox="0 0 26 8"><path d="M0 4H26" stroke="${colour}" stroke-width="2.5"${pattern}/></svg>`;
+}
+
+// Bands over the whole height; `bands` are [from, to, tripped] in seconds.
+function shade(plot, bands) {
+  const { ctx, bbox } = plot;
+  ctx.save();
+  for (const [from, to, tripped] of bands) {
+    const left = Math.max(plot.valToPos(from, "x", true), bbox.left);
+    const right = Math.min(plot.valToPos(to, "x", true), bbox.left + bbox.width);
+    if (right <= left) continue;
+    ctx.fillStyle = "#e4e8eb";
+    if (!tripped) {
+      ctx.fillRect(left, bbox.top, right - left, bbox.height);
+      continue;
+    }
+    ctx.save();
+    ctx.beginPath();
+    ctx.rect(left, bbox.top, right - left, bbox.height);
+    ctx.clip();
+    ctx.strokeStyle = "#f3c9ab";
+    ctx.lineWidth = 4;
+    for (let x = left - bbox.height; x < right; x += 10) {
+      ctx.beginPath();
+      ctx.moveTo(x, bbox.top + bbox.height);
+      ctx.lineTo(x + bbox.height, bbox.top);
+      ctx.stroke();
+    }
+    ctx.restore();
+  }
+  ctx.restore();
+}
+
+const AXIS = { stroke: "#5c6670", grid: { stroke: "#e7eaec", width: 1 }, ticks: { stroke: "#d5dade", width: 1 }, font: "11px system-ui" };
+
+class Plot {
+  constructor(place, settings, bands) {
+    this.settings = settings;
+    this.box = document.createElement("div");
+    this.box.className = settings.wide ? "plot wide" : "plot";
+    this.title = document.createElement("h3");
+    this.title.innerHTML = `<span>${settings.title} <small>[${settings.unit}]</small></span>` + settings.lines
+      .map(([, name, colour, dash]) => `<span class="value">${swatch(colour, dash)}${name} <b></b></span>`).join("");
+    this.values = this.title.querySelectorAll("b");
+    this.box.append(this.title);
+    place.append(this.box);
+    const range = (_, low, high) => {
+      if (low === null) return [-settings.span / 2, settings.span / 2];
+      const half = Math.max(high - low, settings.span) * 0.55;
+      return [(low + high) / 2 - half, (low + high) / 2 + half];
+    };
+    this.uplot = new uPlot({
+      width: this.width(), height: HEIGHT, legend: { show: false }, cursor: { show: false }, padding: [6, 12, 0, 0],
+      scales: { x: { time: false, range: () => [-this.seconds, 0] }, y: { range } },
+      axes: [
+        { ...AXIS, size: 28, values: (_, ticks) => ticks.map((tick) => `${tick} s`) },
+        { ...AXIS, size: 52 },
+      ],
+      series: [{}, ...settings.lines.map(([, , stroke, dash]) => ({ stroke, dash, width: 1.5, points: { show: false } }))],
+      hooks: { drawClear: [(plot) => shade(plot, bands())] },
+    }, null, this.box);
+  }
+
+  width() {
+    return Math.max(200, this.box.clientWidth - 18);
+  }
+
+  resize() {
+    this.uplot.setSize({ width: this.width(), height: HEIGHT });
+  }
+
+  draw(series, times, end, groups, stride, seconds) {
+    this.seconds = seconds;
+    const lines = this.settings.lines;
+    this.uplot.setData([times, ...lines.map(([n, name]) => series[n].envelope(name, end, groups, stride))]);
+    lines.forEach(([n, name], at) => { this.values[at].textContent = shown(series[n].last(name)); });
+  }
+}
+
+export class Plots {
+  constructor(place) {
+    this.place = place;
+    this.seconds = 10;
+    this.bands = [];
+    this.plots = PLOTS.map((settings) => new Plot(place, settings, () => this.bands));
+    addEventListener("resize", () => this.plots.forEach((plot) => plot.resize()));
+  }
+
+  draw(series, slot) {
+    const end = series[0].end;
+    const all = Math.round(this.seconds / slot);
+    const stride = Math.max(1, Math.ceil(all / (2 * POINTS)));
+    const groups = Math.floor(all / stride);
+    const times = Array.from({ length: 2 * groups }, (_, n) => (Math.floor(n / 2) - groups + (n % 2) / 2) * stride * slot);
+    this.bands = this.shaded(series[0], end, groups, stride, slot);
+    for (const plot of this.plots) plot.draw(series, times, end, groups, stride, this.seconds);
+  }
+
+  // Where the plant was not armed: [from, to, tripped].
+  shaded(states, end, groups, stride, slot) {
+    const armed = states.envelope("armed", end, groups, stride);
+    const tripped = states.envelope("tripped", end, groups, stride);
+    const kind = (g) => {
+      if (armed[2 * g] === null) return "";
+      return Math.max(tripped[2 * g], tripped[2 * g + 1]) > 0 ? "tripped" : armed[2 * g] + armed[2 * g + 1] < 2 ? "off" : "";
+    };
+    const bands = [];
+    for (let g = 0; g < groups; g++) {
+      const now = kind(g);
+      const before = bands.at(-1);
+      const [from, to] = [(g - groups) * stride * slot, (g + 1 - groups) * stride * slot];
+      if (!now) continue;
+      if (before && before[1] >= from - 1e-9 && before[2] === (now === "tripped")) before[1] = to;
+      else bands.push([from, to, now === "tripped"]);
+    }
+    return bands;
+  }
+}
+
+// The learner's curve: RMSE of each episode.
+export class Curve {
+  constructor(place) {
+    this.place = place;
+    this.uplot = null;
+  }
+
+  draw(curve) {
+    if (!curve.episode.length) return;
+    const width = Math.max(200, this.place.clientWidth);
+    this.uplot ??= new uPlot({
+      width, height: 140, legend: { show: false }, cursor: { show: false }, scales: { x: { time: false } },
+      axes: [{ ...AXIS, size: 38, label: "episode", labelSize: 14, labelFont: "11px system-ui" },
+        { ...AXIS, size: 40, label: "RMSE [N]", labelSize: 14, labelFont: "11px system-ui" }],
+      series: [{}, { stroke: BLUE, width: 1.5, points: { show: true, size: 5, fill: BLUE } }],
+    }, null, this.place);
+    this.uplot.setData([curve.episode, curve.rmse]);
+  }
+}

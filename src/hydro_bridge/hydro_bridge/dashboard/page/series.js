@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// A minute of slots of 10 ms, as the dashboard thins them: the least and greatest value of each; memory is bounded.
+
+export const KEPT = 6000;
+
+export class Series {
+  constructor(columns) {
+    this.columns = columns; // [{name, unit}]
+    this.low = columns.map(() => new Float32Array(KEPT).fill(NaN));
+    this.high = columns.map(() => new Float32Array(KEPT).fill(NaN));
+    this.end = 0; // number of the first slot that is not there yet
+  }
+
+  // Enter closed slots; those that were dropped on the way stay gaps.
+  add(first, values) {
+    const width = this.columns.length;
+    const count = values.length / (2 * width);
+    if (!count) return;
+    if (first < this.end - KEPT || first > this.end + KEPT) this.clear(first);
+    for (let slot = this.end; slot < first; slot++) this.blank(slot);
+    for (let n = 0; n < count; n++) {
+      const row = (first + n) % KEPT;
+      for (let c = 0; c < width; c++) {
+        this.low[c][row] = values[2 * (n * width + c)];
+        this.high[c][row] = values[2 * (n * width + c) + 1];
+      }
+    }
+    this.end = Math.max(this.end, first + count);
+  }
+
+  clear(end) {
+    for (const ring of [...this.low, ...this.high]) ring.fill(NaN);
+    this.end = end;
+  }
+
+  blank(slot) {
+    for (const ring of [...this.low, ...this.high]) ring[slot % KEPT] = NaN;
+  }
+
+  index(name) {
+    return this.columns.findIndex((column) => column.name === name);
+  }
+
+  // The newest value, or NaN.
+  last(name) {
+    return this.end ? this.high[this.index(name)][(this.end - 1) % KEPT] : NaN;
+  }
+
+  // Two points per `stride` slots before slot `end`, in the order that keeps a slope a slope: [points of `groups`].
+  envelope(name, end, groups, stride) {
+    const c = this.index(name);
+    const out = new Array(2 * groups);
+    let before = NaN;
+    for (let g = 0; g < groups; g++) {
+      let low = Infinity;
+      let high = -Infinity;
+      const start = end - (groups - g) * stride;
+      for (let slot = start; slot < start + stride; slot++) {
+        if (slot < 0 || slot >= this.end || slot < this.end - KEPT) continue;
+        const row = slot % KEPT;
+        if (this.low[c][row] < low) low = this.low[c][row];
+        if (this.high[c][row] > high) high = this.high[c][row];
+      }
+      const there = low <= high;
+      const falls = 0.5 * (low + high) < before;
+      out[2 * g] = there ? (falls ? high : low) : null;
+      out[2 * g + 1] = there ? (falls ? low : high) : null;
+      before = there ? 0.5 * (low + high) : NaN;
+    }
+    return out;
+  }
+}
+
+// A binary message: u32 series, u32 columns, f64 first slot, float32 values (slots, columns, 2), little endian.
+export function decoded(buffer) {
+  const head = new DataView(buffer);
+  return { series: head.getUint32(0, true), first: head.getFloat64(8, true), values: new Float32Array(buffer, 16) };
+}

@@ -1,0 +1,207 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page's web server: its files and one WebSocket per viewer, in a thread of its own.
+
+::
+
+    publish(frames, welcome) ──> viewer 1     frames: what all get now
+                             ──> viewer 2     welcome: what a newcomer gets first
+                             ─x─ viewer 3     has not read `BEHIND` bytes: gets no frames until it has
+    act(text) <── command, from any viewer    each answered by itself, so that a disarm waits for nothing
+
+Nothing that a viewer does holds `publish` up. Requests by a foreign page or a foreign name are refused: a page on the
+internet cannot reach the plant through its visitor's browser.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import http
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future
+from contextlib import suppress
+from importlib import resources
+from ipaddress import ip_address
+from socket import gethostname
+from urllib.parse import urlsplit
+
+from websockets.asyncio.server import Server, ServerConnection, broadcast, serve
+from websockets.datastructures import Headers
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request, Response
+
+from hydro_bridge.dashboard.commands import SIZE_MAX
+from hydro_bridge.errors import UserError
+
+PORT = 8765
+"""Where nobody names a port; where that is taken, any free one."""
+VIEWERS = 16
+"""At most, at a time."""
+BEHIND = 256 * 1024
+"""Bytes that wait for a viewer before frames are dropped for it."""
+ANSWER_WITHIN = 3.0
+"""s, of whoever carries out a command."""
+
+_PENDING = 20  # commands of one viewer that wait for their answers
+_PAGE = {
+    "/": ("index.html", "text/html; charset=utf-8"),
+    "/page.css": ("page.css", "text/css; charset=utf-8"),
+    "/page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "/plots.js": ("plots.js", "text/javascript; charset=utf-8"),
+    "/series.js": ("series.js", "text/javascript; charset=utf-8"),
+    "/uPlot.js": ("uPlot.iife.min.js", "text/javascript; charset=utf-8"),
+    "/uPlot.css": ("uPlot.min.css", "text/css; charset=utf-8"),
+}
+_POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src data:; connect-src 'self'"
+
+Message = str | bytes
+
+
+class PageServer:
+    """Serves the page until `close`.
+
+    Parameters
+    ----------
+    act
+        Carries out a command as it came, and gives what the viewer is told; called in the server's thread.
+    host, port
+        To listen at; port None: `PORT`, or any free one.
+
+    Raises
+    ------
+    UserError
+        Nobody can listen there.
+    """
+
+    def __init__(self, act: Callable[[Message], Future[str]], host: str = "127.0.0.1", port: int | None = None) -> None:
+        self._act, self._host = act, host
+        self._files = {path: (_file(name), kind) for path, (name, kind) in _PAGE.items()}
+        self._viewers: set[ServerConnection] = set()
+        self._new: set[ServerConnection] = set()
+        self._lock = threading.Lock()
+        self._loop = asyncio.new_event_loop()
+        try:
+            self._server = self._listen(host, port)
+        except OSError as error:
+            self._loop.close()
+            where = f"{host} port {port}" if port else host
+            raise UserError(f"the page cannot be served at {where}: {error.strerror or error}") from None
+        self.port: int = next(iter(self._server.sockets)).getsockname()[1]
+        self._thread = threading.Thread(target=self._loop.run_forever, name="page server", daemon=True)
+        self._thread.start()
+
+    @property
+    def address(self) -> str:
+        """Of the page."""
+        return f"http://{f'[{self._host}]' if ':' in self._host else self._host}:{self.port}/"
+
+    @property
+    def viewers(self) -> int:
+        """How many look."""
+        return len(self._viewers) + len(self._new)
+
+    def publish(self, frames: Sequence[Message], welcome: Callable[[], Sequence[Message]]) -> None:
+        """Send `frames` to all viewers, and `welcome()` to new ones before; from any thread, and at once."""
+        with self._lock:
+            new, self._new = self._new, set()
+        if new or self._viewers:
+            first = welcome() if new else ()
+            self._loop.call_soon_threadsafe(self._send, new, first, frames)
+
+    def close(self) -> None:
+        """End all connections and the thread."""
+        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(5.0)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(5.0)
+        self._loop.close()
+
+    def _listen(self, host: str, port: int | None) -> Server:
+        try:
+            return self._loop.run_until_complete(self._serve(host, PORT if port is None else port))
+        except OSError:
+            if port is not None:
+                raise
+            return self._loop.run_until_complete(self._serve(host, 0))
+
+    async def _serve(self, host: str, port: int) -> Server:
+        return await serve(
+            self._attend, host, port, process_request=self._answer, compression=None, max_size=SIZE_MAX,
+            ping_interval=5.0, ping_timeout=5.0, close_timeout=0.5, server_header=None,
+        )  # fmt: skip
+
+    async def _end(self) -> None:
+        self._server.close(close_connections=True)
+        with suppress(asyncio.TimeoutError):
+            await asyncio.wait_for(self._server.wait_closed(), 2.0)
+
+    def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
+        """The page's files; None for its WebSocket, which the library goes on with."""
+        host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+        if not _own_name(host, self._host) or (origin is not None and urlsplit(origin).netloc != host):
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "another page may not talk to this one\n")
+        path = urlsplit(request.path).path
+        if path == "/live":
+            if self.viewers < VIEWERS:
+                return None
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS} viewers look already\n")
+        if path not in self._files:
+            return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
+        body, kind = self._files[path]
+        headers = Headers(
+            {
+                "Content-Type": kind,
+                "Content-Length": str(len(body)),
+                "Cache-Control": "no-store",
+                "Connection": "close",
+                "Content-Security-Policy": _POLICY,
+                "X-Content-Type-Options": "nosniff",
+                "X-Frame-Options": "DENY",
+            }
+        )
+        return Response(200, "OK", headers, body)
+
+    async def _attend(self, viewer: ServerConnection) -> None:
+        with self._lock:
+            self._new.add(viewer)
+        tasks: set[asyncio.Task[None]] = set()
+        try:
+            async for text in viewer:
+                if len(tasks) < _PENDING:
+                    tasks.add(task := asyncio.create_task(self._command(viewer, text)))
+                    task.add_done_callback(tasks.discard)
+        except ConnectionClosed:
+            pass
+        finally:
+            with self._lock:
+                self._new.discard(viewer)
+                self._viewers.discard(viewer)
+
+    async def _command(self, viewer: ServerConnection, text: Message) -> None:
+        answer = await asyncio.wrap_future(self._act(text))
+        with suppress(ConnectionClosed):
+            await viewer.send(answer)
+
+    def _send(self, new: set[ServerConnection], first: Sequence[Message], frames: Sequence[Message]) -> None:
+        for message in first:
+            broadcast(new, message)
+        with self._lock:
+            self._viewers |= {viewer for viewer in new if viewer.state == viewer.state.OPEN}
+        reading = [viewer for viewer in self._viewers if viewer.transport.get_write_buffer_size() < BEHIND]
+        for message in frames:
+            broadcast(reading, message)
+
+
+def _file(name: str) -> bytes:
+    return (resources.files("hydro_bridge.dashboard") / "page" / name).read_bytes()
+
+
+def _own_name(host: str, given: str) -> bool:
+    """Whether a request's Host is this machine by number or by its own name: a foreign name may lead anywhere."""
+    name = urlsplit(f"//{host}").hostname or ""
+    if name in ("localhost", given.lower(), gethostname().lower()):
+        return True
+    try:
+        ip_address(name)
+    except ValueError:
+        return False
+    return True

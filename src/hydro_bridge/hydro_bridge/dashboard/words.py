@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the page is told in words and figures, besides the series: who commands, how the nodes are, how learning goes.
+
+All of it is bounded: the latest word of each node, and a curve of at most `CURVE` episodes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+
+from hydro_bridge.signals import CorrectionStatus, Flag
+
+CURVE = 1000
+"""Points of the learner's curve; of more, every second one stays."""
+NODES = 32
+"""Nodes whose diagnostics are kept: those heard last."""
+VALUES = 60
+"""Figures kept of each node."""
+PHASES = ("waiting", "training", "evaluating", "paused", "finished")
+"""TrainingStatus.phase in words."""
+DEAD_AFTER = 0.5
+"""s without a sample after which the plant counts as dead."""
+
+
+def encoded(kind: str, content: Mapping[str, Any]) -> str:
+    """A message to the page; what is not finite becomes null."""
+    return msgspec.json.encode({"kind": kind, **content}).decode()
+
+
+def flag_words(flags: int) -> list[str]:
+    """Flags that are set, as the page names them."""
+    return [str(flag.name).lower().replace("_", " ") for flag in Flag if flag & flags]
+
+
+class Curve:
+    """The learner's curve: what each finished episode came to."""
+
+    def __init__(self) -> None:
+        self.episodes: list[int] = []
+        self.rmse: list[float] = []  # N
+        self.returns: list[float] = []
+        self._last = -1
+
+    def add(self, episode: int, rmse: float, episode_return: float) -> None:
+        """Enter what a TrainingStatus says; `episode` is the one under way, the figures are those of the one before.
+
+        An episode that falls back begins another run.
+        """
+        if episode < self._last:
+            for series in (self.episodes, self.rmse, self.returns):
+                series.clear()
+        finished, self._last = episode != self._last and episode > 0, episode
+        if not finished:
+            return
+        self.episodes.append(episode)
+        self.rmse.append(rmse)
+        self.returns.append(episode_return)
+        if len(self.episodes) > CURVE:
+            del self.episodes[::2], self.rmse[::2], self.returns[::2]
+
+    def content(self) -> dict[str, Any]:
+        """For the page."""
+        return {"episode": self.episodes, "rmse": self.rmse, "return": self.returns}
+
+
+class Nodes:
+    """The latest word of each node on /diagnostics."""
+
+    def __init__(self) -> None:
+        self._heard: dict[str, tuple[float, dict[str, Any]]] = {}
+
+    def hear(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
+        """Enter a status; `now` [s] of any one clock."""
+        kept = dict(list(values.items())[:VALUES])
+        self._heard.pop(name, None)
+        self._heard[name] = (now, {"name": name, "level": level, "message": message, "values": kept})
+        while len(self._heard) > NODES:
+            del self._heard[next(iter(self._heard))]
+
+    def content(self, now: float) -> list[dict[str, Any]]:
+        """For the page, each with its `age` [s]."""
+        return [{**said, "age": round(now - heard, 1)} for heard, said in sorted(self._heard.values(), key=_by_name)]
+
+
+def _by_name(entry: tuple[float, dict[str, Any]]) -> str:
+    return str(entry[1]["name"])
+
+
+class FilterCounts:
+    """What the filter decided, in words, over the last second or so."""
+
+    def __init__(self) -> None:
+        self._counts = dict.fromkeys(CorrectionStatus, 0)
+
+    def add(self, statuses: Mapping[int, int]) -> None:
+        """Enter how often each status came."""
+        for status, count in statuses.items():
+            if status in tuple(CorrectionStatus):
+                self._counts[CorrectionStatus(status)] += count
+
+    def take(self) -> dict[str, int]:
+        """How often each came since the last call."""
+        told = {status.name.lower(): count for status, count in self._counts.items() if count}
+        self._counts = dict.fromkeys(CorrectionStatus, 0)
+        return told

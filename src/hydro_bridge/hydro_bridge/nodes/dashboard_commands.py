@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Carries out a page's commands through the services that people use: /hydro/arm, /hydro/claim, /hydro/override."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future as Promise
+
+from rclpy.client import Client
+from rclpy.node import Node
+from rclpy.task import Future
+from std_srvs.srv import SetBool, Trigger
+
+from hydro_bridge.dashboard.commands import PageCommand, RefusedError, Rules, read
+from hydro_bridge.dashboard.server import ANSWER_WITHIN
+from hydro_bridge.dashboard.words import encoded
+from hydro_bridge.ros import ARM_SERVICE, CLAIM_SERVICE, END_SERVICE, OVERRIDE_SERVICE
+from hydro_msgs.srv import Claim, OverrideGains
+
+_NO_PLANT = "no plant runs here that could be told"
+_NO_RUN = "nobody commands the plant: there is no run here"
+
+
+class PageCommands:
+    """Asks, and tells the page what was answered.
+
+    Parameters
+    ----------
+    node
+        Asks on the page's behalf.
+    rules
+        What is let through.
+    epoch
+        The plant's present one; 0: none.
+    """
+
+    def __init__(self, node: Node, rules: Rules, epoch: Callable[[], int]) -> None:
+        self._node, self._rules, self._epoch = node, rules, epoch
+        self._disarm = node.create_client(SetBool, ARM_SERVICE)
+        self._claim = node.create_client(Claim, CLAIM_SERVICE)
+        self._override = node.create_client(OverrideGains, OVERRIDE_SERVICE)
+        self._end = node.create_client(Trigger, END_SERVICE)
+
+    def act(self, text: str | bytes) -> Promise[str]:
+        """Carry out a command as it came, in the caller's thread; what the page is told comes later."""
+        told: Promise[str] = Promise()
+        command = PageCommand(command="")
+        try:
+            command = read(text)
+            self._rules.check(command, self._epoch())
+            client, request, absent = self._asked(command)
+            if not client.service_is_ready():
+                raise RefusedError(absent)
+        except RefusedError as refused:
+            told.set_result(_answer(command, False, str(refused)))
+            return told
+        answer = client.call_async(request)
+        late = threading.Timer(ANSWER_WITHIN, self._give_up, (client, answer, command, told))
+        late.daemon = True
+        late.start()
+        answer.add_done_callback(lambda done: self._tell(done, command, told, late))
+        if command.command != "disarm":
+            self._node.get_logger().info(f"the page asks: {command.command}")
+        return told
+
+    def _asked(self, command: PageCommand) -> tuple[Client, object, str]:
+        if command.command == "disarm":
+            return self._disarm, SetBool.Request(data=False), _NO_PLANT
+        if command.command == "arm":
+            request = Claim.Request(act=Claim.Request.ARM, name=self._node.get_name(), epoch=int(command.epoch))
+            return self._claim, request, _NO_PLANT
+        if command.command == "end":
+            return self._end, Trigger.Request(), _NO_RUN
+        if command.command == "release":
+            return self._override, OverrideGains.Request(active=False), _NO_RUN
+        gains = OverrideGains.Request(
+            active=True, proportional_gain=command.kp, integral_gain=command.ki, seconds=command.seconds
+        )
+        return self._override, gains, _NO_RUN
+
+    def _tell(self, answer: Future, command: PageCommand, told: Promise[str], late: threading.Timer) -> None:
+        late.cancel()
+        response = answer.result()
+        if response is not None and not told.done():
+            told.set_result(_answer(command, response.success, response.message))
+
+    def _give_up(self, client: Client, answer: Future, command: PageCommand, told: Promise[str]) -> None:
+        client.remove_pending_request(answer)
+        if not told.done():
+            told.set_result(_answer(command, False, f"no answer within {ANSWER_WITHIN:g} s"))
+
+
+def _answer(command: PageCommand, success: bool, message: str) -> str:
+    content = {"number": command.number, "command": command.command, "success": success, "text": message}
+    return encoded("answer", content)

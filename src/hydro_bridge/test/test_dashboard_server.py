@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page's server: its files, several viewers, one that does not read, and who is not let in."""
+
+from __future__ import annotations
+
+import http.client
+import re
+import socket
+import threading
+import time
+from collections.abc import Iterator
+from concurrent.futures import Future
+
+import pytest
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import ClientConnection, connect
+
+from hydro_bridge.dashboard.server import BEHIND, VIEWERS, PageServer
+from hydro_bridge.errors import UserError
+
+
+class Answers:
+    """Answers `now` at once, and everything else never."""
+
+    def __init__(self) -> None:
+        self.heard: list[str | bytes] = []
+
+    def __call__(self, text: str | bytes) -> Future[str]:
+        self.heard.append(text)
+        told: Future[str] = Future()
+        if text == "now":
+            told.set_result("done")
+        return told
+
+
+@pytest.fixture
+def answers() -> Answers:
+    return Answers()
+
+
+@pytest.fixture
+def server(answers: Answers) -> Iterator[PageServer]:
+    made = PageServer(answers, port=0)
+    yield made
+    made.close()
+
+
+def viewer(server: PageServer, **words: object) -> ClientConnection:
+    return connect(f"ws://127.0.0.1:{server.port}/live", open_timeout=5.0, close_timeout=1.0, **words)  # type: ignore[arg-type]
+
+
+def seen(server: PageServer, count: int) -> None:
+    end = time.monotonic() + 5.0
+    while server.viewers != count:
+        assert time.monotonic() < end, f"{server.viewers} viewers"
+        time.sleep(0.01)
+
+
+def get(server: PageServer, path: str, **headers: str) -> tuple[int, str]:
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=5.0)
+    connection.request("GET", path, headers=headers)
+    answer = connection.getresponse()
+    return answer.status, answer.read().decode()
+
+
+def test_the_page_and_all_that_it_names_come_from_here(server: PageServer) -> None:
+    status, page = get(server, "/")
+    assert status == 200
+    named = re.findall(r'(?:src|href)="([^":]+)"', page)
+    assert len(named) >= 4
+    scripts = [get(server, f"/{name}") for name in named]
+    imported = [name for _, text in scripts for name in re.findall(r'from "\./([\w.]+)"', text)]
+    assert imported
+    assert all(status == 200 and text for status, text in [*scripts, *(get(server, f"/{name}") for name in imported)])
+    ours = [page, *(text for name, (_, text) in zip(named, scripts, strict=True) if "uPlot" not in name)]
+    assert not any(re.search(r"https?://", text) for text in ours), "nothing is fetched from elsewhere"
+
+
+@pytest.mark.parametrize("path", ["/no", "/../server.py", "/page/index.html", "/%2e%2e/server.py"])
+def test_nothing_else_is_served(server: PageServer, path: str) -> None:
+    assert get(server, path)[0] == 404
+
+
+def test_a_foreign_page_and_a_foreign_name_are_refused(server: PageServer) -> None:
+    assert get(server, "/", Host="evil.example")[0] == 403
+    with pytest.raises(InvalidStatus):
+        viewer(server, origin="http://evil.example")
+    with viewer(server, origin=f"http://127.0.0.1:{server.port}"):
+        pass
+
+
+def test_two_viewers_get_the_same_frames_each_after_its_welcome(server: PageServer) -> None:
+    with viewer(server) as first:
+        seen(server, 1)
+        server.publish(["1"], lambda: ["hello"])
+        with viewer(server) as second:
+            seen(server, 2)
+            server.publish(["2", b"3"], lambda: ["hello again"])
+            assert [first.recv(2.0) for _ in range(4)] == ["hello", "1", "2", b"3"]
+            assert [second.recv(2.0) for _ in range(3)] == ["hello again", "2", b"3"]
+
+
+def test_a_command_that_hangs_does_not_hold_the_next_one_up(server: PageServer, answers: Answers) -> None:
+    with viewer(server) as page:
+        page.send("later")
+        page.send("now")
+        assert page.recv(2.0) == "done"
+    assert answers.heard == ["later", "now"]
+
+
+def test_a_viewer_that_does_not_read_loses_frames_and_costs_nobody_anything(server: PageServer) -> None:
+    deaf = socket.create_connection(("127.0.0.1", server.port))
+    deaf.sendall(
+        b"GET /live HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+        b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+    )
+    deaf.recv(1000)
+    seen(server, 1)
+    with viewer(server, max_queue=None) as page:
+        seen(server, 2)
+        frame, slowest = b"x" * 65536, 0.0
+        for _ in range(400):  # 26 MB
+            begin = time.monotonic()
+            server.publish([frame], list)
+            slowest = max(slowest, time.monotonic() - begin)
+            assert page.recv(2.0) == frame
+        assert slowest < 0.5
+    kernel = 8 * 2**20  # what the sockets themselves may hold
+    waiting = sum(one.transport.get_write_buffer_size() for one in server._viewers)
+    assert waiting < BEHIND + len(frame) + kernel // 8
+    deaf.close()
+
+
+def test_viewers_are_bounded(server: PageServer) -> None:
+    pages = [viewer(server) for _ in range(VIEWERS)]
+    seen(server, VIEWERS)
+    with pytest.raises(InvalidStatus):
+        viewer(server)
+    for page in pages:
+        page.close()
+    seen(server, 0)
+
+
+def test_a_command_too_long_ends_the_connection_and_is_not_carried_out(server: PageServer, answers: Answers) -> None:
+    with viewer(server) as page:
+        page.send("x" * 5000)
+        with pytest.raises(Exception, match="1009"):
+            page.recv(2.0)
+    assert not answers.heard
+
+
+def test_a_port_that_is_taken_is_a_sentence_and_without_a_wish_another_is_found(
+    server: PageServer, answers: Answers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with pytest.raises(UserError, match=f"port {server.port}"):
+        PageServer(answers, port=server.port)
+    monkeypatch.setattr("hydro_bridge.dashboard.server.PORT", server.port)
+    other = PageServer(answers)
+    assert other.port not in (0, server.port)
+    other.close()
+
+
+def test_closing_leaves_no_thread(answers: Answers) -> None:
+    made = PageServer(answers, port=0)
+    with viewer(made):
+        seen(made, 1)
+        made.close()
+    assert not any(thread.name == "page server" for thread in threading.enumerate())

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Thinned series show what was there, and stay as large as they are."""
+
+from __future__ import annotations
+
+import struct
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hydro_bridge.dashboard.thinning import SLOT, Slots, Thinner
+
+START = 1_000_000 * SLOT
+
+
+def samples(count: int, start: float = START) -> tuple[np.ndarray, np.ndarray]:
+    times = start + 1e-3 * (np.arange(count) + 0.5)
+    return times, np.random.default_rng(count).standard_normal((count, 2))
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.lists(st.integers(1, 80), min_size=1, max_size=20))
+def test_least_and_greatest_of_each_slot_however_samples_come_in(parts: list[int]) -> None:
+    count = sum(parts)
+    times, values = samples(count)
+    thinner, begin, taken = Thinner(2), 0, []
+    for part in parts:
+        thinner.add(times[begin : begin + part], values[begin : begin + part])
+        begin += part
+        taken.append(thinner.take().values)
+    got = np.concatenate(taken)
+    closed = (count - 1) // 10
+    blocks = values[: 10 * closed].reshape(closed, 10, 2)
+    np.testing.assert_allclose(got[..., 0], blocks.min(axis=1), rtol=1e-6)
+    np.testing.assert_allclose(got[..., 1], blocks.max(axis=1), rtol=1e-6)
+
+
+def test_a_pulse_of_one_sample_stays_visible() -> None:
+    times, values = samples(1000)
+    values[:] = 0.0
+    values[537, 1] = 5.0
+    thinner = Thinner(2)
+    thinner.add(times, values)
+    assert thinner.take().values[53, 1].tolist() == [0.0, 5.0]
+
+
+def test_slots_without_samples_and_samples_that_are_not_finite_are_gaps() -> None:
+    times, values = samples(100)
+    values[10:20, 0] = np.inf
+    keep = (np.arange(100) < 30) | (np.arange(100) >= 50)
+    thinner = Thinner(2)
+    thinner.add(times[keep], values[keep])
+    gaps = np.isnan(thinner.take().values)
+    assert gaps[1, 0].all() and not gaps[1, 1].any()
+    assert gaps[3:5].all() and not gaps[5:].any()
+
+
+def test_a_late_viewer_gets_what_was_taken_and_no_more_than_the_ring_holds() -> None:
+    thinner = Thinner(2, kept=50)
+    times, values = samples(2000)
+    for begin in range(0, 2000, 50):
+        thinner.add(times[begin : begin + 50], values[begin : begin + 50])
+        thinner.take()
+    history = thinner.history()
+    assert len(history.values) == 49
+    blocks = values[10 * 150 : 10 * 199].reshape(49, 10, 2)
+    np.testing.assert_allclose(history.values[..., 1], blocks.max(axis=1), rtol=1e-6)
+    assert history.first == round(START / SLOT) + 150
+
+
+def test_a_clock_that_was_set_begins_the_series_anew_and_old_samples_are_left_out() -> None:
+    thinner = Thinner(2)
+    times, values = samples(100)
+    thinner.add(times, values)
+    thinner.add(times[:20], 100.0 + values[:20])
+    assert thinner.take().values.max() < 50.0
+    thinner.add(times - 3600.0, values)
+    assert thinner.take().first == round(START / SLOT) - 360_000
+
+
+def test_a_viewer_that_was_away_gets_no_more_than_the_ring() -> None:
+    thinner = Thinner(2, kept=50)
+    for second in range(3):
+        thinner.add(*samples(400, START + 0.4 * second))
+    assert len(thinner.take().values) == 49
+
+
+def test_bytes_are_as_the_page_reads_them() -> None:
+    values = np.arange(12, dtype=np.float32).reshape(2, 3, 2)
+    data = Slots(123_456_789_012, values).encoded(1)
+    assert struct.unpack_from("<IId", data) == (1, 3, 123_456_789_012.0)
+    assert np.frombuffer(data[16:], "<f4").tolist() == list(range(12))

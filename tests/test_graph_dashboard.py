@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live page in a headless Chromium, on a running emulator: seen at once, disarmed at once, armed by nobody else."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("rclpy")
+pytest.importorskip("selenium")
+
+from websockets.sync.client import connect
+
+from hydro_bridge.ros import STATE, executable_path
+from hydro_bridge.signals import Flag
+from hydro_msgs.srv import Claim
+from tests.attacks import Defended, defended
+from tests.browser import MISSING, Page, browser
+
+pytestmark = [pytest.mark.graph, pytest.mark.skipif(bool(MISSING), reason=MISSING)]
+
+ARMED = "document.getElementById('state').textContent == 'ARMED'"
+DISARMED = "document.getElementById('state').textContent == 'disarmed'"
+STALE = "document.body.classList.contains('stale')"
+
+
+@contextmanager
+def dashboard() -> Iterator[tuple[subprocess.Popen[str], str]]:
+    """A dashboard on any free port, and the address with the token that it prints."""
+    words = [str(executable_path("hydro_bridge", "dashboard")), "--port", "0"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+    try:
+        assert process.stdout is not None
+        found = re.search(r"http://127\.0\.0\.1:\d+/#token=\S+", process.stdout.readline())
+        assert found
+        yield process, found[0]
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Defended]:
+    with defended(Path(tmp_path_factory.mktemp("graph"))) as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def served(graph: Defended) -> Iterator[tuple[subprocess.Popen[str], str]]:
+    with dashboard() as made:
+        yield made
+
+
+@pytest.fixture(scope="module")
+def page(served: tuple[subprocess.Popen[str], str], tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    with browser(Path(tmp_path_factory.mktemp("profile"))) as made:
+        made.open(served[1])
+        yield made
+
+
+def armed(graph: Defended, page: Page) -> None:
+    graph.arm()
+    page.wait(ARMED, meanwhile=lambda: graph.drive(0.05))
+
+
+def test_it_loads_offline_and_shows_a_running_emulator_within_two_seconds(graph: Defended, page: Page) -> None:
+    graph.arm()
+    begin = time.monotonic()
+    page.driver.refresh()
+    page.wait(f"!{STALE} && {ARMED} && Number(document.querySelector('.plot b').textContent) != 0")
+    took = time.monotonic() - begin
+    print(f"shown after {took:.2f} s")
+    assert took < 2.0
+    loaded = page.run("return performance.getEntriesByType('resource').map((one) => new URL(one.name).hostname)")
+    assert loaded and set(loaded) == {"127.0.0.1"}
+    assert not page.driver.get_log("browser"), "no error, nothing that it missed"
+    assert "#" not in page.driver.current_url, "the token has left the address bar"
+
+
+def test_disarm_by_button_and_by_key_leads_to_no_valve_current_within_100_ms(graph: Defended, page: Page) -> None:
+    for way in ("button", "key"):
+        armed(graph, page)
+        graph.probe.forget()
+        if way == "button":
+            clicked = page.click("disarm")
+        else:
+            event = "dispatchEvent(new KeyboardEvent('keydown', {key: 'Escape', bubbles: true}))"
+            clicked = 1e-3 * page.run(f"const t = Date.now(); document.getElementById('kp').{event}; return t")
+        graph.drive(1.0)
+        took = graph.valve_closed_at() - clicked
+        print(f"{way}: valve current 0 after {1e3 * took:.0f} ms")
+        assert took < 0.1
+        page.wait(DISARMED)
+
+
+def test_armed_in_two_presses_with_the_token_and_by_nobody_without(graph: Defended, page: Page) -> None:
+    graph.probe.arm(False)
+    page.wait(DISARMED)
+    token = page.run("return document.getElementById('token').value")
+    for wrong in ("", "wrong"):
+        page.enter("token", wrong)
+        page.click("arm")
+        page.click("arm")
+        page.wait("document.getElementById('answer').textContent.includes('token')")
+        graph.drive(0.3)
+        assert not graph.probe.flags() & Flag.ARMED
+    page.enter("token", token)
+    page.click("arm")
+    graph.drive(0.5)
+    assert not graph.probe.flags() & Flag.ARMED, "one press is none"
+    page.click("arm")
+    page.wait(ARMED, meanwhile=lambda: graph.drive(0.05))
+
+
+def test_a_press_from_before_the_last_disarm_does_nothing_and_says_so(graph: Defended, page: Page) -> None:
+    armed(graph, page)
+    old, token = graph.epoch, page.run("return document.getElementById('token').value")
+    graph.probe.arm(False)
+    page.wait(DISARMED)
+    with connect(page.driver.current_url.replace("http", "ws") + "live") as held:  # a page that was held up meanwhile
+        held.send(json.dumps({"command": "arm", "epoch": str(old), "token": token}))
+        answers = (json.loads(told) for told in held if isinstance(told, str))
+        answer = next(told for told in answers if told["kind"] == "answer")
+    assert not answer["success"] and "nothing was done" in answer["text"]
+    asked = graph.probe.arming.call_async(Claim.Request(act=Claim.Request.ARM, name="late", epoch=old))
+    graph.probe.wait(asked.done)
+    assert not asked.result().success and "look, and ask again" in asked.result().message, "the plant says so, too"
+    graph.drive(0.5)
+    assert not graph.probe.flags() & Flag.ARMED
+
+
+def test_two_viewers_see_the_same_and_either_disarms(
+    graph: Defended, page: Page, served: tuple[subprocess.Popen[str], str], tmp_path: Path
+) -> None:
+    armed(graph, page)
+    with browser(tmp_path) as second:
+        second.open(served[1].partition("#")[0])  # without the token: disarming is for everybody
+        second.wait(ARMED, meanwhile=lambda: graph.drive(0.05))
+        second.click("disarm")
+        page.wait(DISARMED)
+        second.wait(DISARMED)
+
+
+def test_a_dashboard_that_hangs_or_dies_is_seen_and_no_matter_to_an_armed_plant(
+    graph: Defended, tmp_path: Path
+) -> None:
+    with dashboard() as (process, address), browser(tmp_path) as page:
+        page.open(address)
+        armed(graph, page)
+        graph.probe.forget()
+        process.send_signal(19)  # SIGSTOP
+        assert page.wait(STALE, meanwhile=lambda: graph.drive(0.05)) < 1.2
+        graph.drive(2.0)
+        process.kill()
+        graph.drive(2.0)
+        assert "No connection" in page.text("banner")
+    states = [state for _, state in graph.probe.heard[STATE]]
+    assert all(state.flags & Flag.ARMED for state in states)
+    late = sum(bool(state.flags & Flag.WATCHDOG) for state in states)
+    print(f"{late} of {len(states)} samples without commands for 50 ms")
+    assert late < 0.02 * len(states)
+
+
+def test_a_dead_plant_is_seen_as_dead_within_a_second(graph: Defended, page: Page) -> None:
+    armed(graph, page)
+    next(one for one in graph.companions if one.name == "bridge").stop()
+    took = page.wait(STALE)
+    print(f"seen after {took:.2f} s")
+    assert took < 1.2, "1 s, and a look every 0.2 s"
+    assert "silent" in page.text("banner")
+    assert page.text("state") == "NOT LIVE"
