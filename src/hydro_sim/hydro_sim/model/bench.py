@@ -206,6 +206,6 @@ def _listed(key: str, value: Any, needs: Sequence[str]) -> tuple[Mapping[str, An
         return ()
     listed = isinstance(value, (list, tuple)) and all(isinstance(one, Mapping) for one in value)
     if not listed or not all(need in one for one in value for need in needs):
-        wanted = " and ".join(f"{'an' if need[0] in 'aei' else 'a'} {need!r}" for need in needs)
-        raise ValueError(f"{key!r} is a list of mappings, each with {wanted}")
+        wanted = ", ".join(repr(need) for need in needs)
+        raise ValueError(f"{key!r} is a list of mappings, each with an {wanted}")
     return tuple(dict(one) for one in value)

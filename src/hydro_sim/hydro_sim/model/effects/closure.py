@@ -23,16 +23,12 @@ class Closure(Effect):
         if self.law.equation != "motion":
             return 0.0
         pressure_a, pressure_b = self.at.pressures
-        return self._value(
-            Signals(position, velocity, pressure_a=pressure_a, pressure_b=pressure_b, time=self._time())
-        )
+        return self._value(Signals(position, velocity, pressure_a=pressure_a, pressure_b=pressure_b, time=self._time()))
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         if not self.law.equation.startswith("pressure"):
             return 0.0, 0.0
-        out = self._value(
-            Signals(self.at.position, pressure_a=pressure_a, pressure_b=pressure_b, time=self._time())
-        )
+        out = self._value(Signals(self.at.position, pressure_a=pressure_a, pressure_b=pressure_b, time=self._time()))
         return {"pressure": (out, -out), "pressure_a": (out, 0.0), "pressure_b": (0.0, out)}[self.law.equation]
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
