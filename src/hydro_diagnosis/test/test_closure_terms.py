@@ -91,8 +91,8 @@ def test_a_table_is_constant_beyond_what_was_seen() -> None:
     numbers = [-0.1, 0.2, *np.arange(laws.KNOTS, dtype=float)]
     inside = table.value(laws.Signals(velocity=np.array([-0.1, 0.05, 0.2])), BENCH, numbers)
     beyond = table.value(laws.Signals(velocity=np.array([-9.0, 9.0])), BENCH, numbers)
-    np.testing.assert_allclose(inside, [0.0, 0.5 * (laws.KNOTS - 1), laws.KNOTS - 1])
-    np.testing.assert_allclose(beyond, [0.0, laws.KNOTS - 1])
+    np.testing.assert_allclose(inside, [1.0, 0.5 * (laws.KNOTS - 1), laws.KNOTS - 2])
+    np.testing.assert_allclose(beyond, [1.0, laws.KNOTS - 2])
 
 
 @pytest.mark.parametrize(

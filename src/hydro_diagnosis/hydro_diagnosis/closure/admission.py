@@ -119,4 +119,4 @@ def _report(claim: Claim, effect: Closure, bounds: Sequence[Interval], found: Ad
 def _expression(claim: Claim, effect: Closure) -> str:
     if isinstance(effect.law, Law):
         return f"{claim.values['coefficient']:.4g} {effect.law.unit} * {effect.law.text}"
-    return f"f({effect.law.variable}), straight lines between {len(effect.parameters)} knots, constant beyond"
+    return f"f({effect.law.variable}), a sum of {len(effect.parameters)} cubic B-splines, constant beyond"

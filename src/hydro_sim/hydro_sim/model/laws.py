@@ -9,7 +9,7 @@ A law is linear in its numbers. What it gives acts in one equation::
     actuation   spool position [A] that the edges see more than the current says
     load        force [N] of the load
 
-A table is a law too: straight lines between equally spaced knots, constant beyond the first and the last.
+A table is a law too: a cubic spline with equally spaced knots, constant beyond the range that was seen.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ import numpy as np
 
 from hydro_sim.model.equations import Symbol, clip
 
-KNOTS = 10
-"""Of a table."""
+KNOTS = 12
+"""Numbers of a table: of so many cubic B-splines."""
 SIGN_VELOCITY = 1e-3
 """m/s, over which a force that follows the sign of the velocity turns round."""
 VARIABLES = {"position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A"}
@@ -84,7 +84,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Table:
-    """A smooth function of one variable: values at knots between `low` and `high`."""
+    """A smooth function of one variable between `low` and `high`: a sum of cubic B-splines (de Boor 1978, chapter IX)."""
 
     equation: str
     variable: str
@@ -105,11 +105,17 @@ class Table:
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """What it gives, in the unit of its equation."""
         low, high, *values = numbers
-        along = (getattr(at, self.variable) - low) * ((KNOTS - 1) / (high - low))
-        total = values[0]
-        for k in range(KNOTS - 1):
-            total = total + (values[k + 1] - values[k]) * clip(along - k, 0.0, 1.0)
+        along = 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
+        total: Symbol = 0.0
+        for k, value in enumerate(values):
+            total = total + value * _cubic(np.abs(along - k))
         return total
+
+
+def _cubic(distance: Symbol) -> Symbol:
+    """The cubic B-spline at so many knots from its peak."""
+    outer, inner = np.fmax(2.0 - distance, 0.0), np.fmax(1.0 - distance, 0.0)
+    return (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
 
 
 def _sign(velocity: Symbol) -> Symbol:
