@@ -8,24 +8,29 @@ from dataclasses import replace
 
 import pytest
 
-from hydro_bridge.signals import StateArray, Waveform
+from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.closure.admission import admitted, reports, share_closed
 from hydro_diagnosis.closure.selection import Closed, closures
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_diagnosis.validation.equations import held_out
 from hydro_sim.model.bench import Bench
 
-from .conftest import segment
-
 BENCH = Bench.nominal()
 DRAG = 400.0
+
+
+def segment(states: StateArray) -> Segment:
+    table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
+    return checked(table, BENCH).segments[0]
 
 
 @pytest.fixture(scope="module")

@@ -84,7 +84,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Table:
-    """A smooth function of one variable between `low` and `high`: a sum of cubic B-splines (de Boor 1978, chapter IX)."""
+    """A smooth function of one variable between `low` and `high`: a sum of cubic B-splines (de Boor 1978, IX)."""
 
     equation: str
     variable: str
