@@ -197,5 +197,6 @@ TABLES: tuple[Table, ...] = (
 )  # fmt: skip
 """Smooth functions that are tried where no law is found."""
 
-ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in (*LAWS, *TABLES)}
+_EVERY: tuple[Law | Table, ...] = (*LAWS, *TABLES)
+ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
 """By equation and form."""
