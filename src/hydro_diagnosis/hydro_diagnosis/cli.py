@@ -108,6 +108,9 @@ def _say(found: Diagnosis, folder: Path) -> None:
                 else f"95 % {estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g}"
             )
             print(f"    {name} = {estimate.value:.4g} {estimate.unit} ({bounds})")
+    for closure in report.closures:
+        print(f"  without a name, in {closure.equation}: {closure.expression}")
+        print(f"    {closure.sentence} Closes {closure.share_closed * 100:.3g} % of the held-out gap.")
     if report.remainder:
         places = ", ".join(place["equation"] for place in report.remainder["location"])
         depends = ", ".join(report.remainder["depends_on"]) or "none of the variables tried"

@@ -92,15 +92,38 @@ class EffectReport:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ClosureReport:
+    """One term of the model of what has no name. It is no cause: it says what is missing, not why."""
+
+    equation: str
+    """motion, pressure (from chamber A into B), pressure_a, pressure_b, actuation or load."""
+    form: str
+    """law or smooth."""
+    expression: str
+    """The term as an equation, with units; what it gives: `hydro_sim.model.laws`."""
+    terms: dict[str, ParameterEstimate]
+    range: list[float] | None
+    """Of a smooth function's variable, as recorded; constant beyond."""
+    sentence: str
+    """What such a term usually is."""
+    share_closed: float
+    """Of the held-out squared error above the noise that names leave, what all terms together remove."""
+    share_by_form: dict[str, float]
+    """The same by form that was tried: what condensing a smooth function into a law costs."""
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Everything a diagnosis says."""
 
     verdict: str
-    """no_mismatch, explained, partly_explained or unknown; `INTERRUPTED` if Ctrl-C came before there was one."""
+    """no_mismatch, explained, modelled, partly_explained or unknown; `INTERRUPTED` where Ctrl-C came first."""
     location: list[Location]
     effects: list[EffectReport]
     remainder: dict[str, Any] | None
     """Where something is left that nobody named, on which variables it depends, and which names were dropped for it."""
+    closures: list[ClosureReport] = field(default_factory=list)
+    """Terms that model what no name explains; empty where names do, or no term holds on held-out recordings."""
     fit: dict[str, Any]
     next_recording: dict[str, Any] | None
     checked: list[str]

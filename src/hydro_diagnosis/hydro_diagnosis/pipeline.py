@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
@@ -12,10 +13,12 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from hydro_diagnosis.closure.admission import Admitted, admitted, reports
+from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
-from hydro_diagnosis.estimation.intervals import Interval, surely
+from hydro_diagnosis.estimation.intervals import Interval, intervals, surely
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unrecorded_rows import untold
 from hydro_diagnosis.experiment_design.next_recording import next_recording
@@ -29,6 +32,7 @@ from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.current_alignment import current_is_early, current_is_late
 from hydro_diagnosis.selection.effect_summary import describe, location_of
+from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess
@@ -117,16 +121,29 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     progress("checking on held-out recordings")
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.update_weights(assessment.fit.claims)
-    effects = describe(problem, unseen, outcome, assessment, bounds)
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
+    proof, ahead = (
+        held_out(problem, unseen, assessment.fit.claims, models),
+        next_recording(problem, outcome, assessment),
+    )
+    closed, closing = None, []
+    if assessment.remainder and not late:
+        progress("modelling what has no name")
+        closed = admitted(problem, unseen, closures(problem, assessment), models, proof)
+    if closed:
+        assessment, proof = _closed(problem, assessment, closed), closed.held
+        bounds = intervals(problem, assessment.fit)
+        closing = reports(closed, bounds)
+    effects = describe(problem, unseen, outcome, assessment, bounds)
     notes = (late, current_is_early(problem, effects), hidden)
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
         effects=effects,
         remainder=_remainder(assessment, problem),
-        fit=held_out(problem, unseen, assessment.fit.claims, models),
-        next_recording=next_recording(problem, outcome, assessment),
+        closures=closing,
+        fit=proof,
+        next_recording=ahead,
         seconds=time.monotonic() - begun,
         steps=_steps(search),
         **{**facts, "data_quality": [*facts["data_quality"], *(note for note in notes if note)]},
@@ -142,6 +159,18 @@ def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interv
         if len(sure.claims) == len(assessment.fit.claims):
             return assessment, bounds
         assessment = assess(problem, sure, outcome.nothing)
+
+
+def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assessment:
+    """The judgement with a closure: `modelled` where it leaves nothing, else something remains as before."""
+    claims = found.closed.fit.claims
+    labels = {claim.effect.label for claim in claims}
+    dropped = tuple(claim for claim in assessment.dropped if claim.effect.label not in labels)
+    if not noticeable(problem, found.closed.fit.residual):
+        return replace(assessment, verdict="modelled", fit=found.closed.fit, remainder=(), forms=(), dropped=dropped)
+    named = any(claim.effect.named for claim in claims)
+    verdict = "partly_explained" if named else assessment.verdict
+    return replace(assessment, verdict=verdict, fit=found.closed.fit, dropped=dropped)
 
 
 def _unfinished(search: Search, facts: Mapping[str, Any], begun: float) -> Report:

@@ -114,7 +114,7 @@ class Result:
     @property
     def admitted(self) -> bool:
         """Says that something is there that it has no name for."""
-        return self.verdict in ("unknown", "partly_explained")
+        return self.verdict in ("modelled", "unknown", "partly_explained")
 
     @property
     def places(self) -> dict[str, float]:

@@ -19,7 +19,7 @@ from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 NAMES = {"confusion": "confusion.png", "errors": "errors.png", "coverage": "coverage.png", "held_out": "held_out.png"}
 """File names, by what they show."""
-_VERDICTS = ("no_mismatch", "unknown", "partly_explained", "explained", "refused")
+_VERDICTS = ("no_mismatch", "unknown", "partly_explained", "modelled", "explained", "refused")
 
 
 def draw(results: Sequence[Result], folder: Path) -> dict[str, Path]:

@@ -90,6 +90,17 @@ class Openings:
     b_tank: FloatArray
 
 
+@dataclass(frozen=True)
+class Oil:
+    """What drives the chambers' pressures at one instant or over one sample."""
+
+    time: FloatArray
+    position: FloatArray
+    pressures: tuple[FloatArray, FloatArray]
+    spool: FloatArray
+    """A, shape (..., substeps)."""
+
+
 @dataclass
 class Kinematics:
     """What forces depend on."""
@@ -97,6 +108,8 @@ class Kinematics:
     time: FloatArray
     position: FloatArray
     velocity: FloatArray
+    pressures: tuple[FloatArray, FloatArray] | None = None
+    """Pa, of chambers A and B; None where they are not known."""
 
 
 @dataclass(frozen=True)
@@ -175,6 +188,10 @@ class Effect:
     def stiffness(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:
         """Bulk modulus [Pa] at an absolute pressure [Pa]."""
         return modulus
+
+    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, values: Values) -> tuple[FloatArray, FloatArray]:
+        """Flow [m3/s] into chamber A and into chamber B, where it hangs on more than the pressures."""
+        return flows
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
         """Level [N, >= 0] of dry friction while sliding; the model gives it the sign of the velocity."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Memory, Openings
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Memory, Oil, Openings
 from hydro_sim.model.bench import Bench
 
 SUBSTEPS = 4
@@ -55,17 +55,6 @@ def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim])
     return spool
 
 
-@dataclass(frozen=True)
-class Oil:
-    """What drives the chambers' pressures at one instant or over one sample."""
-
-    time: FloatArray
-    position: FloatArray
-    pressures: tuple[FloatArray, FloatArray]
-    spool: FloatArray
-    """A, shape (..., substeps)."""
-
-
 def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[FloatArray, FloatArray]:
     """Flow [m3/s] into chamber A and into chamber B, leaks included."""
     edges = nominal_openings(bench, oil.spool)
@@ -85,6 +74,7 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
     flows = into_a, into_b
     for claim in claims:
         flows = claim.effect.flows(flows, oil.pressures, tank, claim.values)
+        flows = claim.effect.inflows(flows, oil, claim.values)
     return flows
 
 

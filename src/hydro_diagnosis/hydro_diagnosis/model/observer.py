@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Oil
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.chambers import ChamberRun, Oil
+from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.segment_record import SegmentRecord
 from hydro_diagnosis.preprocessing.white_noise import white_noise
 from hydro_diagnosis.recording import Segment

@@ -47,7 +47,8 @@ class SegmentRecord:
         """Samples that are judged."""
         if self.has_position:
             self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
-            self.kinematics = Kinematics(self.time, self.x, self.v)
+            pressures = (channels["pressure_a"], channels["pressure_b"]) if self.has_pressures else None
+            self.kinematics = Kinematics(self.time, self.x, self.v, pressures)
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v)
 
     def bench(self, claims: Sequence[Claim]) -> Bench:

@@ -13,9 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics, Oil
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.chambers import Oil
 from hydro_diagnosis.model.memory import RecordMemory, StepMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_sim.model.bench import Bench
@@ -77,7 +76,7 @@ class Plant:
         oil = Oil(time, x, (p_a, p_b), spool)
         into_a, into_b = chambers.net_flows(bench, oil, claims, memory)
         stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
-        motion = Kinematics(time, x, v)
+        motion = Kinematics(time, x, v, (p_a, p_b))
         against, level = self._dry(motion, grip), self._level(motion)
         load = bench.spring_stiffness * (x - bench.spring_rest_position)
         for claim in claims:

@@ -16,6 +16,7 @@ import yaml
 
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.closure import Closure, from_mapping
 from hydro_sim.model.bench import Bench
 
 
@@ -28,6 +29,9 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
     before = [claim.effect for claim in claims_of(bench)]
     effects: list[Mapping[str, Any]] = list(bench.effects)
     for claim in claims:
+        if isinstance(claim.effect, Closure):
+            bench = replace(bench, closures=(*bench.closures, claim.effect.to_closure(claim.values)))
+            continue
         changed = bench if _meets(claim.effect, before) else claim.effect.settled(bench, claim.values)
         if changed == bench or claim.effect.id == "sensor_lag":
             effects.append(claim.to_mapping())
@@ -56,14 +60,15 @@ def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
 
 
 def claims_of(bench: Bench) -> tuple[Claim, ...]:
-    """The effects of a corrected bench as claims.
+    """The effects and closures of a corrected bench as claims.
 
     Raises
     ------
     ValueError
         An effect is unknown or lacks a parameter.
     """
-    return tuple(_claim(entry, bench) for entry in bench.effects)
+    closures = tuple(Claim(*from_mapping(entry, bench)) for entry in bench.closures)
+    return (*(_claim(entry, bench) for entry in bench.effects), *closures)
 
 
 def _claim(entry: Mapping[str, Any], bench: Bench) -> Claim:

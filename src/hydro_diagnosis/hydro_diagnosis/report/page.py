@@ -21,6 +21,7 @@ from hydro_sim.plotting import UNITS
 _VERDICTS = {
     "no_mismatch": "The simulation matches these recordings: nothing is missing that they could show.",
     "explained": "What is missing was found and named; with it, nothing but noise remains.",
+    "modelled": "What is missing is modelled, part of it without a name; with it, nothing but noise remains.",
     "partly_explained": "A cause was named, but something remains that it does not account for.",
     "unknown": "Something is missing, and no known cause accounts for it.",
 }
@@ -51,6 +52,7 @@ def write_page(found: Diagnosis, path: Path) -> None:
         f"<p class='verdict'><b>{_title(report.verdict)}.</b> {_VERDICTS[report.verdict]}</p>",
         _locations(found),
         *(_effect(found, effect) for effect in report.effects),
+        _closures(report),
         _remainder(report),
         _held_out(report),
         "<section><h2>Residuals of the first recording</h2><p class='quiet'>What each equation leaves unexplained, "
@@ -140,6 +142,23 @@ def _gain(share: float) -> str:
 
 def _bounds(ci95: list[float] | None) -> str:
     return "not identifiable from these recordings" if ci95 is None else f"{ci95[0]:.5g} to {ci95[1]:.5g}"
+
+
+def _closures(report: Report) -> str:
+    if not report.closures:
+        return ""
+    rows = "".join(
+        f"<tr><td>{escape(one.equation)}</td><td>{escape(one.expression)}</td>"
+        f"<td>{escape(_bounds(one.terms['coefficient'].ci95)) if one.form == 'law' else ''}</td>"
+        f"<td>{escape(one.sentence)}</td></tr>"
+        for one in report.closures
+    )
+    share = report.closures[0].share_closed
+    return (
+        "<section><h2>Modelled without a name</h2><table><tr><th>equation</th><th>term</th><th>95 % interval</th>"
+        f"<th>what such a term usually is</th></tr>{rows}</table><p class='quiet'>Terms, not causes: together they "
+        f"remove {share * 100:.3g} % of what the names leave above the noise in the held-out recordings.</p></section>"
+    )
 
 
 def _remainder(report: Report) -> str:

@@ -24,7 +24,7 @@ CLOSE = 10.0
 def describe(
     problem: Problem, held: Problem, outcome: Outcome, assessment: Assessment, bounds: Sequence[Interval]
 ) -> list[EffectReport]:
-    """One entry per claim that stands, the strongest evidence first.
+    """One entry per name that stands, the strongest evidence first.
 
     `held`: the held-out recordings; `bounds`: of the parameters of all claims, in their order.
     """
@@ -32,7 +32,8 @@ def describe(
     reports, k = [], 0
     for claim in found.claims:
         count = len(claim.effect.parameters)
-        reports.append(_report(problem, held, outcome, found, claim, bounds[k : k + count]))
+        if claim.effect.named:
+            reports.append(_report(problem, held, outcome, found, claim, bounds[k : k + count]))
         k += count
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
 

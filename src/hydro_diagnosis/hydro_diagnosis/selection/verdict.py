@@ -44,7 +44,7 @@ class Assessment:
     """The judgement over a search's outcome."""
 
     verdict: str
-    """no_mismatch, explained, partly_explained or unknown."""
+    """no_mismatch, explained, modelled, partly_explained or unknown."""
     fit: Fit
     """With the claims that stand."""
     places: tuple[Place, ...]

@@ -7,7 +7,7 @@ compiled code reads) is derived from them. Values: physics.md, "The nominal benc
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from importlib import resources
 from math import inf, isfinite, pi, sqrt
@@ -72,6 +72,8 @@ class Bench:
     """Second-order Butterworth low-pass in the load cell's amplifier; None: ideal."""
     effects: tuple[Mapping[str, Any], ...] = ()
     """Effects beyond these equations, found by a diagnosis (`corrected.yaml`), as read: `hydro_sim.model.effects`."""
+    closures: tuple[Mapping[str, Any], ...] = ()
+    """What a diagnosis modelled without a name, as read: equation, form, parameters (`hydro_sim.model.laws`)."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -81,12 +83,17 @@ class Bench:
             raise ValueError(
                 f"tank_pressure {self.tank_pressure:g} Pa is not below supply_pressure {self.supply_pressure:g} Pa"
             )
-        catalogue.check(self.effects)
+        catalogue.check(self.terms)
 
     @property
     def valve_gain(self) -> float:
         """K_v [m3/s/A/sqrt(Pa)] (eq. q4)."""
         return self.valve_nominal_flow / (self.valve_nominal_current * sqrt(self.valve_nominal_pressure_drop / 2.0))
+
+    @property
+    def terms(self) -> tuple[Mapping[str, Any], ...]:
+        """Effects and closures, as the model takes them."""
+        return (*self.effects, *({"id": "closure", **closure} for closure in self.closures))
 
     @classmethod
     def nominal(cls) -> Bench:
@@ -129,13 +136,15 @@ class Bench:
             raise ValueError(f"unknown key {unknown[0]!r}")
         if missing:
             raise ValueError(f"key {missing[0]!r} is missing")
-        values = {key: _number(key, value) for key, value in content.items() if key != "effects"}
-        return cls(**values, effects=_effects(content.get("effects")))
+        values = {key: _number(key, value) for key, value in content.items() if key not in ("effects", "closures")}
+        closures = _listed("closures", content.get("closures"), ("equation", "form", "parameters"))
+        return cls(**values, effects=_listed("effects", content.get("effects"), ("id",)), closures=closures)
 
     def to_mapping(self) -> dict[str, Any]:
         """Keys and values as in bench.yaml; the optional ones only if set."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         values["effects"] = [dict(effect) for effect in self.effects]
+        values["closures"] = [dict(closure) for closure in self.closures]
         return {key: value for key, value in values.items() if value is not None and value != []}
 
     @property
@@ -158,7 +167,7 @@ class Bench:
         limits = {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in quantities}
         believed = {name: getattr(self, name) for name in limits}
         numbers: dict[str, Any] = catalogue.corrected(believed, limits, self.effects)
-        return replace(self, effects=(), **numbers)
+        return replace(self, effects=(), closures=(), **numbers)
 
 
 BENCH_DTYPE = np.dtype(
@@ -170,7 +179,7 @@ Effects that are wrong numbers of the bench file are in the numbers; the others 
 
 
 def _required(entry: Any) -> bool:
-    return entry.name not in ("load_cell_bandwidth", "effects")
+    return entry.name not in ("load_cell_bandwidth", "effects", "closures")
 
 
 def _check(key: str, value: object, metadata: Mapping[str, Any], *, optional: bool) -> None:
@@ -192,10 +201,11 @@ def _number(key: object, value: Any) -> Any:
         raise ValueError(f"{key} = {value!r} is not a number") from None
 
 
-def _effects(value: Any) -> tuple[Mapping[str, Any], ...]:
+def _listed(key: str, value: Any, needs: Sequence[str]) -> tuple[Mapping[str, Any], ...]:
     if value is None:
         return ()
-    listed = isinstance(value, (list, tuple))
-    if not listed or not all(isinstance(effect, Mapping) and "id" in effect for effect in value):
-        raise ValueError("'effects' is a list of mappings, each with an 'id'")
-    return tuple(dict(effect) for effect in value)
+    listed = isinstance(value, (list, tuple)) and all(isinstance(one, Mapping) for one in value)
+    if not listed or not all(need in one for one in value for need in needs):
+        wanted = ", ".join(repr(need) for need in needs)
+        raise ValueError(f"{key!r} is a list of mappings, each with an {wanted}")
+    return tuple(dict(one) for one in value)

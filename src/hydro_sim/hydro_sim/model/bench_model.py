@@ -85,17 +85,17 @@ class BenchModel:
 
     def __init__(self, bench: Bench, *, substeps: int = SUBSTEPS) -> None:
         self.bench, self.substeps = bench, substeps
-        kinds = [catalogue.kind_of(effect) for effect in bench.effects]
+        kinds = [catalogue.kind_of(effect) for effect in bench.terms]
         self.parameters = tuple(_numbers(bench)) + tuple(
             Named(f"{catalogue.label(effect)}.{one.name}", one.unit, one.low, one.high, one.scale)
-            for effect, (kind, _) in zip(bench.effects, kinds, strict=True)
+            for effect, (kind, _) in zip(bench.terms, kinds, strict=True)
             for one in kind.parameters
         )
         numbers = [float(getattr(bench, entry.name) or 0.0) for entry in fields(bench) if entry.metadata]
         self.values: FloatArray = np.array(numbers + [value for _, values in kinds for value in values])
         """The parameters' values in the bench file."""
         past = _past(catalogue.delay(bench.effects))
-        labels = tuple(catalogue.label(effect) for effect in bench.effects)
+        labels = tuple(catalogue.label(effect) for effect in bench.terms)
         self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
         self._code = _library(self.structure, derivatives=False)
         hidden = [State(one.name, one.unit, one.scale) for kind, _ in kinds for one in kind.effect.states]
@@ -228,7 +228,7 @@ def _assembled(structure: Structure) -> Functions:
     from hydro_sim.model.assembly import Assembly  # only what is not compiled yet waits for CasADi
 
     limits = {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in fields(Bench) if entry.metadata}
-    effects = [catalogue.CATALOGUE[label].make() for label in structure.labels]
+    effects = [catalogue.KINDS[label].make() for label in structure.labels]
     made = Assembly(limits, effects, ideal_cell=structure.ideal_cell, past=structure.past, substeps=structure.substeps)
     return made.functions()
 
@@ -245,7 +245,7 @@ def _sources_digest() -> str:
     import hashlib
 
     here = Path(__file__).parent
-    names = ["equations.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench_model.c"]
+    names = ["equations.py", "laws.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench_model.c"]
     files = [here / name for name in [*names, "bench.py"]] + sorted((here / "effects").glob("*.py"))
     others = f"{SAMPLE_PERIOD} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()

@@ -95,6 +95,10 @@ class Surroundings:
     """Dry friction [N] of all effects, at a velocity [m/s]."""
     began: Symbol = 0.0
     """m, piston position where the present step began."""
+    position: Symbol = 0.0
+    """m, of the piston at the instant whose rates are written."""
+    pressures: tuple[Symbol, Symbol] = (0.0, 0.0)
+    """p_a, p_b [Pa] at that instant."""
 
 
 class Effect:

@@ -13,11 +13,14 @@ from types import SimpleNamespace
 from typing import Any
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_sim.model.effects import motion, numbers, oil, sensing, valve
+from hydro_sim.model.effects import closure, motion, numbers, oil, sensing, valve
 from hydro_sim.model.effects.base import Effect, Parameter
 
 CAPACITY = 24
 """Effects that a bench can have at once."""
+
+CLOSURES = 6
+"""Closures that a bench can have at once."""
 
 DELAY_MAX = 62e-3
 """s, to which dead times may add up."""
@@ -46,17 +49,21 @@ def label(effect: Mapping[str, Any]) -> str:
     return " ".join([str(effect["id"]), *(f"{key}={value}" for key, value in options)])
 
 
-def _kinds() -> dict[str, Kind]:
+def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
     kinds = {}
-    for effect in (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS):
+    for effect in effects:
         for values in product(*effect.options.values()):
             chosen = tuple(zip(effect.options, values, strict=True))
             kinds[label({"id": effect.id, **dict(chosen)})] = Kind(effect, chosen)
     return kinds
 
 
-CATALOGUE: dict[str, Kind] = _kinds()
+_NAMED = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
+CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
 """By id and options, as `label` writes them."""
+
+KINDS: dict[str, Kind] = CATALOGUE | _kinds(closure.EFFECTS)
+"""And closures."""
 
 
 def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
@@ -68,12 +75,12 @@ def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:
         In one sentence, if the effect is unknown or a parameter is missing, too many, or not a number in range.
     """
     name, parameters = label(effect), effect.get("parameters") or {}
-    if name not in CATALOGUE:
-        known = [other for other in CATALOGUE if other.split()[0] == str(effect["id"])]
+    if name not in KINDS:
+        known = [other for other in KINDS if other.split()[0] == str(effect["id"])]
         raise ValueError(f"effect {name!r} is not known" + (f"; there is {', '.join(known)}" if known else ""))
     if not isinstance(parameters, Mapping):
         raise ValueError(f"effect {name}: 'parameters' is a mapping of names to numbers")
-    kind = CATALOGUE[name]
+    kind = KINDS[name]
     unknown = [key for key in parameters if key not in {parameter.name for parameter in kind.parameters}]
     if unknown:
         raise ValueError(f"effect {name} has no parameter {unknown[0]!r}")
@@ -116,6 +123,9 @@ def check(effects: Sequence[Mapping[str, Any]]) -> None:
         In one sentence: an effect that is unknown, lacks a parameter, or is given more often than it can be.
     """
     kinds = [(label(effect), kind_of(effect)[0]) for effect in effects]
+    closures = sum(kind.effect.id == closure.Closure.id for _, kind in kinds)
+    if closures > CLOSURES:
+        raise ValueError(f"{closures} closures are more than the {CLOSURES} that are simulated at once")
     names = [name for name, _ in kinds]
     for name, kind in kinds:
         if kind.effect.single and names.count(name) > 1:

@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What of a closure is handed back: it is simulated forward on held-out recordings, and must make no channel worse."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hydro_diagnosis.closure.selection import Closed
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.estimation.intervals import Interval
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.findings import ClosureReport, ParameterEstimate
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.validation.equations import held_out
+from hydro_sim.model.laws import Law
+
+WORSE = 1.02
+"""Times the error of the names alone, from which a channel counts as worse: windows are few."""
+WORTH = 0.05
+"""Share of the held-out gap that a closure must close."""
+
+
+@dataclass(frozen=True)
+class Admitted:
+    """A closure that is handed back."""
+
+    closed: Closed
+    held: dict[str, Any]
+    """`fit` of report.json, with it."""
+    share: float
+    """Of the held-out gap, which it closes."""
+    error_by_form: dict[str, float]
+    """By form that was tried: the share of the held-out gap that it closes."""
+
+
+def admitted(
+    problem: Problem,
+    unseen: Problem,
+    candidates: Iterable[Closed],
+    models: Sequence[SegmentModel],
+    named: Mapping[str, Any],
+) -> Admitted | None:
+    """The first candidate that makes no held-out channel worse than the names alone do, or None.
+
+    `unseen`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone.
+    """
+    tried: list[tuple[Closed, dict[str, Any], float]] = []
+    for closed in candidates:
+        held = held_out(problem, unseen, closed.fit.claims, models)
+        tried.append((closed, held, share_closed(named, held) if _harmless(named, held) else 0.0))
+    errors = {closed.form: share for closed, _, share in tried}
+    for closed, held, share in tried:
+        if share > WORTH:
+            return Admitted(closed, _with_named(held, named), share, errors)
+    return None
+
+
+def share_closed(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
+    """Of what stands above the noise in the held-out channels' squared errors, over all channels."""
+    gaps = [_gaps(one) for one in (before, after)]
+    total = sum(gaps[0].values())
+    return 1.0 - sum(gaps[1].values()) / total if total > 0.0 else 0.0
+
+
+def _gaps(held: Mapping[str, Any]) -> dict[str, float]:
+    errors = held["holdout"] or held.get("equations", {})
+    shown = {name: one for name, one in errors.items() if one["noise_floor"] > 0.0}
+    return {name: max((one["rmse_after"] / one["noise_floor"]) ** 2 - 1.0, 0.0) for name, one in shown.items()}
+
+
+def _harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
+    for part in ("holdout", "equations"):
+        for name, one in after.get(part, {}).items():
+            if one["rmse_after"] > WORSE * max(before[part][name]["rmse_after"], one["noise_floor"]):
+                return False
+    return True
+
+
+def _with_named(held: dict[str, Any], named: Mapping[str, Any]) -> dict[str, Any]:
+    holdout = {
+        name: {**one, "rmse_named": named["holdout"][name]["rmse_after"]} for name, one in held["holdout"].items()
+    }
+    return {**held, "holdout": holdout}
+
+
+def reports(found: Admitted, bounds: Sequence[Interval]) -> list[ClosureReport]:
+    """One entry per term; `bounds`: of the parameters of all claims, in their order."""
+    entries, k = [], 0
+    for claim in found.closed.fit.claims:
+        count = len(claim.effect.parameters)
+        if isinstance(claim.effect, Closure):
+            entries.append(_report(claim, claim.effect, bounds[k : k + count], found))
+        k += count
+    return entries
+
+
+def _report(claim: Claim, effect: Closure, bounds: Sequence[Interval], found: Admitted) -> ClosureReport:
+    terms = {
+        one.name: ParameterEstimate(
+            value=bound.value, ci95=[bound.low, bound.high] if bound.identifiable else None, unit=one.unit
+        )
+        for one, bound in zip(effect.parameters, bounds, strict=True)
+    }
+    return ClosureReport(
+        equation=effect.law.equation,
+        form="law" if isinstance(effect.law, Law) else "smooth",
+        expression=_expression(claim, effect),
+        terms=terms,
+        range=None if isinstance(effect.law, Law) else list(effect.limits),
+        sentence=effect.sentence(claim.values),
+        share_closed=found.share,
+        share_by_form=found.error_by_form,
+    )
+
+
+def _expression(claim: Claim, effect: Closure) -> str:
+    if isinstance(effect.law, Law):
+        return f"{claim.values['coefficient']:.4g} {effect.law.unit} * {effect.law.text}"
+    return f"f({effect.law.variable}), a sum of {len(effect.parameters)} cubic B-splines, constant beyond"

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Evidence on blocks of time that are held out: what a term is worth where nothing was fitted to it.
+
+Residuals are linear in a term's numbers to first order. So four-fold cross-validation of any set of columns needs no
+further residual: each fold's products of all columns are summed once, by channel, and every set is solved from them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.estimation.fit import Fit, spreads
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+
+FOLDS = 4
+BLOCK = 1.0
+"""s, that are held out together: many times the memory of any residual."""
+
+
+class HeldOutBlocks:
+    """Columns of candidates beside a fit, and how well any set of them predicts blocks that it was not fitted to.
+
+    Parameters
+    ----------
+    problem
+        What is explained.
+    found
+        Stands already; its numbers are estimated anew with each set.
+    columns
+        By candidate: derivatives of the residual, shape (n, numbers).
+    """
+
+    def __init__(self, problem: Problem, found: Fit, columns: Sequence[FloatArray]) -> None:
+        layout = problem.layout
+        table = np.column_stack([found.residual, found.jacobian, *columns])
+        self._scale = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
+        table /= self._scale
+        edges = np.cumsum([1, found.jacobian.shape[1], *(one.shape[1] for one in columns)])
+        self._standing = list(range(1, int(edges[1])))
+        self._places = [list(range(int(a), int(b))) for a, b in pairwise(edges[1:])]
+        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
+        weight = 1.0 / spreads(problem, found.residual)
+        self._products = np.zeros((FOLDS, len(CHANNELS), table.shape[1], table.shape[1]))
+        for k in range(FOLDS):
+            for channel in np.unique(layout.channel):
+                part = table[(fold == k) & (layout.channel == channel)]
+                self._products[k, channel] = part.T @ part
+        self._weighted = np.einsum("fcij,c->fij", self._products, weight)
+        self._count = layout.count()
+
+    def deviance(self, chosen: Sequence[int]) -> float:
+        """-2 log likelihood of the held-out blocks with these candidates, up to a constant."""
+        at = [*self._standing, *(place for one in chosen for place in self._places[one])]
+        squares, together = np.zeros(len(CHANNELS)), self._weighted.sum(axis=0)
+        for k in range(FOLDS):
+            fitted = together - self._weighted[k]
+            theta = -np.linalg.lstsq(fitted[np.ix_(at, at)], fitted[at, 0], rcond=1e-10)[0] if at else np.zeros(0)
+            full = np.concatenate([[1.0], theta])
+            rows = [0, *at]
+            squares += np.einsum("i,cij,j->c", full, self._products[k][np.ix_(range(len(CHANNELS)), rows, rows)], full)
+        squares *= self._scale[0] ** 2
+        variance = np.maximum(squares / np.maximum(self._count, 1.0), 1.0)
+        return float(np.sum(self._count * np.log(variance) + squares / variance))
+
+
+def column(problem: Problem, found: Fit, claim: Claim) -> FloatArray:
+    """Derivatives of the residual by a claim's numbers at nothing, one column each, in spans; shape (n, numbers)."""
+    slopes = []
+    neutral = {one.name: one.neutral for one in claim.effect.parameters}
+    for one in claim.effect.parameters:
+        probe = Claim(claim.effect, {**neutral, one.name: one.neutral + one.span})
+        slopes.append(problem.residual((*found.claims, probe)) - found.residual)
+    return np.column_stack(slopes)
+
+
+def whole(problem: Problem, found: Fit, claim: Claim) -> FloatArray:
+    """What a claim as it stands changes of the residual, shape (n, 1)."""
+    return (problem.residual((*found.claims, claim)) - found.residual)[:, None]

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which terms close what remains: a law of few terms if one does nearly as well as a smooth function, else that.
+
+Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
+each, all numbers, those of the names too, are estimated anew. Names that the judgement dropped because something
+remained compete with the terms: beside a closure they may hold after all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydro_diagnosis.closure.evidence import HeldOutBlocks, column, whole
+from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.free_form import variable_of
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.selection.localisation import noticeable
+from hydro_diagnosis.selection.outcome import score
+from hydro_diagnosis.selection.verdict import Assessment
+from hydro_sim.model import laws
+
+TERMS = 3
+"""Of a law at most."""
+THRESHOLD = 30.0
+"""Held-out deviance that a term must gain, as a name must gain in evidence."""
+LEAST = 0.02
+"""Share of what there is to gain that a term must bring: less is mimicry of another's form."""
+CONDENSED = 0.05
+"""Share of what a smooth function gains that a law may lack of it."""
+INSIDE = 0.1
+"""Percentiles that a table's variable leaves out at either end."""
+
+
+@dataclass(frozen=True)
+class Closed:
+    """Names and closure estimated together."""
+
+    fit: Fit
+    form: str
+    """law or smooth."""
+    gain: float
+    """Held-out deviance that it gains over the names alone."""
+
+
+def closures(problem: Problem, assessment: Assessment) -> list[Closed]:
+    """Models of what remains, the preferred first; none where no term holds on held-out blocks."""
+    if not assessment.remainder:
+        return []
+    base = assessment.fit
+    dropped = [claim for claim in assessment.dropped if claim.effect.named]
+    by_law, by_table = _grown(problem, base, _laws(problem), dropped), _grown(problem, base, _tables(problem), dropped)
+    found = [Closed(one, form, gain) for (one, gain), form in ((by_law, "law"), (by_table, "smooth")) if gain > 0.0]
+    law_will_do = by_law[1] >= (1.0 - CONDENSED) * by_table[1] or not noticeable(problem, by_law[0].residual)
+    return sorted(found, key=lambda one: (one.form == "law") != law_will_do)
+
+
+def _laws(problem: Problem) -> list[Claim]:
+    return [
+        _nothing(closure(law, problem.bench)) for law in laws.LAWS if _visible(closure(law, problem.bench), problem)
+    ]
+
+
+def _tables(problem: Problem) -> list[Claim]:
+    tables = []
+    for table in laws.TABLES:
+        if not _visible(closure(table, problem.bench), problem):
+            continue
+        values = np.concatenate([variable_of(model, table.variable)[model.settle :] for model in problem.models])
+        low, high = np.percentile(values, [INSIDE, 100.0 - INSIDE])
+        if high > low:
+            tables.append(_nothing(closure(table, problem.bench, (float(low), float(high)))))
+    return tables
+
+
+def _visible(effect: Closure, problem: Problem) -> bool:
+    pressures = any({"pressure_a", "pressure_b"} <= set(model.channels) for model in problem.models)
+    text = effect.law.text if isinstance(effect.law, laws.Law) else ""
+    return bool(effect.touches & set(problem.blocks)) and (pressures or "p_" not in text)
+
+
+def _nothing(effect: Closure) -> Claim:
+    return Claim(effect, {one.name: 0.0 for one in effect.parameters})
+
+
+def _grown(problem: Problem, base: Fit, terms: Sequence[Claim], names: Sequence[Claim]) -> tuple[Fit, float]:
+    """The fit with the terms, and the dropped names, that pay; and the held-out deviance that they gain."""
+    candidates = [*terms, *names]
+    columns: list[FloatArray] = [column(problem, base, one) for one in terms] + [
+        whole(problem, base, one) for one in names
+    ]
+    current, gained, taken = base, 0.0, 0
+    while taken < TERMS and candidates and noticeable(problem, current.residual):
+        blocks = HeldOutBlocks(problem, current, columns)
+        before = blocks.deviance(())
+        after = [blocks.deviance((k,)) for k in range(len(candidates))]
+        best = int(np.argmin(after))
+        there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
+        if before - after[best] < max(THRESHOLD, LEAST * there_is):
+            break
+        chosen = candidates.pop(best)
+        columns.pop(best)
+        better = fit(problem, (*current.claims, chosen))
+        if score(problem, current) - score(problem, better) < THRESHOLD:
+            continue
+        gained += before - after[best]
+        taken += not chosen.effect.named
+        current = better
+    unnamed = any(isinstance(claim.effect, Closure) for claim in current.claims)
+    return (current, gained) if unnamed else (base, 0.0)

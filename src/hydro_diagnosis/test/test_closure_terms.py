@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Closures, term by term: diagnosis and simulation mean the same by each, and a bench file carries them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hydro_bridge.signals import PLANT_FIELDS, ReferenceSignal, Waveform
+from hydro_diagnosis.effects import Claim
+from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.recording import MEASURED, Segment
+from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
+from hydro_sim.model import laws
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.laws import Law, Table
+from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.simulation.offline import Schedule, simulate
+
+BENCH = Bench.nominal()
+LIMITS = {
+    "position": (0.02, 0.06), "velocity": (-0.3, 0.3), "pressure_difference": (-5e6, 5e6), "current": (-0.02, 0.02),
+}  # fmt: skip
+BEGINS, LENGTH = np.arange(300, 1100, 100), 40
+TERMS = [pytest.param(law, id=f"{law.equation} {law.form}") for law in laws.ALL.values()]
+
+
+def claimed(law: Law | Table) -> Claim:
+    """A term at its typical size; a table goes up and down."""
+    effect = closure(law, BENCH, LIMITS[law.variable] if isinstance(law, Table) else (0.0, 1.0))
+    return Claim(effect, {one.name: one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(effect.parameters)})
+
+
+def entry(claim: Claim) -> dict[str, object]:
+    assert isinstance(claim.effect, Closure)
+    return claim.effect.to_closure(claim.values)
+
+
+@pytest.mark.parametrize("law", TERMS)
+def test_simulation_and_diagnosis_mean_the_same_term(law: Law | Table) -> None:
+    claim = claimed(law)
+    bench = replace(BENCH, closures=(entry(claim),))
+    reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=280.0, frequency=0.9)
+    run = simulate(
+        AnalyticPlant(bench, noise=0.0), BENCH, Schedule(reference=reference, gains=(60.0, 10.0), seconds=1.2)
+    )
+    plant, current = AnalyticPlant(bench, noise=0.0), run["valve_current"].copy()
+    shown, states = [plant.measurement()], [plant.physical_state()]
+    for held in current[:-1]:
+        shown.append(plant.step(float(held)))
+        states.append(plant.physical_state())
+    columns = dict(zip(PLANT_FIELDS, np.array(shown).T, strict=True))
+    channels = {name: np.ascontiguousarray(columns[name]) for name in MEASURED} | {"valve_current": current}
+    segment = Segment("run", 0.0, 1e-3, channels)
+
+    def apart(claims: list[Claim]) -> dict[str, float]:
+        model = Plant.of(SegmentModel(segment, BENCH), claims)
+        start = np.array(states)[BEGINS][:, [2, 3, 0, 1]].T.copy()
+        readings = model.readings(model.run(start, BEGINS, LENGTH), BEGINS)
+        at = BEGINS[None, :] + np.arange(LENGTH)[:, None]
+        return {
+            name: float(np.sqrt(np.mean((readings[name] - channels[name][at]) ** 2)) / np.ptp(channels[name]))
+            for name in MEASURED
+        }
+
+    with_it, without = apart([claim]), apart([])
+    assert max(with_it.values()) < 2e-5
+    assert max(without[name] / with_it[name] for name in with_it) > 100.0
+
+
+def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> None:
+    claims = [claimed(laws.ALL["motion", "quadratic drag"]), claimed(laws.ALL["load", "table over position"])]
+    path = tmp_path / "corrected.yaml"
+    path.write_text(yaml.safe_dump(corrected_bench(BENCH, claims).to_mapping()))
+    back = claims_of(Bench.load(path))
+    assert [(one.effect.label, dict(one.values)) for one in back] == [
+        (one.effect.label, dict(one.values)) for one in claims
+    ]
+    assert isinstance(back[1].effect, Closure)
+    assert back[1].effect.limits == LIMITS["position"]
+
+
+def test_a_table_is_constant_beyond_what_was_seen() -> None:
+    table = laws.ALL["motion", "table over velocity"]
+    numbers = [-0.1, 0.2, *np.arange(laws.KNOTS, dtype=float)]
+    inside = table.value(laws.Signals(velocity=np.array([-0.1, 0.05, 0.2])), BENCH, numbers)
+    beyond = table.value(laws.Signals(velocity=np.array([-9.0, 9.0])), BENCH, numbers)
+    np.testing.assert_allclose(inside, [1.0, 0.5 * (laws.KNOTS - 1), laws.KNOTS - 2])
+    np.testing.assert_allclose(beyond, [1.0, laws.KNOTS - 2])
+
+
+@pytest.mark.parametrize(
+    ("closures", "sentence"),
+    [
+        ("drag", "'closures' is a list of mappings, each with an 'equation', 'form', 'parameters'"),
+        (
+            [{"equation": "motion", "form": "drag", "parameters": {}}],
+            "effect 'closure equation=motion form=drag' is not",
+        ),
+        ([{"equation": "motion", "form": "quadratic drag", "parameters": {}}], "lacks its parameter coefficient"),
+        ([entry(claimed(laws.LAWS[0]))] * 7, "7 closures are more than the 6"),
+    ],
+)
+def test_closures_that_cannot_be_simulated_are_refused(closures: object, sentence: str) -> None:
+    with pytest.raises(ValueError, match=sentence.replace("[", r"\[")):
+        Bench.from_mapping({**BENCH.to_mapping(), "closures": closures})
