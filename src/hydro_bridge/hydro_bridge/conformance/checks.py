@@ -202,7 +202,7 @@ def idle(host: Host, bench: Bench, last: int = 0) -> str:
 
 
 def current(host: Host, bench: Bench) -> str:
-    """valve_current = clamp(nominal + delta_u), 3.5 ms long from the sample that took it, and SATURATED where clamped."""
+    """valve_current = clamp(nominal + delta_u), delta_u for 3.5 ms from where it was taken; SATURATED if clamped."""
     limit, commands = _info(host).valve_current_max, {each.sequence: each.command for each in host.sent}
     newest, since = None, 0
     for n, state in enumerate(host.states):
