@@ -51,6 +51,7 @@ function shade(plot, bands) {
     ctx.beginPath();
     ctx.rect(left, bbox.top, right - left, bbox.height);
     ctx.clip();
+    ctx.setLineDash([]);
     ctx.strokeStyle = "#f3c9ab";
     ctx.lineWidth = 4;
     for (let x = left - bbox.height; x < right; x += 10) {
