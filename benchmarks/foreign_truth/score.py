@@ -57,7 +57,8 @@ def _right(case: Case, report: Mapping[str, Any]) -> bool:
         return report["verdict"] == "no_mismatch" and not named
     if not case.equation:
         return named == sorted(case.causes)
-    places = (report["remainder"] or {}).get("location", [])
+    modelled = report["verdict"] == "modelled"
+    places = report["location"] if modelled else (report["remainder"] or {}).get("location", [])
     found = bool(places) and max(places, key=lambda place: place["share"])["equation"] == case.equation
     late = any("a row late" in sentence for sentence in report["data_quality"])
     return not named and found and late == (case.kind == "late")
