@@ -108,7 +108,7 @@ class ClosureReport:
     """What such a term usually is."""
     share_closed: float
     """Of the held-out squared error above the noise that names leave, what all terms together remove."""
-    share_by_form: dict[str, float]
+    share_by_form: dict[str, float | None]
     """The same by form that was tried: what condensing a smooth function into a law costs."""
 
 

@@ -18,7 +18,8 @@ from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
-from hydro_diagnosis.estimation.intervals import Interval, intervals, surely
+from hydro_diagnosis.estimation.free_form import free_forms
+from hydro_diagnosis.estimation.intervals import Interval, all_hold, intervals, surely
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unrecorded_rows import untold
 from hydro_diagnosis.experiment_design.next_recording import next_recording
@@ -32,7 +33,7 @@ from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.current_alignment import current_is_early, current_is_late
 from hydro_diagnosis.selection.effect_summary import describe, location_of
-from hydro_diagnosis.selection.localisation import noticeable
+from hydro_diagnosis.selection.localisation import locate, noticeable
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess
@@ -126,14 +127,14 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         held_out(problem, unseen, assessment.fit.claims, models),
         next_recording(problem, outcome, assessment),
     )
-    closed, closing = None, []
+    closing = []
     if assessment.remainder and not late:
         progress("modelling what has no name")
         closed = admitted(problem, unseen, closures(problem, assessment), models, proof)
-    if closed:
-        assessment, proof = _closed(problem, assessment, closed), closed.held
-        bounds = intervals(problem, assessment.fit)
-        closing = reports(closed, bounds)
+        within = intervals(problem, closed.closed.fit) if closed else []
+        if closed and all_hold(closed.closed.fit.claims, within):
+            assessment, proof, bounds = _closed(problem, assessment, closed), closed.held, within
+            closing = reports(closed, bounds)
     effects = describe(problem, unseen, outcome, assessment, bounds)
     notes = (late, current_is_early(problem, effects), hidden)
     report = Report(
@@ -170,7 +171,9 @@ def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assess
         return replace(assessment, verdict="modelled", fit=found.closed.fit, remainder=(), forms=(), dropped=dropped)
     named = any(claim.effect.named for claim in claims)
     verdict = "partly_explained" if named else assessment.verdict
-    return replace(assessment, verdict=verdict, fit=found.closed.fit, dropped=dropped)
+    forms = tuple(free_forms(problem, found.closed.fit)[:6])
+    remainder = tuple(locate(problem, found.closed.fit.residual, forms)) or assessment.remainder
+    return replace(assessment, verdict=verdict, fit=found.closed.fit, remainder=remainder, forms=forms, dropped=dropped)
 
 
 def _unfinished(search: Search, facts: Mapping[str, Any], begun: float) -> Report:

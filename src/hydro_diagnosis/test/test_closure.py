@@ -3,13 +3,18 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
-from hydro_diagnosis.closure.admission import admitted, reports, share_closed
+from hydro_diagnosis import diagnose
+from hydro_diagnosis.cli import run
+from hydro_diagnosis.closure.admission import admitted, harmless, reports, share_closed
 from hydro_diagnosis.closure.selection import Closed, closures
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.fit import fit
@@ -80,3 +85,35 @@ def test_share_closed_counts_what_stands_above_the_noise() -> None:
     assert share_closed(held(a=3.0, b=1.0), held(a=1.0, b=0.9)) == pytest.approx(1.0)
     assert share_closed(held(a=3.0, b=1.0), held(a=3.0, b=1.0)) == pytest.approx(0.0)
     assert share_closed(held(a=3.0, b=1.0), held(a=3.0, b=2.0)) == pytest.approx(1.0 - 11.0 / 8.0)
+
+
+def test_what_makes_one_channel_worse_is_refused_however_much_it_closes_of_the_others() -> None:
+    def held(**errors: float) -> dict[str, object]:
+        return {"holdout": {name: {"rmse_after": one, "noise_floor": 1.0} for name, one in errors.items()}}
+
+    named = held(a=10.0, b=1.5)
+    assert share_closed(named, held(a=1.0, b=1.6)) > 0.9
+    assert not harmless(named, held(a=1.0, b=1.6))
+    assert not harmless(named, held(a=1.0, b=float("nan")))
+    assert harmless(named, held(a=1.0, b=1.5))
+
+
+def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_bench(
+    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path
+) -> None:
+    closure = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": DRAG}}
+    truth = replace(BENCH, closures=(closure,))
+    files = [tmp_path / f"{seed}.csv" for seed in (1, 2, 3)]
+    for seed, file in enumerate(files, 1):
+        frame(record(truth, seed)).to_csv(file, index=False)
+    assert run([*(str(file) for file in files), "--out", str(tmp_path / "out"), "--quiet"]) == 0
+    report = json.loads((tmp_path / "out" / "report.json").read_text())
+    assert report["verdict"] == "modelled" and report["effects"] == []
+    (term,) = report["closures"]
+    assert (term["equation"], term["form"]) == ("motion", "law") and term["share_closed"] > 0.95
+    position = report["fit"]["holdout"]["piston_position"]
+    assert position["rmse_after"] < 1.1 * position["noise_floor"]
+    assert position["rmse_named"] > 2.0 * position["rmse_after"]
+    corrected = Bench.load(tmp_path / "out" / "corrected.yaml")
+    assert corrected.closures[0]["form"] == "quadratic drag" and corrected.digest != BENCH.digest
+    assert diagnose([files[2]], bench=corrected).report.verdict == "no_mismatch"

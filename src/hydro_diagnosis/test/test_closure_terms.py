@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import yaml
 
+from hydro_bridge.files import bench_file
 from hydro_bridge.signals import PLANT_FIELDS, ReferenceSignal, Waveform
 from hydro_diagnosis.effects import Claim
 from hydro_diagnosis.effects.closure import Closure, closure
@@ -84,6 +85,27 @@ def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> No
     ]
     assert isinstance(back[1].effect, Closure)
     assert back[1].effect.limits == LIMITS["position"]
+    assert Bench.load(path).digest == bench_file.digest(bench_file.read_numbers(path)) != BENCH.digest
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"low": 0.2, "high": 0.2}, "low must be below high"),
+        ({"value_3": 1e9}, "value_3"),
+        ({"value_3": float("nan")}, "value_3"),
+    ],
+)
+def test_a_table_that_cannot_be_evaluated_is_refused_in_one_sentence(change: dict[str, float], sentence: str) -> None:
+    made = entry(claimed(laws.ALL["load", "table over position"]))
+    with pytest.raises(ValueError, match=sentence):
+        replace(BENCH, closures=({**made, "parameters": {**made["parameters"], **change}},))  # type: ignore[dict-item]
+
+
+def test_a_closure_is_no_effect() -> None:
+    made = entry(claimed(laws.ALL["motion", "quadratic drag"]))
+    with pytest.raises(ValueError, match="closures stand under 'closures'"):
+        replace(BENCH, effects=({"id": "closure", **made},))
 
 
 def test_a_table_is_constant_beyond_what_was_seen() -> None:

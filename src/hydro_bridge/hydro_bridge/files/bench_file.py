@@ -17,6 +17,7 @@ import yaml
 
 from hydro_bridge.errors import UserError
 
+_LISTS = ("effects", "closures")
 _UNSET: tuple[Any, ...] = (None, [], ())
 
 DIGITS = 12
@@ -25,12 +26,12 @@ DIGITS = 12
 
 def digest(bench: Mapping[str, Any]) -> str:
     """SHA-256 of keys and values, its first 12 digits; what is not set counts as absent."""
-    numbers = {key: value if key == "effects" else float(value) for key, value in bench.items() if value not in _UNSET}
+    numbers = {key: value if key in _LISTS else float(value) for key, value in bench.items() if value not in _UNSET}
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGITS]
 
 
 def read_numbers(path: str | Path) -> dict[str, Any]:
-    """Keys and numbers of a bench.yaml, its list `effects` as it stands there.
+    """Keys and numbers of a bench.yaml, its lists `effects` and `closures` as they stand there.
 
     Raises
     ------
@@ -39,7 +40,7 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
     """
     try:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        return {str(key): value if key == "effects" else _number(value) for key, value in content.items()}
+        return {str(key): value if key in _LISTS else _number(value) for key, value in content.items()}
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     except (AttributeError, TypeError, ValueError, yaml.YAMLError) as error:

@@ -32,8 +32,8 @@ class Admitted:
     """`fit` of report.json, with it."""
     share: float
     """Of the held-out gap, which it closes."""
-    error_by_form: dict[str, float]
-    """By form that was tried: the share of the held-out gap that it closes."""
+    error_by_form: dict[str, float | None]
+    """By form that was tried: the share of the held-out gap that it closes; None: it made an error worse."""
 
 
 def admitted(
@@ -47,13 +47,13 @@ def admitted(
 
     `unseen`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone.
     """
-    tried: list[tuple[Closed, dict[str, Any], float]] = []
+    tried: list[tuple[Closed, dict[str, Any], float | None]] = []
     for closed in candidates:
         held = held_out(problem, unseen, closed.fit.claims, models)
-        tried.append((closed, held, share_closed(named, held) if _harmless(named, held) else 0.0))
+        tried.append((closed, held, share_closed(named, held) if harmless(named, held) else None))
     errors = {closed.form: share for closed, _, share in tried}
     for closed, held, share in tried:
-        if share > WORTH:
+        if share is not None and share > WORTH:
             return Admitted(closed, _with_named(held, named), share, errors)
     return None
 
@@ -71,11 +71,13 @@ def _gaps(held: Mapping[str, Any]) -> dict[str, float]:
     return {name: max((one["rmse_after"] / one["noise_floor"]) ** 2 - 1.0, 0.0) for name, one in shown.items()}
 
 
-def _harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
+def harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
+    """Whether no held-out error is more than `WORSE` times that of the names alone; one that is not finite is."""
     for part in ("holdout", "equations"):
         for name, one in after.get(part, {}).items():
-            if one["rmse_after"] > WORSE * max(before[part][name]["rmse_after"], one["noise_floor"]):
-                return False
+            for key in ("rmse_after", "rmse_after_all"):
+                if key in one and not one[key] <= WORSE * before[part][name][key]:
+                    return False
     return True
 
 

@@ -75,8 +75,3 @@ def column(problem: Problem, found: Fit, claim: Claim) -> FloatArray:
         probe = Claim(claim.effect, {**neutral, one.name: one.neutral + one.span})
         slopes.append(problem.residual((*found.claims, probe)) - found.residual)
     return np.column_stack(slopes)
-
-
-def whole(problem: Problem, found: Fit, claim: Claim) -> FloatArray:
-    """What a claim as it stands changes of the residual, shape (n, 1)."""
-    return (problem.residual((*found.claims, claim)) - found.residual)[:, None]

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.closure.evidence import HeldOutBlocks, column, whole
+from hydro_diagnosis.closure.evidence import HeldOutBlocks, column
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.fit import Fit, fit
@@ -23,6 +23,7 @@ from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import score
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model import laws
+from hydro_sim.model.effects.catalogue import CLOSURES
 
 TERMS = 3
 """Of a law at most."""
@@ -52,8 +53,7 @@ def closures(problem: Problem, assessment: Assessment) -> list[Closed]:
     if not assessment.remainder:
         return []
     base = assessment.fit
-    dropped = [claim for claim in assessment.dropped if claim.effect.named]
-    by_law, by_table = _grown(problem, base, _laws(problem), dropped), _grown(problem, base, _tables(problem), dropped)
+    by_law, by_table = _grown(problem, base, _laws(problem)), _grown(problem, base, _tables(problem))
     found = [Closed(one, form, gain) for (one, gain), form in ((by_law, "law"), (by_table, "smooth")) if gain > 0.0]
     law_will_do = by_law[1] >= (1.0 - CONDENSED) * by_table[1] or not noticeable(problem, by_law[0].residual)
     return sorted(found, key=lambda one: (one.form == "law") != law_will_do)
@@ -78,7 +78,7 @@ def _tables(problem: Problem) -> list[Claim]:
 
 
 def _visible(effect: Closure, problem: Problem) -> bool:
-    pressures = any({"pressure_a", "pressure_b"} <= set(model.channels) for model in problem.models)
+    pressures = all({"pressure_a", "pressure_b"} <= set(model.channels) for model in problem.models)
     text = effect.law.text if isinstance(effect.law, laws.Law) else ""
     return bool(effect.touches & set(problem.blocks)) and (pressures or "p_" not in text)
 
@@ -87,14 +87,13 @@ def _nothing(effect: Closure) -> Claim:
     return Claim(effect, {one.name: 0.0 for one in effect.parameters})
 
 
-def _grown(problem: Problem, base: Fit, terms: Sequence[Claim], names: Sequence[Claim]) -> tuple[Fit, float]:
-    """The fit with the terms, and the dropped names, that pay; and the held-out deviance that they gain."""
-    candidates = [*terms, *names]
-    columns: list[FloatArray] = [column(problem, base, one) for one in terms] + [
-        whole(problem, base, one) for one in names
-    ]
+def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, float]:
+    """The fit with the terms that pay, and the held-out deviance that they gain."""
+    candidates = list(terms)
+    columns: list[FloatArray] = [column(problem, base, one) for one in terms]
     current, gained, taken = base, 0.0, 0
-    while taken < TERMS and candidates and noticeable(problem, current.residual):
+    room = min(TERMS, CLOSURES - len(problem.bench.closures))
+    while taken < room and candidates and noticeable(problem, current.residual):
         blocks = HeldOutBlocks(problem, current, columns)
         before = blocks.deviance(())
         after = [blocks.deviance((k,)) for k in range(len(candidates))]
@@ -108,7 +107,6 @@ def _grown(problem: Problem, base: Fit, terms: Sequence[Claim], names: Sequence[
         if score(problem, current) - score(problem, better) < THRESHOLD:
             continue
         gained += before - after[best]
-        taken += not chosen.effect.named
+        taken += 1
         current = better
-    unnamed = any(isinstance(claim.effect, Closure) for claim in current.claims)
-    return (current, gained) if unnamed else (base, 0.0)
+    return current, gained

@@ -78,27 +78,29 @@ class Closure(Effect):
             return force
         nothing = np.zeros_like(motion.position)
         pressures = motion.pressures or (nothing, nothing)
-        return force + self._given(Signals(motion.position, motion.velocity, *pressures, time=motion.time), values)
+        return force + self._given(Signals(motion.position, motion.velocity, *pressures), values)
 
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, values: Values) -> tuple[FloatArray, FloatArray]:
         if not self.law.equation.startswith("pressure"):
             return flows
         p_a, p_b = oil.pressures
-        out = self._given(Signals(oil.position, pressure_a=p_a, pressure_b=p_b, time=oil.time), values)
+        out = self._given(Signals(oil.position, pressure_a=p_a, pressure_b=p_b), values)
         by_a, by_b = {"pressure": (-1.0, 1.0), "pressure_a": (-1.0, 0.0), "pressure_b": (0.0, -1.0)}[self.law.equation]
         return flows[0] + by_a * out, flows[1] + by_b * out
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
-        return force + self._given(Signals(motion.position), values) if self.law.equation == "load" else force
+        if self.law.equation != "load":
+            return force
+        return force + self._given(Signals(motion.position), values, bench)
 
     def sentence(self, values: Values) -> str:
         if isinstance(self.law, Law):
             return self.law.sentence
         return f"A smooth function of the {self.law.variable.replace('_', ' ')}, for which no law was found."
 
-    def _given(self, at: Signals, values: Values) -> FloatArray:
+    def _given(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
         bounds = self.limits if isinstance(self.law, Table) else ()
-        return np.asarray(self.law.value(at, self.numbers, [*bounds, *values.values()]))
+        return np.asarray(self.law.value(at, bench or self.numbers, [*bounds, *values.values()]))
 
 
 class ValveClosure(Closure):

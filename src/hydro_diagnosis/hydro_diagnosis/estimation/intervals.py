@@ -55,6 +55,12 @@ def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
         found = fit(problem, standing)
 
 
+def all_hold(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
+    """Whether no claim's interval holds that it is not there; `bounds` of all parameters, in the order of `pack`."""
+    at = np.cumsum([0, *(len(claim.effect.parameters) for claim in claims)])
+    return not any(_holds_nothing(claim, bounds[at[k] : at[k + 1]]) for k, claim in enumerate(claims))
+
+
 def _holds_nothing(claim: Claim, bounds: Sequence[Interval]) -> bool:
     """Whether the effect may as well not be there: so for each amplitude, or the first shape where there is none."""
     pairs = list(zip(claim.effect.parameters, bounds, strict=True))

@@ -40,8 +40,8 @@ def rehearsal(
     truth
         What is simulated, `bench` by default.
     """
-    plant = AnalyticPlant(replace(truth or bench, effects=()), noise=noise)
-    believed = replace(bench, effects=())
+    plant = AnalyticPlant(replace(truth or bench, effects=(), closures=()), noise=noise)
+    believed = replace(bench, effects=(), closures=())
     states = simulate(plant, believed, Schedule(reference=reference, gains=gains, seconds=seconds), seed=seed)
     columns = {name: states[name].copy() for name in STATE_FIELDS}
     return checked(RawTable("rehearsal", states["time"].copy(), None, columns), believed)

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
@@ -75,6 +76,8 @@ def _holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
 def _rivals(problem: Problem, outcome: Outcome, found: Fit, claim: Claim) -> tuple[list[Rival], list[LookAlike]]:
     """Other causes in a claim's place, the closest first; apart from them those that the table has no id for."""
     rivals, look_alikes = [], []
+    if any(isinstance(one.effect, Closure) for one in found.claims):
+        return [], []  # rivals were fitted without the closure: no fair comparison
     seen = {cause(claim.effect)}
     for other in outcome.rivals.get(claim.effect.label, []):
         last = other.claims[-1]

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from hydro_bridge.cli.console import command, writable
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.settings import check
 from hydro_filter.controller.compiled import FilterParts, filter_parts
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.model.state import LOAD_FORCE
@@ -63,6 +64,7 @@ def main() -> None:
     options = parser().parse_args()
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     settings = FilterSettings(contraction_rate=options.contraction_rate, noise_floor=options.noise_floor)
+    check(settings)
     parts = filter_parts(ContractionFilter.for_bench(bench, settings).certificate)
     write_whole(Path(options.out), header(parts, bench.digest).encode())
     print(f"{options.out}: constant metric for bench {bench.digest}")

@@ -18,12 +18,12 @@ from hydro_sim.structured.rollout import differentiate, show
 
 
 def left_out(bench: Bench) -> str:
-    """A sentence that names the bench file's effects, which predictions from the middle of a run leave out.
+    """A sentence that names the bench file's effects and closures, which predictions from mid-run leave out.
 
     What has a past (spool, bristles, a dead time) cannot start there from a measurement. Closed-loop simulations start
     at rest and leave nothing out: `hydro_sim.model.plant.AnalyticPlant`.
     """
-    names = ", ".join(map(label, bench.effects))
+    names = ", ".join(map(label, bench.terms))
     return f"of the bench file's effects the analytic model's predictions leave out {names}" if names else ""
 
 

@@ -61,8 +61,8 @@ def main() -> None:
     settings = before.settings if before else _settings(options)
     numba.set_num_threads(min(options.threads or numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS))
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    if bench.effects:
-        _say(f"the learning starts from the bench file's numbers, without its {len(bench.effects)} effects")
+    if bench.terms:
+        _say(f"the learning starts from the bench file's numbers, without its {len(bench.terms)} effects and closures")
     data, box = recordings.split(recordings.load(options.bags)), recordings.believed(options.bags)
     threadpool_limits(1, "blas")  # numba's threads call BLAS: its own would only get in their way
     if before and before.asked["recordings"] != data.digests:

@@ -83,6 +83,8 @@ class Bench:
             raise ValueError(
                 f"tank_pressure {self.tank_pressure:g} Pa is not below supply_pressure {self.supply_pressure:g} Pa"
             )
+        if any(effect["id"] == "closure" for effect in self.effects):
+            raise ValueError("closures stand under 'closures', not under 'effects'")
         catalogue.check(self.terms)
 
     @property

@@ -9,7 +9,8 @@ A law is linear in its numbers. What it gives acts in one equation::
     actuation   spool position [A] that the edges see more than the current says
     load        force [N] of the load
 
-A table is a law too: a cubic spline with equally spaced knots, constant beyond the range that was seen.
+None hangs on time: such a law would grow for ever. A table is a law too: a cubic spline with equally spaced knots,
+constant beyond the range that was seen.
 """
 
 from __future__ import annotations
@@ -42,7 +43,6 @@ class Signals:
     pressure_b: Symbol = 0.0
     current: Symbol = 0.0
     """Of the spool."""
-    time: Symbol = 0.0
 
     @property
     def pressure_difference(self) -> Symbol:
@@ -68,11 +68,6 @@ class Law:
     """Of signals and the bench's numbers."""
 
     @property
-    def timed(self) -> bool:
-        """Whether it hangs on time."""
-        return "t" in self.text.split()
-
-    @property
     def names(self) -> tuple[str, ...]:
         """Of its numbers."""
         return ("coefficient",)
@@ -90,7 +85,6 @@ class Table:
     variable: str
     typical: float
     """A value at which it is seen."""
-    timed = False
 
     @property
     def form(self) -> str:
@@ -154,21 +148,12 @@ LAWS: tuple[Law, ...] = (
     Law("motion", "friction by pressure difference", "N/Pa", "sign(v) |p_a - p_b|",
         "Dry friction that grows with the pressure across the piston: typical of a piston seal.",
         1e-6, lambda at, n: _sign(at.velocity) * np.abs(at.pressure_difference)),
-    Law("motion", "drag that drifts", "N/m", "v t",
-        "Viscous friction that changes over time: typical of oil whose temperature changes.",
-        1.0, lambda at, n: at.velocity * at.time),
-    Law("motion", "friction that drifts", "N/s", "sign(v) t",
-        "Dry friction that changes over time: typical of seals that warm up or run in.",
-        0.2, lambda at, n: _sign(at.velocity) * at.time),
     Law("pressure", "leak along the stroke", "m3/s/Pa", "(p_a - p_b) (x/L - 1/2)",
         f"A leak between the chambers that changes along the stroke: typical of {_LAMINAR}.",
         1e-13, lambda at, n: at.pressure_difference * _middle(at, n)),
     Law("pressure", "quadratic leak", "m3/s/Pa2", "(p_a - p_b) |p_a - p_b|",
         "A leak between the chambers that grows faster than the pressure: typical of a seal lip that lifts.",
         1e-20, lambda at, n: at.pressure_difference * np.abs(at.pressure_difference)),
-    Law("pressure", "leak that drifts", "m3/s2/Pa", "(p_a - p_b) t",
-        "A leak between the chambers that changes over time: typical of oil that thins as it warms.",
-        1e-15, lambda at, n: at.pressure_difference * at.time),
     Law("pressure_a", "quadratic leak", "m3/s/Pa2", "p_a^2",
         "A leak of chamber A that grows faster than the pressure: typical of a seal lip that lifts.",
         1e-20, lambda at, n: at.pressure_a * at.pressure_a),

@@ -126,6 +126,8 @@ def check(effects: Sequence[Mapping[str, Any]]) -> None:
     closures = sum(kind.effect.id == closure.Closure.id for _, kind in kinds)
     if closures > CLOSURES:
         raise ValueError(f"{closures} closures are more than the {CLOSURES} that are simulated at once")
+    for effect in effects:
+        _check_range(effect)
     names = [name for name, _ in kinds]
     for name, kind in kinds:
         if kind.effect.single and names.count(name) > 1:
@@ -134,3 +136,11 @@ def check(effects: Sequence[Mapping[str, Any]]) -> None:
         raise ValueError(f"{len(kinds)} effects are more than the {CAPACITY} that are simulated at once")
     if delay(effects) > DELAY_MAX:
         raise ValueError(f"dead times add up to more than {DELAY_MAX / SAMPLE_PERIOD:g} ms")
+
+
+def _check_range(effect: Mapping[str, Any]) -> None:
+    """Refuse a table that does not end above where it begins."""
+    kind, values = kind_of(effect)
+    given = dict(zip((parameter.name for parameter in kind.parameters), values, strict=True))
+    if kind.effect.id == closure.Closure.id and "low" in given and not given["low"] < given["high"]:
+        raise ValueError(f"effect {label(effect)}: low must be below high")

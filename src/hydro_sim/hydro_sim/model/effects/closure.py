@@ -6,11 +6,14 @@ from __future__ import annotations
 from typing import Any, ClassVar
 
 from hydro_sim.model import laws
-from hydro_sim.model.effects.base import Effect, hidden, parameter
+from hydro_sim.model.effects.base import Effect, parameter
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.laws import Law, Signals, Table
 
-_WIDEST = 1e15
+_WIDEST = 1e9
+"""SI unit, of where a table begins or ends."""
+_REACH = 1e4
+"""Times the typical size of a coefficient: how far it may go."""
 
 
 class Closure(Effect):
@@ -23,22 +26,16 @@ class Closure(Effect):
         if self.law.equation != "motion":
             return 0.0
         pressure_a, pressure_b = self.at.pressures
-        return self._value(Signals(position, velocity, pressure_a=pressure_a, pressure_b=pressure_b, time=self._time()))
+        return self._value(Signals(position, velocity, pressure_a=pressure_a, pressure_b=pressure_b))
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         if not self.law.equation.startswith("pressure"):
             return 0.0, 0.0
-        out = self._value(Signals(self.at.position, pressure_a=pressure_a, pressure_b=pressure_b, time=self._time()))
+        out = self._value(Signals(self.at.position, pressure_a=pressure_a, pressure_b=pressure_b))
         return {"pressure": (out, -out), "pressure_a": (out, 0.0), "pressure_b": (0.0, out)}[self.law.equation]
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
         return force + self._value(Signals(position)) if self.law.equation == "load" else force
-
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        return {"clock": 1.0} if self.law.timed else {}
-
-    def _time(self) -> Symbol:
-        return self.clock if self.law.timed else 0.0
 
     def _value(self, at: Signals) -> Symbol:
         return self.law.value(at, self.at.numbers, [getattr(self, name) for name in self.law.names])
@@ -54,14 +51,12 @@ class ValveClosure(Closure):
 
 
 def _made(law: Law | Table) -> type[Closure]:
-    units = {"low": laws.VARIABLES.get(getattr(law, "variable", ""), ""), "high": ""}
-    units["high"] = units["low"]
     unit = law.unit if isinstance(law, Law) else laws.UNITS[law.equation]
-    members: dict[str, Any] = {
-        name: parameter(units.get(name, unit), -_WIDEST, _WIDEST, scale=law.typical, neutral=0.0) for name in law.names
-    }
-    if law.timed:
-        members["clock"] = hidden("s", scale=10.0, integrated=True)
+    reach = _REACH * law.typical
+    members: dict[str, Any] = {name: parameter(unit, -reach, reach, scale=law.typical) for name in law.names}
+    if isinstance(law, Table):
+        over = laws.VARIABLES[law.variable]
+        members |= {name: parameter(over, -_WIDEST, _WIDEST, scale=1.0) for name in ("low", "high")}
     about = {"law": law, "options": {"equation": (law.equation,), "form": (law.form,)}, "__doc__": Closure.__doc__}
     return type("Closure", (ValveClosure if law.equation == "actuation" else Closure,), {**about, **members})
 
