@@ -53,7 +53,7 @@ class Page:
         """Fill in the field of that id."""
         self.run(f"document.getElementById('{name}').value = '{text}'")
 
-    def wait(self, script: str, timeout: float = 10.0, meanwhile: Callable[[], object] = lambda: None) -> float:
+    def wait(self, script: str, timeout: float = 30.0, meanwhile: Callable[[], object] = lambda: None) -> float:
         """Wait until JavaScript gives true; how long it took [s]."""
         begin = time.monotonic()
         while not self.run(f"return Boolean({script})"):
