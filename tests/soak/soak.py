@@ -49,8 +49,14 @@ class Soak:
         self._parts = [np.concatenate(self._parts)]
         return self._parts[0]
 
-    def run(self, seconds: float, causes: tuple[str, ...] = (), tick: Callable[[float], None] = lambda _: None) -> None:
-        """Strike until `seconds` are over; `tick` is told how many have passed."""
+    def run(
+        self,
+        seconds: float,
+        causes: tuple[str, ...] = (),
+        tick: Callable[[float], None] = lambda _: None,
+        slack: float = 1.0,
+    ) -> None:
+        """Strike until `seconds` are over; `tick` is told how many have passed, `slack`: see `violations`."""
         self._tick, self._begun = tick, time.monotonic()
         self.crew.revive()
         if not self._wait_until_acting([]):
@@ -60,10 +66,10 @@ class Soak:
             if time.monotonic() - self._begun > seconds or (causes and len(self.outcomes) == len(causes)):
                 break
             self._rest(self._random.uniform(1.0, 3.0))
-            self.strike(fault)
+            self.strike(fault, slack)
 
-    def strike(self, fault: Fault) -> None:
-        """One fault, and what comes of it."""
+    def strike(self, fault: Fault, slack: float = 1.0) -> None:
+        """One fault, and what comes of it; it lasts until the plant is safe, at most as long as that may take."""
         outcome = Outcome(fault.cause, time.monotonic(), fault.safe_within)
         self.outcomes.append(outcome)
         end = outcome.began + fault.lasts
@@ -71,6 +77,11 @@ class Soak:
             while time.monotonic() < end:
                 again()
                 self._look()
+            late = outcome.began + slack * (fault.safe_within or 0.0)
+            while time.monotonic() < late and outcome.safe_after is None:
+                again()
+                self._rest(_CALM)
+                outcome.look(self._since(outcome.began))
         self._rest(_CALM)
         outcome.look(self._since(outcome.began))
         self.crew.statuses.clear()

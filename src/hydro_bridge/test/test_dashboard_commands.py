@@ -15,7 +15,9 @@ EPOCH = 2**64 - 59
 
 
 def asked(command: str, **words: object) -> bytes:
-    return msgspec.json.encode({"command": command, "epoch": str(EPOCH), "token": "right", "kp": 60, "ki": 10, **words})
+    return msgspec.json.encode(
+        {"command": command, "epoch": str(EPOCH), "token": "right", "kp": 60, "ki": 10, "seconds": 30, **words}
+    )
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -8,7 +8,9 @@ import os
 import re
 import signal
 import subprocess
+import time
 from collections.abc import Iterator
+from threading import Timer
 from typing import Any
 
 import pytest
@@ -21,7 +23,7 @@ from hydro_bridge.ros import executable_path
 
 pytestmark = pytest.mark.graph
 
-ALONE = {**os.environ, "ROS_DOMAIN_ID": str(1 + os.getpid() % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+ALONE = {**os.environ, "ROS_DOMAIN_ID": str(1 + (os.getpid() + 50) % 100), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
 
 
 def start(*words: str) -> subprocess.Popen[str]:
@@ -32,22 +34,27 @@ def start(*words: str) -> subprocess.Popen[str]:
 @pytest.fixture(scope="module")
 def page() -> Iterator[tuple[ClientConnection, str, int]]:
     process = start("--port", "0")
+    late = Timer(60.0, process.kill)
+    late.start()
     assert process.stdout is not None
     found = re.search(r"http://127\.0\.0\.1:(\d+)/#token=(\S+)", process.stdout.readline())
+    late.cancel()
     assert found
     with connect(f"ws://127.0.0.1:{found[1]}/live") as made:
         yield made, found[2], int(found[1])
     process.send_signal(signal.SIGINT)
-    assert process.wait(10.0) == 0
+    assert process.wait(60.0) == 0
     process.communicate()
 
 
 def told(page: ClientConnection, kind: str) -> dict[str, Any]:
     """The next text of that kind."""
-    while True:
-        heard = page.recv(5.0)
+    end = time.monotonic() + 30.0
+    while time.monotonic() < end:
+        heard = page.recv(30.0)
         if isinstance(heard, str) and (content := json.loads(heard))["kind"] == kind:
             return dict(content)
+    raise AssertionError(f"no {kind}")
 
 
 def test_without_a_plant_the_page_is_told_so(page: tuple[ClientConnection, str, int]) -> None:

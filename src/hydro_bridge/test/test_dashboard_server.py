@@ -96,15 +96,15 @@ def test_two_viewers_get_the_same_frames_each_after_its_welcome(server: PageServ
         with viewer(server) as second:
             seen(server, 2)
             server.publish(["2", b"3"], lambda: ["hello again"])
-            assert [first.recv(2.0) for _ in range(4)] == ["hello", "1", "2", b"3"]
-            assert [second.recv(2.0) for _ in range(3)] == ["hello again", "2", b"3"]
+            assert [first.recv(30.0) for _ in range(4)] == ["hello", "1", "2", b"3"]
+            assert [second.recv(30.0) for _ in range(3)] == ["hello again", "2", b"3"]
 
 
 def test_a_command_that_hangs_does_not_hold_the_next_one_up(server: PageServer, answers: Answers) -> None:
     with viewer(server) as page:
         page.send("later")
         page.send("now")
-        assert page.recv(2.0) == "done"
+        assert page.recv(30.0) == "done"
     assert answers.heard == ["later", "now"]
 
 
@@ -118,13 +118,13 @@ def test_a_viewer_that_does_not_read_loses_frames_and_costs_nobody_anything(serv
     seen(server, 1)
     with viewer(server, max_queue=None) as page:
         seen(server, 2)
-        frame, slowest = b"x" * 65536, 0.0
+        frame, took = b"x" * 65536, []
         for _ in range(400):  # 26 MB
             begin = time.monotonic()
             server.publish([frame], list)
-            slowest = max(slowest, time.monotonic() - begin)
-            assert page.recv(2.0) == frame
-        assert slowest < 0.5
+            took.append(time.monotonic() - begin)
+            assert page.recv(30.0) == frame
+        assert sorted(took)[360] < 0.05, "nine of ten; a machine may stand still"
     kernel = 8 * 2**20  # what the sockets themselves may hold
     waiting = sum(one.transport.get_write_buffer_size() for one in server._viewers)
     assert waiting < BEHIND + len(frame) + kernel // 8
@@ -145,7 +145,7 @@ def test_a_command_too_long_ends_the_connection_and_is_not_carried_out(server: P
     with viewer(server) as page:
         page.send("x" * 5000)
         with pytest.raises(Exception, match="1009"):
-            page.recv(2.0)
+            page.recv(30.0)
     assert not answers.heard
 
 

@@ -47,7 +47,7 @@ class PageCommand(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fiel
     """K_p in all [1/s], of an override."""
     ki: float = math.nan
     """K_i in all [1/s^2]."""
-    seconds: float = 0.0
+    seconds: float = math.nan
     """How long an override lasts [s]; 0: until told otherwise."""
 
 
@@ -102,5 +102,6 @@ class Rules:
                 "nothing was done: the plant was disarmed, tripped or changed hands after this page showed it; "
                 "look, and press again"
             )
-        if command.command == "override" and not (math.isfinite(command.kp) and math.isfinite(command.ki)):
-            raise RefusedError("override needs K_p and K_i")
+        numbers = (command.kp, command.ki, command.seconds)
+        if command.command == "override" and not all(map(math.isfinite, numbers)):
+            raise RefusedError("override needs K_p, K_i and for how long; 0 s: until it is told otherwise")

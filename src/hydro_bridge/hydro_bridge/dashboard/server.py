@@ -19,6 +19,7 @@ import http
 import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
 from importlib import resources
 from ipaddress import ip_address
@@ -110,7 +111,8 @@ class PageServer:
 
     def close(self) -> None:
         """End all connections and the thread."""
-        asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(5.0)
+        with suppress(FutureTimeoutError):
+            asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(5.0)
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(5.0)
         self._loop.close()
@@ -166,9 +168,10 @@ class PageServer:
         tasks: set[asyncio.Task[None]] = set()
         try:
             async for text in viewer:
-                if len(tasks) < _PENDING:
-                    tasks.add(task := asyncio.create_task(self._command(viewer, text)))
-                    task.add_done_callback(tasks.discard)
+                if len(tasks) >= _PENDING:  # reads no further meanwhile
+                    await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+                tasks.add(task := asyncio.create_task(self._command(viewer, text)))
+                task.add_done_callback(tasks.discard)
         except ConnectionClosed:
             pass
         finally:

@@ -35,7 +35,7 @@ class DashboardNode(Node):
         super().__init__("dashboard")
         rules = Rules()
         self._feed = Feed(self)
-        self._commands = PageCommands(self, rules, lambda: self._feed.epoch)
+        self._commands = PageCommands(self, rules, lambda: self._feed.epoch, lambda: self._feed.holder)
         self._server = PageServer(self._commands.act, host, port)
         self._feed.serve(self._server)
         self._diagnostics = DiagnosticsPublisher(self, self._status)

@@ -6,6 +6,8 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future as Promise
+from concurrent.futures import InvalidStateError
+from contextlib import suppress
 
 from rclpy.client import Client
 from rclpy.node import Node
@@ -33,10 +35,12 @@ class PageCommands:
         What is let through.
     epoch
         The plant's present one; 0: none.
+    holder
+        Who commands the plant; the one that a page's override is meant for.
     """
 
-    def __init__(self, node: Node, rules: Rules, epoch: Callable[[], int]) -> None:
-        self._node, self._rules, self._epoch = node, rules, epoch
+    def __init__(self, node: Node, rules: Rules, epoch: Callable[[], int], holder: Callable[[], str]) -> None:
+        self._node, self._rules, self._epoch, self._holder = node, rules, epoch, holder
         self._disarm = node.create_client(SetBool, ARM_SERVICE)
         self._claim = node.create_client(Claim, CLAIM_SERVICE)
         self._override = node.create_client(OverrideGains, OVERRIDE_SERVICE)
@@ -73,22 +77,31 @@ class PageCommands:
         if command.command == "end":
             return self._end, Trigger.Request(), _NO_RUN
         if command.command == "release":
-            return self._override, OverrideGains.Request(active=False), _NO_RUN
+            return self._override, OverrideGains.Request(active=False, whom=self._holder()), _NO_RUN
         gains = OverrideGains.Request(
-            active=True, proportional_gain=command.kp, integral_gain=command.ki, seconds=command.seconds
+            active=True,
+            proportional_gain=command.kp,
+            integral_gain=command.ki,
+            seconds=command.seconds,
+            whom=self._holder(),
         )
         return self._override, gains, _NO_RUN
 
     def _tell(self, answer: Future, command: PageCommand, told: Promise[str], late: threading.Timer) -> None:
         late.cancel()
-        response = answer.result()
-        if response is not None and not told.done():
-            told.set_result(_answer(command, response.success, response.message))
+        response = None if answer.exception() else answer.result()
+        if response is not None:
+            _settle(told, _answer(command, response.success, response.message))
 
     def _give_up(self, client: Client, answer: Future, command: PageCommand, told: Promise[str]) -> None:
         client.remove_pending_request(answer)
-        if not told.done():
-            told.set_result(_answer(command, False, f"no answer within {ANSWER_WITHIN:g} s"))
+        _settle(told, _answer(command, False, f"no answer within {ANSWER_WITHIN:g} s"))
+
+
+def _settle(told: Promise[str], answer: str) -> None:
+    """The first answer counts: the plant's and the time-out's come in two threads."""
+    with suppress(InvalidStateError):
+        told.set_result(answer)
 
 
 def _answer(command: PageCommand, success: bool, message: str) -> str:

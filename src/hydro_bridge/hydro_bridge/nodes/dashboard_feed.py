@@ -72,7 +72,7 @@ class Feed:
         self._decode_corrections = series.Decoder(series.CORRECTION_TYPE)
         self._state_series = Thinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA))
         self._correction_series = Thinner(len(series.CORRECTION_COLUMNS))
-        self._authority = Authority()
+        self._authority = self._word = Authority()
         self._box: dict[str, Any] = {}
         self._training: dict[str, Any] = {}
         self._curve, self._nodes, self._decided = words.Curve(), words.Nodes(), words.FilterCounts()
@@ -88,6 +88,11 @@ class Feed:
     def epoch(self) -> int:
         """Of the plant's session; 0: no plant has said it."""
         return int(self._authority.epoch)
+
+    @property
+    def holder(self) -> str:
+        """Name of who commands the plant; empty: nobody."""
+        return str(self._authority.holder)
 
     def serve(self, server: PageServer) -> None:
         """From now on give `server` its frames."""
@@ -110,6 +115,7 @@ class Feed:
         now = time.monotonic()
         self._take_states(now)
         self._take_corrections()
+        self._believe()
         self._frames += 1
         if self._server is None:
             return
@@ -137,9 +143,11 @@ class Feed:
         return {
             "age": round(age, 3) if age < inf else None,
             "alive": age < words.DEAD_AFTER,
+            "sent": round(1e3 * now),
+            "contested": self._states.get_publisher_count() > 1,
             "flags": words.flag_words(self._flags),
             "epoch": str(self.epoch),
-            "holder": self._authority.holder,
+            "holder": self.holder,
         }
 
     def _words(self, now: float) -> dict[str, Any]:
@@ -185,8 +193,13 @@ class Feed:
         self._correction_series.add(table["time"], series.correction_values(table))
 
     def _on_authority(self, message: Authority) -> None:
-        if self._words_heard.get_publisher_count() <= 1:  # of two plants none is believed
-            self._authority = message
+        self._word = message
+        self._believe()
+
+    def _believe(self) -> None:
+        """Of two plants none is believed; the last word counts once there is one again."""
+        if self._words_heard.get_publisher_count() <= 1:
+            self._authority = self._word
 
     def _on_box(self, box: KnownBox) -> None:
         info = box.info

@@ -109,7 +109,6 @@ def evaluate(options: argparse.Namespace) -> int:
     wanted = guard_range(reach(compared(options, box), grid, box.base_gains))
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("evaluate")
-        node.heir = options.hand_over or ""
         stack.callback(node.destroy_node)
         settings = declare_parameters(node, settings)
         refuse_unknown_parameters(node)
@@ -141,6 +140,8 @@ def evaluate(options: argparse.Namespace) -> int:
         results = evaluate_on(
             node, controllers, rearm=rearms(options), settings=settings, after=before.watch if before else None
         )
+        if results.finished:  # one that was stopped hands nothing over
+            node.heir = options.hand_over or ""
     json, plot = (Path(name) if name else None for name in (options.json, options.plot))
     show_results(results, json, plot, {"plant": options.plant, "seed": options.seed})
     return 0 if results.finished else 130

@@ -66,7 +66,9 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
         help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or /hydro/arm",
     )
     group.add_argument(
-        "--hand-over", metavar="NODE", help="in the end hand an external plant to this node, which waits for it"
+        "--hand-over",
+        metavar="NODE",
+        help="when all is done hand an external plant to this node, which waits for it; a run that is stopped does not",
     )
     add_page_option(group)
 

@@ -40,7 +40,6 @@ def train(options: argparse.Namespace) -> int:
     torch.set_num_threads(1)
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("trainer")
-        node.heir = options.hand_over or ""
         stack.callback(node.destroy_node)
         prepared = prepare(options, node)
         stack.enter_context(taken_back(prepared, node))
@@ -56,6 +55,8 @@ def train(options: argparse.Namespace) -> int:
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits
         finished, results = drive(options, node, session, learner, prepared.start)
+        if finished:  # a run that was stopped hands nothing over
+            node.heir = options.hand_over or ""
         record.add("end", session.gave_up, **timing(node, session), complete=finished)
         if results is not None:
             show_results(results, run.evaluation, run.tracking_plot, {"run": str(run.path), "plant": options.plant})
@@ -111,6 +112,8 @@ def drive(
     session.keeper.start()
     bar.phase = lambda: Phase.EVALUATING
     results = evaluate_on(node, compared(session, start), rearm=rearms(options), after=session.watch)
+    if results.finished:
+        node.heir = options.hand_over or ""
     node.disarm()  # now, not after the plots
     bar.phase = lambda: Phase.FINISHED
     bar.publish()

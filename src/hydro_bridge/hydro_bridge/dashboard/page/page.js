@@ -7,6 +7,7 @@ import { Series, decoded } from "./series.js";
 const SILENT = 700; // ms without a word of the dashboard: the connection is lost
 const REDRAW = 95; // ms between two drawings: a person sees no more, and this machine may control a bench
 const AGAIN = 500; // ms until the next attempt to connect
+const APART = 400; // ms: a second press that comes sooner is one that bounced, or a key that is held
 const SURE = 5000; // ms in which a second press means yes
 const TROUBLE = ["watchdog", "tripped", "sensor fault", "force limit", "filter stale"];
 const LEVELS = ["ok", "warn", "error", "silent"];
@@ -18,6 +19,8 @@ let series = null;
 let slot = 0.01;
 let pulse = null;
 let heard = 0;
+let least = Infinity; // ms between the clocks of page and dashboard; what is more is lag
+let lag = 0;
 let drawn = 0;
 let changed = false;
 let held = false;
@@ -25,12 +28,16 @@ let socket = null;
 let number = 0;
 
 function connect() {
+  [least, lag] = [Infinity, 0];
   socket = new WebSocket(`ws://${location.host}/live`);
   socket.binaryType = "arraybuffer";
   socket.onmessage = (event) => {
     heard = performance.now();
     if (event.data instanceof ArrayBuffer) take(decoded(event.data));
-    else TOLD[JSON.parse(event.data).kind]?.(JSON.parse(event.data));
+    else {
+      const told = JSON.parse(event.data);
+      TOLD[told.kind]?.(told);
+    }
   };
   socket.onclose = () => setTimeout(connect, AGAIN);
 }
@@ -49,6 +56,9 @@ const TOLD = {
   pulse(told) {
     if (pulse && pulse.epoch !== told.epoch) calm();
     pulse = told;
+    const apart = performance.now() - told.sent;
+    least = Math.min(least, apart);
+    lag = apart - least;
     standing();
   },
   words(told) {
@@ -64,6 +74,8 @@ function standing() {
   const quiet = performance.now() - heard;
   let banner = "";
   if (!pulse || quiet > SILENT) banner = `No connection to the dashboard${pulse ? ` for ${(quiet / 1000).toFixed(1)} s` : ""}: nothing here is live.`;
+  else if (lag > SILENT) banner = `The connection is slow: what is shown is ${(lag / 1000).toFixed(1)} s old.`;
+  else if (pulse.contested) banner = "Two nodes publish the plant's state: what is shown is not believed.";
   else if (pulse.age === null) banner = "No plant: no sample has come yet.";
   else if (!pulse.alive) banner = `The plant is silent: no sample for ${pulse.age.toFixed(1)} s. What is shown is old.`;
   document.body.classList.toggle("stale", Boolean(banner));
@@ -183,6 +195,7 @@ function pressedTwice(button, words_, command) {
   const first = button.textContent;
   let epoch = "";
   let waiting = 0;
+  let pressed = 0;
   button.calm = () => {
     clearTimeout(waiting);
     button.classList.remove("sure");
@@ -190,11 +203,13 @@ function pressedTwice(button, words_, command) {
   };
   button.onclick = () => {
     if (button.classList.contains("sure")) {
+      if (performance.now() - pressed < APART) return;
       button.calm();
       send(command, {}, epoch);
       return;
     }
     epoch = pulse?.epoch ?? "";
+    pressed = performance.now();
     button.classList.add("sure");
     button.textContent = words_;
     waiting = setTimeout(button.calm, SURE);
@@ -205,7 +220,7 @@ $("disarm").onclick = () => send("disarm");
 addEventListener("keydown", (event) => {
   if (event.key !== "Escape") return;
   event.preventDefault();
-  send("disarm");
+  if (!event.repeat) send("disarm");
 }, true);
 pressedTwice($("arm"), "arm it now", "arm");
 pressedTwice($("end"), "end it now", "end");
