@@ -50,9 +50,11 @@ def test_without_a_plant_nothing_is_armed() -> None:
         Rules("right").check(read(asked("arm", epoch="0")), 0)
 
 
-def test_gains_are_given_both() -> None:
-    with pytest.raises(RefusedError, match="K_p and K_i"):
-        Rules("right").check(read(msgspec.json.encode({"command": "override", "epoch": "5", "token": "right"})), 5)
+@pytest.mark.parametrize("given_", [{}, {"kp": 60}, {"kp": 60, "ki": 10}])
+def test_gains_and_their_time_are_given(given_: dict[str, float]) -> None:
+    words = {"command": "override", "epoch": "5", "token": "right", **given_}
+    with pytest.raises(RefusedError, match="K_p, K_i and for how long"):
+        Rules("right").check(read(msgspec.json.encode(words)), 5)
 
 
 def test_each_run_draws_its_own_token() -> None:
