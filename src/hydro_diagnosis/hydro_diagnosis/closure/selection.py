@@ -2,8 +2,7 @@
 """Which terms close what remains: a law of few terms if one does nearly as well as a smooth function, else that.
 
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
-each, all numbers, those of the names too, are estimated anew. Names that the judgement dropped because something
-remained compete with the terms: beside a closure they may hold after all.
+each, all numbers, those of the names too, are estimated anew. Names that the judgement dropped stay dropped.
 """
 
 from __future__ import annotations

@@ -37,15 +37,8 @@ class MetricDesign:
     own_decay: Annotated[float, quantity("-", 0.0, 0.95)] = 0.3
     """Share of a loop's own decay that its metric is solved for."""
     foreign_weights: tuple[Annotated[float, quantity("-", 1e-9, 1e9)], ...] = (
-        1e-2,
-        1e-2,
-        1e-2,
-        1.0,
-        1e-2,
-        1.0,
-        1e-2,
-        1e-2,
-    )
+        1e-2, 1e-2, 1e-2, 1.0, 1e-2, 1.0, 1e-2, 1e-2,
+    )  # fmt: skip
     """Of the loop coordinates' squares in the Riccati equation, each above 0; the Lyapunov equations have ones."""
     effort: Annotated[float, quantity("-", 1e-4, 100.0)] = 1e-2
     """Weight of the correction's square in it, in units of 0.14 of the valve's current."""
