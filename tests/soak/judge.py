@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hydro_bridge.bags.recording import RecordingError, read_bag
 from tests.soak.crew import Memory
-from tests.soak.trace import TYPE, armed, boots, longest_unheard, safe
+from tests.soak.trace import armed, boots, longest_unheard, safe
 
 CURRENT_MAX = 0.05
 """A, the rated current of the shipped bench's valve."""
@@ -118,8 +118,3 @@ def _numbers(bag: Path, begins: NDArray[np.float64]) -> NDArray[np.int64]:
     states = states[states["time"] > begins[0] - 1.0]
     life = np.searchsorted(begins, states["time"] + 0.2, side="right") - 1
     return np.maximum(life, 0).astype(np.int64) << 32 | states["sequence"].astype(np.int64)
-
-
-def empty() -> NDArray[np.void]:
-    """No records."""
-    return np.zeros(0, TYPE)

@@ -18,7 +18,7 @@ from tests.soak.crew import Crew
 from tests.soak.faults import Fault, Scene, drawn
 from tests.soak.judge import Outcome, count_lost, growth, invariants
 from tests.soak.line import Wire
-from tests.soak.trace import Trace, acting
+from tests.soak.trace import acting, read
 
 _PATIENCE = 240.0  # s until a policy acts again: imports, a lease of 20 s of who was killed, a compiler
 _CALM = 0.5  # s of samples that must all be armed
@@ -38,16 +38,13 @@ class Soak:
         trace.touch()
         wire = Wire(stack, folder / "box", folder / "port", seed, "--trace", str(trace))
         self.crew = Crew(folder, seed)  # after the wire, which stays until all has ended
-        self._trace, self._scene = Trace(trace), Scene(self.crew, wire, self._random)
+        self._trace, self._scene = trace, Scene(self.crew, wire, self._random)
         self._acting = False
-        self._parts: list[NDArray[np.void]] = []
 
     @property
     def records(self) -> NDArray[np.void]:
         """All samples of the box."""
-        self._hear()
-        self._parts = [np.concatenate(self._parts)]
-        return self._parts[0]
+        return read(self._trace)
 
     def run(
         self,
@@ -121,13 +118,9 @@ class Soak:
             self._look()
 
     def _look(self) -> None:
-        self._hear()
         if self._acting:
             self.crew.look()
         self._tick(time.monotonic() - self._begun)
-
-    def _hear(self) -> None:
-        self._parts.append(self._trace.news())
 
     def _since(self, moment: float) -> NDArray[np.void]:
         records = self.records
