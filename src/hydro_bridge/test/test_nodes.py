@@ -22,6 +22,8 @@ import yaml
 rclpy = pytest.importorskip("rclpy")
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus  # noqa: E402
+from rclpy.node import Node  # noqa: E402
+from rclpy.task import Future  # noqa: E402
 from rosbags.rosbag2 import Reader  # noqa: E402
 from std_srvs.srv import SetBool  # noqa: E402
 
@@ -45,6 +47,7 @@ from hydro_bridge.ros import (  # noqa: E402
     Companion,
     CompanionError,
     executable_path,
+    run_node,
 )
 from hydro_bridge.serial.port import PortSettings  # noqa: E402
 from hydro_bridge.serial.protocol import BoxInfo as BoxFrame  # noqa: E402
@@ -637,3 +640,27 @@ def _alive(pid: int) -> bool:
 def test_an_executable_that_is_not_there_is_named():
     with pytest.raises(CompanionError, match="hydro_bridge has no executable nothing"):
         executable_path("hydro_bridge", "nothing")
+
+
+class Finished(Node):
+    """Is done at its first tick, and asks the graph at each."""
+
+    def __init__(self) -> None:
+        super().__init__("finished")
+        self.done, self.closed_in_time = Future(), False
+        for _ in range(3):
+            self.create_timer(0.001, self._tick)
+
+    def _tick(self) -> None:
+        if not self.done.done():
+            self.done.set_result(None)
+        self.get_node_names()  # raises without a context
+
+    def close(self) -> None:
+        self.closed_in_time = rclpy.ok()
+
+
+def test_a_node_that_is_done_ends_while_its_context_is_valid():
+    made: list[Finished] = []
+    run_node(lambda: made.append(Finished()) or made[0])
+    assert made[0].closed_in_time and not rclpy.ok()

@@ -14,11 +14,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.clock import Clock, ClockType
 from rclpy.exceptions import InvalidTopicNameException
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 from hydro_bridge.bags.recording import repair
@@ -34,8 +34,8 @@ _PRIORITY = 5  # of SCHED_FIFO: below all that acts. The middleware hands over s
 class RecorderNode(Node):
     """Subscribes to serialized messages and writes them as they are, until the disk refuses.
 
-    What cannot be written ends the recording, in one sentence and with `failed` set: not as a bad command line does,
-    for those who wait for the recorder tell the two by its exit status.
+    What cannot be written ends the recording, in one sentence, with `failed` set and `done` done: not as a bad command
+    line does, for those who wait for the recorder tell the two by its exit status.
     """
 
     def __init__(self, make_run: Callable[[], RecordingRun], topics: Sequence[str], *, realtime: bool) -> None:
@@ -43,6 +43,7 @@ class RecorderNode(Node):
         scheduling = request_realtime(realtime=realtime, priority=_PRIORITY)  # before samples come in
         self._run = make_run()
         self.failed = False
+        self.done: Future = Future()
         self._unknown = [topic for topic in topics if topic not in GRAPH]
         for topic in topics:
             if topic in GRAPH:
@@ -89,7 +90,7 @@ class RecorderNode(Node):
         except OSError as error:
             self.failed = True
             self.get_logger().error(f"{self._run.writer.folder}: the recording ends here: {error.strerror}")
-            rclpy.try_shutdown()
+            self.done.set_result(None)
 
     def _look_for_others(self) -> None:
         """Say once that another recorder is there: neither hinders the other, but both take their share of the disk."""

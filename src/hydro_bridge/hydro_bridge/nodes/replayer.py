@@ -11,9 +11,9 @@ import threading
 from pathlib import Path
 from typing import Any
 
-import rclpy
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
+from rclpy.task import Future
 from std_srvs.srv import SetBool
 
 from hydro_bridge.bags.recording import read_bag
@@ -52,6 +52,7 @@ class ReplayerNode(Node):
             keep_stamps=options.keep_stamps,
         )
         self.failure: Exception | None = None
+        self.done: Future = Future()
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         request_realtime(realtime=False)
         self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
@@ -71,7 +72,7 @@ class ReplayerNode(Node):
             self.replay.run()
         except RecordingError as error:
             self.failure = error
-        rclpy.try_shutdown()
+        self.done.set_result(None)
 
     def _refuse_to_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         response.success = not request.data

@@ -105,7 +105,9 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
     ----------
     make
         Makes the node. If it has a method `begin`, that is called once its parameters are known to be right: what
-        reaches a plant starts there. If it has a method `close`, that is called while the context is still valid.
+        reaches a plant starts there. If it has a `done`, a future, it ends once that is done: never by a shutdown in a
+        callback, for the next one would find no context. If it has a method `close`, that is called while the context
+        is still valid.
     ros
         Arguments from `--ros-args` on.
     """
@@ -115,7 +117,7 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
         node = make()
         refuse_unknown_parameters(node)
         getattr(node, "begin", _nothing)()
-        spin(node)
+        spin(node, getattr(node, "done", None))
     finally:
         if node is not None:
             with endings.undisturbed():
