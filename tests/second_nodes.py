@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A second filter, trainer and recorder, then a second plant, beside an armed one: each told, and harmless.
+"""A second filter, trainer, recorder and live page, then a second plant, beside an armed one: each told, and harmless.
 
 python -m tests.second_nodes [--repeats N] [--json FILE]
 
 Emulator, bridge and filter run; a commander tracks 200 N at 1 Hz with (90, 15). Exit status 1 if one was not told, if
-the first did not go on beside filter, trainer and recorder, or was not disarmed beside a second plant.
+the first did not go on beside filter, trainer, recorder and page, or was not disarmed beside a second plant.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ class Beside:
     """Each of two recorders said that there is another, and both recordings have all samples meanwhile."""
     went_on: bool = False
     """All samples meanwhile were armed."""
+    dashboard: bool = False
+    """Each of two live pages said that there is another."""
     plant: bool = False
     """Beside a second plant the first was disarmed, and said why."""
 
@@ -66,6 +68,7 @@ def beside(graph: Defended, folder: Path) -> Beside:
         graph.drive(_PATIENCE, until=lambda: told in process.text)
         graph.drive(3.0)
         found.trainer = told in process.text and process.process.poll() is None
+    found.dashboard = beside_a_page(graph)
     found.went_on = all(state.flags & Flag.ARMED for _, state in probe.heard[STATE])
     if not found.went_on:
         print("not armed all the time:", *graph.text[-40:], sep="\n", file=sys.stderr)
@@ -86,6 +89,17 @@ def beside_a_recorder(graph: Defended, folder: Path) -> bool:
     both = np.intersect1d(first, second)
     whole = len(both) > 2000 and len(both) > 0.99 * (both[-1] - both[0] + 1)
     return whole and all("another recorder" in output.getvalue() for output in said)
+
+
+def beside_a_page(graph: Defended) -> bool:
+    """Start two live pages: whether each told of the other."""
+    said = [io.StringIO(), io.StringIO()]
+    with ExitStack() as stack:
+        for output in said:
+            stack.enter_context(Companion("hydro_bridge", "dashboard", ["--port", "0"], output=output))
+            graph.drive(_PATIENCE, until=lambda output=output: "the live page" in output.getvalue())  # type: ignore[misc]
+        graph.drive(_PATIENCE, until=lambda: all("another live page" in output.getvalue() for output in said))
+    return all("another live page" in output.getvalue() for output in said)
 
 
 def beside_a_plant(graph: Defended) -> bool:

@@ -17,7 +17,14 @@ from hydro_bridge.dashboard.commands import Rules
 from hydro_bridge.dashboard.server import PORT, PageServer
 from hydro_bridge.nodes.dashboard_commands import PageCommands
 from hydro_bridge.nodes.dashboard_feed import Feed
-from hydro_bridge.ros import DiagnosticsPublisher, Status, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros import (
+    DiagnosticsPublisher,
+    Status,
+    request_realtime,
+    ros_arguments,
+    run_node,
+    tell_of_namesakes,
+)
 
 HOST = "127.0.0.1"
 
@@ -39,6 +46,7 @@ class DashboardNode(Node):
         self._server = PageServer(self._commands.act, host, port)
         self._feed.serve(self._server)
         self._diagnostics = DiagnosticsPublisher(self, self._status)
+        tell_of_namesakes(self, f"another live page runs here: both show the plant, this one at {self._server.address}")
         request_realtime(realtime=False)
         print(f"the live page: {self._server.address}#token={rules.token}", flush=True)
 

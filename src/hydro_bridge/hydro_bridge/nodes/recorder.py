@@ -25,7 +25,16 @@ from hydro_bridge.bags.recording import repair
 from hydro_bridge.bags.recording_run import FLUSH_PERIOD, RecordingRun, parse_pairs, read_attachments
 from hydro_bridge.bags.types import TopicQos
 from hydro_bridge.cli.console import UserError, command, writable_folder
-from hydro_bridge.ros import GRAPH, DiagnosticsPublisher, Level, Status, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros import (
+    GRAPH,
+    DiagnosticsPublisher,
+    Level,
+    Status,
+    request_realtime,
+    ros_arguments,
+    run_node,
+    tell_of_namesakes,
+)
 
 _QUEUE = 2000  # messages per topic that wait while the disk is slow: 2 s of samples
 _PRIORITY = 5  # of SCHED_FIFO: below all that acts. The middleware hands over some 0.5 s of samples, then drops them
@@ -52,7 +61,7 @@ class RecorderNode(Node):
         self.create_timer(FLUSH_PERIOD, partial(self._write, self._run.writer.flush), clock=steady)
         if self._unknown:
             self.create_timer(0.5, self._look_for_unknown, clock=steady)
-        self._others = self.create_timer(1.0, self._look_for_others, clock=steady)
+        tell_of_namesakes(self, f"another recorder runs here: both go on, this one in {self._run.writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self.get_logger().info(f"recording into {self._run.writer.folder}; {scheduling}")
 
@@ -91,12 +100,6 @@ class RecorderNode(Node):
             self.failed = True
             self.get_logger().error(f"{self._run.writer.folder}: the recording ends here: {error.strerror}")
             self.done.set_result(None)
-
-    def _look_for_others(self) -> None:
-        """Say once that another recorder is there: neither hinders the other, but both take their share of the disk."""
-        if self.get_node_names().count(self.get_name()) > 1:
-            self.get_logger().warning(f"another recorder runs here: both go on, this one in {self._run.writer.folder}")
-            self._others.cancel()
 
     def _look_for_unknown(self) -> None:
         """Subscribe to topics outside our graph once somebody publishes them and says their type."""
