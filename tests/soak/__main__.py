@@ -12,6 +12,7 @@ behind, a traceback, memory that grows, no way on.
 from __future__ import annotations
 
 import argparse
+import signal
 import sys
 import tempfile
 from pathlib import Path
@@ -105,6 +106,7 @@ def main() -> int:
     if not asked.hours > 0.0:
         raise UserError(f"--hours {asked.hours:g}: more than 0 is meant")
     stay_on_this_machine()
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what nohup ignores, all that is started would ignore
     with tempfile.TemporaryDirectory() as folder:
         if asked.keep is not None:
             asked.keep.mkdir(parents=True, exist_ok=True)

@@ -118,6 +118,8 @@ class Crew:
         if pid := self.pid(name):
             with suppress(ProcessLookupError):
                 os.kill(pid, number)
+        if (name, number) == ("emulator", signal.SIGKILL):  # its terminal's number is the next one's who asks for one
+            (self.folder / "box").unlink(missing_ok=True)
 
     def look(self) -> None:
         """Take note of the memory of each; call it while all of them work, for one that imports still grows."""

@@ -338,6 +338,21 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
     source.wait(lambda: dict_of(source.diagnostics[-1]).get("mismatch") == str(len(statuses) - first))
     told = dict_of(source.diagnostics[-1])
     assert "the model's load (the spring or its load cell) is off by" in told["fits"]
+    _another_box_comes(source, len(records), Sample.of(records[0]))
+
+
+def _another_box_comes(source: Source, sequence: int, still: Sample) -> None:
+    """The same box said twice changes nothing; with another one what was told of it is over."""
+    latched = source.node.create_publisher(BoxInfo, BOX, BOX_QOS)
+    for plant, mismatched in (("bridge", True), ("bridge", True), ("sim", False)):
+        latched.publish(BoxInfo(plant=plant))
+        for _ in range(20):
+            sequence, wanted = sequence + 1, len(source.corrections) + 1
+            source.publish(sequence, still)
+            source.wait(lambda wanted=wanted: len(source.corrections) >= wanted, timeout=5.0)
+            time.sleep(0.01)
+        assert (source.corrections[-1].status == CorrectionStatus.MISMATCH) is mismatched, plant
+    source.node.destroy_publisher(latched)
 
 
 def test_two_plants_are_an_error_and_not_answered(started: Callable[..., Source], still: FloatArray) -> None:

@@ -98,6 +98,7 @@ class FilterNode(Node):
         self.tally = FilterStatistics()
         self.foreign = ""
         """Why its files are not this bench's, by what the plant says of itself; empty: they are."""
+        self._known: KnownBox | None = None
         self._mismatch = ""
         self._every, self._age = every, 0.0
         self._choice = choice
@@ -170,6 +171,10 @@ class FilterNode(Node):
     def _on_box(self, box: KnownBox) -> None:
         """Whose box it is: from now on, or from its next connection on, another bench may be believed there."""
         self.foreign = self._choice.foreign(box)
+        if self._known not in (None, box):  # what was found out is of the box before, and a still bench shows nothing
+            self.get_logger().warning("another box: what the model was found to be is forgotten, and watched anew")
+            self.filter.reset()
+        self._known = box
 
     def _fitting(self, result: Result) -> Result:
         """The result, or that nothing should rest on it; a change of which is told at once."""
