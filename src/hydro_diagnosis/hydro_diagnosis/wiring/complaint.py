@@ -11,7 +11,6 @@ import numpy as np
 from hydro_diagnosis.wiring.repairs import Channels, Repair
 from hydro_sim.model.bench import Bench
 
-
 AGAINST = -0.5
 """Correlation below which two channels go against each other."""
 TOGETHER = 0.9

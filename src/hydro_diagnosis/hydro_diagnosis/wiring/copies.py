@@ -15,7 +15,6 @@ from hydro_diagnosis.wiring.repairs import Channels, Rename
 from hydro_diagnosis.wiring.signals import correlation, follows, slope, slow
 from hydro_sim.model.bench import Bench
 
-
 FRICTION_LATE = 5e-3
 """s: a force that comes so long after the pressures is the load's."""
 

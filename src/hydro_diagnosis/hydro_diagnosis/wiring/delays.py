@@ -8,7 +8,8 @@ from math import pi
 
 import numpy as np
 
-from hydro_diagnosis.wiring.checks import Complaint, made_force
+from hydro_diagnosis.wiring.complaint import Complaint
+from hydro_diagnosis.wiring.forces import made_force
 from hydro_diagnosis.wiring.repairs import Advance, Channels
 from hydro_diagnosis.wiring.signals import follows
 from hydro_sim.model.bench import Bench

@@ -13,7 +13,6 @@ from hydro_diagnosis.wiring.repairs import Channels, Exchange, Rename, Repair, i
 from hydro_diagnosis.wiring.signals import correlation, slope, slow
 from hydro_sim.model.bench import Bench
 
-
 LEVEL = 0.2
 """Of the piston area times the supply pressure, by which a force may differ from the pressures' all along."""
 

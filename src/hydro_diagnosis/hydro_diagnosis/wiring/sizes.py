@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers are of the size of the bench's: pressures of the supply's, positions of the stroke, currents of the valve's."""
+"""Numbers are of the size of the bench's: pressures, positions and currents against supply, stroke and valve."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from hydro_diagnosis.wiring.complaint import MOVES, SIZE, TOGETHER, Complaint
 from hydro_diagnosis.wiring.repairs import Channels, Repair, Scale, in_unit
 from hydro_diagnosis.wiring.signals import correlation, slope, slow
 from hydro_sim.model.bench import Bench
-
 
 PRESSURES = (0.05, 3.0)
 """Highest pressures, of the supply's, that a bench can have."""

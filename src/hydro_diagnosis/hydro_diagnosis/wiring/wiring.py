@@ -17,7 +17,8 @@ from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.recording import MEASURED, InputError
-from hydro_diagnosis.wiring.checks import CHECKS, Complaint
+from hydro_diagnosis.wiring.checks import CHECKS
+from hydro_diagnosis.wiring.complaint import Complaint
 from hydro_diagnosis.wiring.delays import delays
 from hydro_diagnosis.wiring.repairs import Channels, Repair
 from hydro_sim.model.bench import Bench
