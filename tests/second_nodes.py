@@ -64,11 +64,11 @@ def beside(graph: Defended, folder: Path) -> Beside:
         graph.drive(1.0)
         found.filter = "answers already" in said.getvalue() and probe.node.count_publishers(CORRECTION) == 1
     found.recorder = beside_a_recorder(graph, folder)
-    with trainer(*words) as process:
+    found.dashboard = beside_a_page(graph)
+    with trainer(*words) as process:  # last: while it ends nobody drives
         graph.drive(_PATIENCE, until=lambda: told in process.text)
         graph.drive(3.0)
         found.trainer = told in process.text and process.process.poll() is None
-    found.dashboard = beside_a_page(graph)
     found.went_on = all(state.flags & Flag.ARMED for _, state in probe.heard[STATE])
     if not found.went_on:
         print("not armed all the time:", *graph.text[-40:], sep="\n", file=sys.stderr)
