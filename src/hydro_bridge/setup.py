@@ -9,7 +9,7 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "bags/schemas.json", "conformance/cases.yaml", "dashboard/page/*", "ros/*.xml"]},
+    package_data={name: ["py.typed", "bags/schemas.json", "conformance/cases.yaml", "dashboard/page/*", "viewer/page/*", "pages/templates/*", "ros/*.xml"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -31,6 +31,7 @@ setup(
             "recorder = hydro_bridge.process.start:main_of.hydro_bridge.nodes.recorder",
             "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
             "secure = hydro_bridge.process.start:main_of.hydro_bridge.nodes.secure",
+            "view = hydro_bridge.process.start:main_of.hydro_bridge.viewer.view",
         ],
     },
 )
