@@ -9,7 +9,17 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "bags/schemas.json", "conformance/cases.yaml", "dashboard/page/*", "viewer/page/*", "pages/templates/*", "ros/*.xml"]},
+    package_data={
+        name: [
+            "py.typed",
+            "bags/schemas.json",
+            "conformance/cases.yaml",
+            "dashboard/page/*",
+            "viewer/page/*",
+            "pages/templates/*",
+            "ros/*.xml",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
@@ -30,6 +40,7 @@ setup(
             "dashboard = hydro_bridge.process.start:main_of.hydro_bridge.nodes.dashboard",
             "recorder = hydro_bridge.process.start:main_of.hydro_bridge.nodes.recorder",
             "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
+            "runs = hydro_bridge.process.start:main_of.hydro_bridge.viewer.runs_command",
             "secure = hydro_bridge.process.start:main_of.hydro_bridge.nodes.secure",
             "view = hydro_bridge.process.start:main_of.hydro_bridge.viewer.view",
         ],

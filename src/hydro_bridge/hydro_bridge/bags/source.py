@@ -85,7 +85,11 @@ class MessageDecoder:
         name, text = self._source.type_of(scan, channel)
         if name not in self._known:
             self._store.register(
-                {kind: fields for kind, fields in get_types_from_msg(text, name).items() if kind not in self._store.types}
+                {
+                    kind: fields
+                    for kind, fields in get_types_from_msg(text, name).items()
+                    if kind not in self._store.types
+                }
             )
             self._known.add(name)
         places = zip(span.starts.tolist(), span.sizes.tolist(), span.log_times.tolist(), strict=True)

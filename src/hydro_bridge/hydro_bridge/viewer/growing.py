@@ -77,7 +77,7 @@ class GrowingThinner:
         self._end = max(self._end, int(rows[-1]) + 1)
 
     def values(self, slot: float) -> npt.NDArray[np.float32]:
-        """Least and greatest values in slots of `slot` s or of this series' own if it is longer, (slots, columns, 2)."""
+        """Least and greatest in slots of `slot` s, or of this series' own if longer, shape (slots, columns, 2)."""
         while self.slot < slot:
             self._merge()
         return self._table[: self._end]
