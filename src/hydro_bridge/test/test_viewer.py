@@ -114,7 +114,7 @@ def test_the_page_loads_nothing_and_escapes_what_the_recording_says(bag: Path) -
     page = rendered(read_recorded(bag))
     assert "sha256:&lt;1&gt;" in page and "<1>" not in page
     assert 'src="http' not in page and 'href="http' not in page
-    assert "default-src 'none'" in page
+    assert "default-src &#39;none&#39;" in page
 
 
 def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ override     "override" in the trainer's diagnostics: gains held by hand, to wit
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -128,7 +128,7 @@ class Marks:
             self.dropped += 1
 
 
-_SENTENCES = {
+_SENTENCES: dict[str, Callable[[str], str]] = {
     "rollback": lambda said: f"rolled back to the best policy, {said} times in all",
     "override": lambda said: "gains given back" if said == "no" else f"gains by hand: {said}",
     "examination": lambda said: said,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""report.html: one self-contained page that reads well on a laptop and prints. Its words are in templates/report.html."""
+"""report.html: one self-contained page that reads well on a laptop and prints; its words are in its template."""
 
 from __future__ import annotations
 

@@ -88,6 +88,7 @@ function mark(plot, marks) {
 class Plot {
   constructor(place, settings, bands, marks) {
     this.settings = settings;
+    this.span = [-1, 0]; // s, until it is drawn
     this.box = document.createElement("div");
     this.box.className = settings.wide ? "plot wide" : "plot";
     this.title = document.createElement("h3");
