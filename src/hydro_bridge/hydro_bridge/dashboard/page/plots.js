@@ -73,6 +73,7 @@ function mark(plot, marks) {
   const { min, max } = plot.scales.x;
   ctx.save();
   ctx.lineWidth = 1.5;
+  ctx.setLineDash([]);
   for (const [time, colour] of marks) {
     if (time < min || time > max) continue;
     const x = plot.valToPos(time, "x", true);
@@ -126,7 +127,7 @@ class Plot {
     this.span = span;
     const lines = this.settings.lines;
     this.uplot.setData([times, ...lines.map(([n, name]) => series[n].envelope(name, end, groups, stride))]);
-    lines.forEach(([n, name], at) => { this.values[at].textContent = shown(series[n].at(name, at)); });
+    lines.forEach(([n, name], line) => { this.values[line].textContent = shown(series[n].at(name, at)); });
   }
 }
 
