@@ -78,7 +78,7 @@ def _entry(folder: Path, run: Path) -> RunEntry | None:
     unseen = [bag for bag in bags if not bag.with_name(f"{bag.name}.html").is_file()]
     summary = ""
     with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):  # of another version: no summary
-        summary = _SUMMARIES.get(kind, lambda run: "")(run)
+        summary = _SUMMARIES[kind](run) if kind in _SUMMARIES else ""
     return RunEntry(
         name=run.name,
         kind=kind,
