@@ -24,6 +24,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
         ("share/" + name + "/launch", glob("launch/*.launch.py")),
+        ("share/" + name + "/layouts", glob("layouts/*")),
         ("share/" + name + "/config", glob("config/*")),
     ],
     zip_safe=False,
