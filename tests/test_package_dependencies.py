@@ -23,6 +23,7 @@ KEYS = {
     "fastjsonschema": "python3-fastjsonschema",
     "h5py": "python3-h5py",
     "hypothesis": "python3-hypothesis",
+    "jinja2": "python3-jinja2",
     "joblib": "python3-joblib",
     "matplotlib": "python3-matplotlib",
     "numba": "python3-numba",

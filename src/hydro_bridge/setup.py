@@ -9,11 +9,22 @@ setup(
     name=name,
     version="0.1.0",
     packages=find_packages(exclude=["test"]),
-    package_data={name: ["py.typed", "bags/schemas.json", "conformance/cases.yaml", "dashboard/page/*", "ros/*.xml"]},
+    package_data={
+        name: [
+            "py.typed",
+            "bags/schemas.json",
+            "conformance/cases.yaml",
+            "dashboard/page/*",
+            "viewer/page/*",
+            "pages/templates/*",
+            "ros/*.xml",
+        ]
+    },
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
         ("share/" + name + "/launch", glob("launch/*.launch.py")),
+        ("share/" + name + "/layouts", glob("layouts/*")),
         ("share/" + name + "/config", glob("config/*")),
     ],
     zip_safe=False,
@@ -30,7 +41,9 @@ setup(
             "dashboard = hydro_bridge.process.start:main_of.hydro_bridge.nodes.dashboard",
             "recorder = hydro_bridge.process.start:main_of.hydro_bridge.nodes.recorder",
             "replayer = hydro_bridge.process.start:main_of.hydro_bridge.nodes.replayer",
+            "runs = hydro_bridge.process.start:main_of.hydro_bridge.viewer.runs_command",
             "secure = hydro_bridge.process.start:main_of.hydro_bridge.nodes.secure",
+            "view = hydro_bridge.process.start:main_of.hydro_bridge.viewer.view",
         ],
     },
 )

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hydro_bridge.cli.console import command, writable_folder
+from hydro_bridge.viewer.runs import refresh_index
 from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.formats.importers import SUFFIXES
 from hydro_diagnosis.io.table import InputError
@@ -81,6 +82,7 @@ def run(arguments: Sequence[str]) -> int:
     found.report.write(chosen.out)
     write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")
     write_page(found, chosen.out / "report.html")
+    refresh_index(chosen.out)
     _say(found, chosen.out)
     return 0
 

@@ -2,7 +2,7 @@
 """The whole graph: a plant, the filter, the recorder, the trainer.
 
 `ros2 launch hydro_policy train.launch.py plant:=sim|emulator|bench [port:=/dev/ttyUSB0] [out:=runs/launched]
-[dashboard:=true]`. When the trainer ends, so does everything else. On the bench it waits until
+[seed:=0] [dashboard:=true]`. When the trainer ends, so does everything else. On the bench it waits until
 somebody arms: `ros2 run hydro_bridge arm`.
 """
 
@@ -35,13 +35,14 @@ def plant(kind: str, port: str) -> list[LaunchDescriptionEntity]:
     return [include("hydro_bridge", "bridge", port=port)]
 
 
-def recorder(out: Path) -> Node:
-    words = ["--realtime", "--out", str(out / "bag")]
+def recorder(kind: str, out: Path, seed: str) -> Node:
+    """Bench and digest are in the recording as the box says them, on /hydro/box."""
+    words = ["--realtime", "--out", str(out / "bag"), "--metadata", f"run={out.name}", f"plant={kind}", f"seed={seed}"]
     return Node(package="hydro_bridge", executable="recorder", arguments=words, output="screen")
 
 
-def trainer(kind: str, out: Path) -> Node:
-    run = ["--runs", str(out.parent), "--name", out.name]
+def trainer(kind: str, out: Path, seed: str) -> Node:
+    run = ["--runs", str(out.parent), "--name", out.name, "--seed", seed]
     return Node(
         package="hydro_policy",
         executable="trainer",
@@ -54,8 +55,9 @@ def trainer(kind: str, out: Path) -> Node:
 
 
 def graph(context: LaunchContext) -> list[LaunchDescriptionEntity]:
-    kind, port, out = (LaunchConfiguration(name).perform(context) for name in ("plant", "port", "out"))
-    return [*plant(kind, port), include("hydro_filter", "filter"), recorder(Path(out)), trainer(kind, Path(out))]
+    kind, port, out, seed = (LaunchConfiguration(name).perform(context) for name in ("plant", "port", "out", "seed"))
+    run = (kind, Path(out), seed)
+    return [*plant(kind, port), include("hydro_filter", "filter"), recorder(*run), trainer(*run)]
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -64,6 +66,7 @@ def generate_launch_description() -> LaunchDescription:
             DeclareLaunchArgument("plant", default_value="emulator", choices=["sim", "emulator", "bench"]),
             DeclareLaunchArgument("port", default_value="", description="serial device of the box"),
             DeclareLaunchArgument("out", default_value="runs/launched", description="folder of the run, made here"),
+            DeclareLaunchArgument("seed", default_value="0", description="of the trainer"),
             OpaqueFunction(function=graph),
         ]
     )

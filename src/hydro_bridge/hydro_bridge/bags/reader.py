@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import STATE_TYPE
-from hydro_bridge.bags.source import BagSource, Table, decode_span
+from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError, TopicQos
 from hydro_bridge.signals import STATE_DTYPE, StateArray
 
@@ -146,19 +145,12 @@ def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
 
 def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
     """Log time [s] and message, one object each, of a topic of any type such as /diagnostics; errors as `read_bag`."""
-    source, store = BagSource(Path(path)), get_typestore(Stores.EMPTY)
-    found = False
+    source = BagSource(Path(path))
+    decoder, found = MessageDecoder(source), False
     for scan, channel, block, span in source.spans():
-        if channel.topic != topic:
-            continue
-        name, text = source.type_of(scan, channel)
-        if not found:
-            store.register(get_types_from_msg(text, name))
+        if channel.topic == topic:
             found = True
-        for start, size, time_ns in zip(
-            span.starts.tolist(), span.sizes.tolist(), span.log_times.tolist(), strict=True
-        ):
-            yield 1e-9 * time_ns, store.deserialize_cdr(block[start : start + size], name)
+            yield from decoder.objects(scan, channel, block, span)
     if not found:
         topics = {channel.topic for scan in source.scans for channel in scan.channels.values()}
         raise RecordingError(_no_topic(source.path, topic, topics))

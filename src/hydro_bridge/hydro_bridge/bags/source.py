@@ -6,10 +6,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 from mcap.records import Channel
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from hydro_bridge.bags.cdr import FixedLayout, NotFixedError, fixed_layout
 from hydro_bridge.bags.files import mcap_files
@@ -69,6 +71,30 @@ class BagSource:
             except Exception as error:
                 raise RecordingError(f"{scan.path}: the definition of {name} cannot be read: {error}") from None
         return self._layouts[name, text]
+
+
+class MessageDecoder:
+    """Messages of any type of one recording, one object each; a topic's type is that of its first channel."""
+
+    def __init__(self, source: BagSource) -> None:
+        self._source, self._store = source, get_typestore(Stores.EMPTY)
+        self._known: set[str] = set()
+
+    def objects(self, scan: McapScan, channel: Channel, block: bytes, span: Span) -> Iterator[tuple[float, Any]]:
+        """Log time [s] and message of one channel in one block; raises RecordingError."""
+        name, text = self._source.type_of(scan, channel)
+        if name not in self._known:
+            self._store.register(
+                {
+                    kind: fields
+                    for kind, fields in get_types_from_msg(text, name).items()
+                    if kind not in self._store.types
+                }
+            )
+            self._known.add(name)
+        places = zip(span.starts.tolist(), span.sizes.tolist(), span.log_times.tolist(), strict=True)
+        for start, size, time_ns in places:
+            yield 1e-9 * time_ns, self._store.deserialize_cdr(block[start : start + size], name)
 
 
 def decode_span(path: Path, topic: str, layout: FixedLayout, block: bytes, span: Span) -> Table:

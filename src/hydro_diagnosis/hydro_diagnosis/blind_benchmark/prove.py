@@ -21,6 +21,7 @@ from typing import Any
 import yaml
 
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
+from hydro_bridge.viewer.runs import refresh_index
 from hydro_diagnosis.blind_benchmark import page, pictures, seal
 from hydro_diagnosis.blind_benchmark.bench_graph import record_by_graph
 from hydro_diagnosis.blind_benchmark.blind import ANSWER
@@ -154,6 +155,7 @@ def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_f
     table.show(json_file)
     drawn = pictures.draw(results, folder)
     page.write(folder / "proof.html", table, drawn, failed, about)
+    refresh_index(folder)
     content = {"about": about, "standards": table.rows, "confusion": confusion(results), "failures": failed,
                "floors": pictures.floors(results), "cases": [_row(result) for result in results]}  # fmt: skip
     (folder / "proof.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")

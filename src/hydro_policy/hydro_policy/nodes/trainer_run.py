@@ -12,6 +12,7 @@ import torch
 
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.safety.readiness import Readiness
+from hydro_bridge.viewer.runs import refresh_index
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
@@ -61,6 +62,7 @@ def train(options: argparse.Namespace) -> int:
         if results is not None:
             show_results(results, run.evaluation, run.tracking_plot, {"run": str(run.path), "plant": options.plant})
     record.flush()
+    refresh_index(run.path)
     tell_files(run, recording, finished, options, time.monotonic() - began)
     if session.gave_up:
         print(f"Training was given up: {session.gave_up}; {run.record} has what happened.", file=sys.stderr)

@@ -25,6 +25,7 @@ from hydro_bridge.cli.console import UserError, add_json_argument, command, prog
 from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.process import endings
+from hydro_bridge.viewer.runs import refresh_index
 from hydro_policy.envs.environment import Transitions
 from hydro_policy.envs.vector_filter import FILTERS
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration, configuration_of
@@ -128,6 +129,8 @@ def main() -> int:
             file=sys.stderr,
         )
         return 130
+    finally:
+        refresh_index(run.path)
     _show(run, pretraining, options.json, time.monotonic() - began)
     return 0
 

@@ -67,9 +67,29 @@ function shade(plot, bands) {
 
 const AXIS = { stroke: "#5c6670", grid: { stroke: "#e7eaec", width: 1 }, ticks: { stroke: "#d5dade", width: 1 }, font: "11px system-ui" };
 
+// Upright lines where something happened, and where a person looks; `marks` are [time, colour].
+function mark(plot, marks) {
+  const { ctx, bbox } = plot;
+  const { min, max } = plot.scales.x;
+  ctx.save();
+  ctx.lineWidth = 1.5;
+  ctx.setLineDash([]);
+  for (const [time, colour] of marks) {
+    if (time < min || time > max) continue;
+    const x = plot.valToPos(time, "x", true);
+    ctx.strokeStyle = colour;
+    ctx.beginPath();
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+  }
+  ctx.restore();
+}
+
 class Plot {
-  constructor(place, settings, bands) {
+  constructor(place, settings, bands, marks) {
     this.settings = settings;
+    this.span = [-1, 0]; // s, until it is drawn
     this.box = document.createElement("div");
     this.box.className = settings.wide ? "plot wide" : "plot";
     this.title = document.createElement("h3");
@@ -85,13 +105,13 @@ class Plot {
     };
     this.uplot = new uPlot({
       width: this.width(), height: HEIGHT, legend: { show: false }, cursor: { show: false }, padding: [6, 12, 0, 0],
-      scales: { x: { time: false, range: () => [-this.seconds, 0] }, y: { range } },
+      scales: { x: { time: false, range: () => this.span }, y: { range } },
       axes: [
         { ...AXIS, size: 28, values: (_, ticks) => ticks.map((tick) => `${tick} s`) },
         { ...AXIS, size: 52 },
       ],
       series: [{}, ...settings.lines.map(([, , stroke, dash]) => ({ stroke, dash, width: 1.5, points: { show: false } }))],
-      hooks: { drawClear: [(plot) => shade(plot, bands())] },
+      hooks: { drawClear: [(plot) => shade(plot, bands()), (plot) => mark(plot, marks())] },
     }, null, this.box);
   }
 
@@ -103,11 +123,11 @@ class Plot {
     this.uplot.setSize({ width: this.width(), height: HEIGHT });
   }
 
-  draw(series, times, end, groups, stride, seconds) {
-    this.seconds = seconds;
+  draw(series, times, end, groups, stride, span, at) {
+    this.span = span;
     const lines = this.settings.lines;
     this.uplot.setData([times, ...lines.map(([n, name]) => series[n].envelope(name, end, groups, stride))]);
-    lines.forEach(([n, name], at) => { this.values[at].textContent = shown(series[n].last(name)); });
+    lines.forEach(([n, name], line) => { this.values[line].textContent = shown(series[n].at(name, at)); });
   }
 }
 
@@ -116,39 +136,42 @@ export class Plots {
     this.place = place;
     this.seconds = 10;
     this.bands = [];
-    this.plots = PLOTS.map((settings) => new Plot(place, settings, () => this.bands));
+    this.marks = [];
+    this.plots = PLOTS.map((settings) => new Plot(place, settings, () => this.bands, () => this.marks));
     addEventListener("resize", () => this.plots.forEach((plot) => plot.resize()));
   }
 
-  draw(series, slot) {
-    const end = series[0].end;
+  // The last `seconds` before slot `end`. Times count from slot `origin`; the figures are those of slot `at`.
+  draw(series, slot, end = series[0].end, origin = end, at = end - 1) {
     const all = Math.round(this.seconds / slot);
     const stride = Math.max(1, Math.ceil(all / (2 * POINTS)));
     const groups = Math.floor(all / stride);
-    const times = Array.from({ length: 2 * groups }, (_, n) => (Math.floor(n / 2) - groups + (n % 2) / 2) * stride * slot);
-    this.bands = this.shaded(series[0], end, groups, stride, slot);
-    for (const plot of this.plots) plot.draw(series, times, end, groups, stride, this.seconds);
+    const last = (end - origin) * slot;
+    const times = Array.from({ length: 2 * groups }, (_, n) => last + (Math.floor(n / 2) - groups + (n % 2) / 2) * stride * slot);
+    this.bands = shaded(series[0], end, groups, stride, slot, last);
+    const span = [last - this.seconds, last];
+    for (const plot of this.plots) plot.draw(series, times, end, groups, stride, span, at);
   }
+}
 
-  // Where the plant was not armed: [from, to, tripped].
-  shaded(states, end, groups, stride, slot) {
-    const armed = states.envelope("armed", end, groups, stride);
-    const tripped = states.envelope("tripped", end, groups, stride);
-    const kind = (g) => {
-      if (armed[2 * g] === null) return "";
-      return Math.max(tripped[2 * g], tripped[2 * g + 1]) > 0 ? "tripped" : armed[2 * g] + armed[2 * g + 1] < 2 ? "off" : "";
-    };
-    const bands = [];
-    for (let g = 0; g < groups; g++) {
-      const now = kind(g);
-      const before = bands.at(-1);
-      const [from, to] = [(g - groups) * stride * slot, (g + 1 - groups) * stride * slot];
-      if (!now) continue;
-      if (before && before[1] >= from - 1e-9 && before[2] === (now === "tripped")) before[1] = to;
-      else bands.push([from, to, now === "tripped"]);
-    }
-    return bands;
+// Where the plant was not armed: [from, to, tripped], in seconds; slot `end` is at `last`.
+export function shaded(states, end, groups, stride, slot, last) {
+  const armed = states.envelope("armed", end, groups, stride);
+  const tripped = states.envelope("tripped", end, groups, stride);
+  const kind = (g) => {
+    if (armed[2 * g] === null) return "";
+    return Math.max(tripped[2 * g], tripped[2 * g + 1]) > 0 ? "tripped" : armed[2 * g] + armed[2 * g + 1] < 2 ? "off" : "";
+  };
+  const bands = [];
+  for (let g = 0; g < groups; g++) {
+    const now = kind(g);
+    const before = bands.at(-1);
+    const [from, to] = [last + (g - groups) * stride * slot, last + (g + 1 - groups) * stride * slot];
+    if (!now) continue;
+    if (before && before[1] >= from - 1e-9 && before[2] === (now === "tripped")) before[1] = to;
+    else bands.push([from, to, now === "tripped"]);
   }
+  return bands;
 }
 
 // The learner's curve: RMSE of each episode.

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// A minute of slots of 10 ms, as the dashboard thins them: the least and greatest value of each; memory is bounded.
+// Slots as the dashboard thins them, a minute of them by default: least and greatest value of each; memory is bounded.
 
 export const KEPT = 6000;
 
 export class Series {
-  constructor(columns) {
+  constructor(columns, kept = KEPT) {
     this.columns = columns; // [{name, unit}]
-    this.low = columns.map(() => new Float32Array(KEPT).fill(NaN));
-    this.high = columns.map(() => new Float32Array(KEPT).fill(NaN));
+    this.kept = kept; // slots
+    this.low = columns.map(() => new Float32Array(kept).fill(NaN));
+    this.high = columns.map(() => new Float32Array(kept).fill(NaN));
     this.end = 0; // number of the first slot that is not there yet
   }
 
@@ -16,10 +17,10 @@ export class Series {
     const width = this.columns.length;
     const count = values.length / (2 * width);
     if (!count) return;
-    if (first < this.end - KEPT || first > this.end + KEPT) this.clear(first);
+    if (first < this.end - this.kept || first > this.end + this.kept) this.clear(first);
     for (let slot = this.end; slot < first; slot++) this.blank(slot);
     for (let n = 0; n < count; n++) {
-      const row = (first + n) % KEPT;
+      const row = (first + n) % this.kept;
       for (let c = 0; c < width; c++) {
         this.low[c][row] = values[2 * (n * width + c)];
         this.high[c][row] = values[2 * (n * width + c) + 1];
@@ -34,16 +35,17 @@ export class Series {
   }
 
   blank(slot) {
-    for (const ring of [...this.low, ...this.high]) ring[slot % KEPT] = NaN;
+    for (const ring of [...this.low, ...this.high]) ring[slot % this.kept] = NaN;
   }
 
   index(name) {
     return this.columns.findIndex((column) => column.name === name);
   }
 
-  // The newest value, or NaN.
-  last(name) {
-    return this.end ? this.high[this.index(name)][(this.end - 1) % KEPT] : NaN;
+  // The value of a slot, or NaN.
+  at(name, slot) {
+    const there = slot >= 0 && slot < this.end && slot >= this.end - this.kept;
+    return there ? this.high[this.index(name)][slot % this.kept] : NaN;
   }
 
   // Two points per `stride` slots before slot `end`, in the order that keeps a slope a slope: [points of `groups`].
@@ -56,8 +58,8 @@ export class Series {
       let high = -Infinity;
       const start = end - (groups - g) * stride;
       for (let slot = start; slot < start + stride; slot++) {
-        if (slot < 0 || slot >= this.end || slot < this.end - KEPT) continue;
-        const row = slot % KEPT;
+        if (slot < 0 || slot >= this.end || slot < this.end - this.kept) continue;
+        const row = slot % this.kept;
         if (this.low[c][row] < low) low = this.low[c][row];
         if (this.high[c][row] > high) high = this.high[c][row];
       }

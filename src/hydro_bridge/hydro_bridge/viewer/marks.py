@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What happened in a recording, a sentence each: from the flags of its samples, and from what its nodes said.
+
+===========  ==========================================================================================
+kind         from
+===========  ==========================================================================================
+armed        flag ARMED of /hydro/state, which comes or goes
+trip         flag TRIPPED, with the flags that came along
+watchdog     flag WATCHDOG: no commands for 50 ms
+authority    /hydro/authority: another holder
+episode      /hydro/training: the next episode, and what the last one came to
+examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
+rollback     "rollbacks" in the trainer's diagnostics
+override     "override" in the trainer's diagnostics: gains held by hand, to within their 0.5 s
+===========  ==========================================================================================
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.dashboard.words import PHASES, flag_words
+from hydro_bridge.signals import Flag, StateArray
+
+MARKS = 20_000
+"""At most; what comes later is counted, not kept."""
+
+_TRAINERS = ("trainer", "evaluate")
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One thing that happened."""
+
+    time: float
+    """s, on the clock of the samples."""
+    kind: str
+    text: str
+
+
+class Marks:
+    """Collects marks in the order in which a recording is read."""
+
+    def __init__(self) -> None:
+        self.dropped = 0
+        """Marks beyond `MARKS`."""
+        self._marks: list[Mark] = []
+        self._flags: int | None = None
+        self._holder: str | None = None
+        self._episode, self._phase, self._learner = -1, -1, True
+        self._said: dict[str, str] = {}
+
+    def sorted(self) -> list[Mark]:
+        """All of them, by time."""
+        return sorted(self._marks, key=lambda mark: mark.time)
+
+    def states(self, states: StateArray) -> None:
+        """Enter `STATE_DTYPE` records: what their flags tell."""
+        if not len(states):
+            return
+        flags = states["flags"].astype(np.int64)
+        before = np.concatenate(([flags[0] if self._flags is None else self._flags], flags[:-1]))
+        for n in np.flatnonzero(flags != before):
+            self._change(float(states["time"][n]), int(before[n]), int(flags[n]))
+        if self._flags is None and flags[0] & Flag.ARMED:
+            self._add(float(states["time"][0]), "armed", "armed already when the recording begins")
+        self._flags = int(flags[-1])
+
+    def authority(self, time: float, holder: str) -> None:
+        """Enter who may command from `time` on; empty: nobody."""
+        if holder != self._holder:
+            self._add(time, "authority", f"commanded by {holder or 'nobody'}")
+        self._holder = holder
+
+    def training(self, message: Mapping[str, Any]) -> None:
+        """Enter a TrainingStatus by its fields, with `time` [s]."""
+        time, phase, episode = float(message["time"]), int(message["phase"]), int(message["episode"])
+        if phase != self._phase and self._phase >= 0:
+            self._phased(time, self._phase, phase)
+        if episode != self._episode and self._episode >= 0:
+            rmse, total = float(message["force_rmse"]), float(message["episode_return"])
+            came_to = f"; the last one: RMSE {rmse:.1f} N, return {total:.0f}" if math.isfinite(rmse) else ""
+            self._add(time, "episode", f"episode {episode}{came_to}")
+        if bool(message["learner_alive"]) != self._learner:
+            self._add(time, "learner", "the learner runs again" if message["learner_alive"] else "the learner is down")
+        self._phase, self._episode, self._learner = phase, episode, bool(message["learner_alive"])
+
+    def diagnostics(self, time: float, name: str, values: Mapping[str, str]) -> None:
+        """Enter a status of the node `name`."""
+        if name not in _TRAINERS:
+            return
+        for key, kind in (("rollbacks", "rollback"), ("override", "override"), ("examination", "examination")):
+            if key not in values:
+                continue
+            now, before = values[key], self._said.get(f"{name} {key}")
+            self._said[f"{name} {key}"] = now
+            if before is not None and now != before:
+                self._add(time, kind, _SENTENCES[kind](now))
+
+    def _change(self, time: float, before: int, now: int) -> None:
+        risen, fallen = now & ~before, before & ~now
+        if risen & Flag.TRIPPED:
+            others = ", ".join(flag_words(risen & ~int(Flag.TRIPPED)))
+            self._add(time, "trip", f"tripped{f': {others}' if others else ''}")
+        if risen & Flag.ARMED:
+            self._add(time, "armed", "armed")
+        elif fallen & Flag.ARMED and not risen & Flag.TRIPPED:
+            self._add(time, "armed", "disarmed")
+        if risen & Flag.WATCHDOG and now & Flag.ARMED:
+            self._add(time, "watchdog", "no commands for 50 ms: base gains")
+
+    def _phased(self, time: float, before: int, now: int) -> None:
+        if PHASES.index("evaluating") in (before, now):
+            begins = now == PHASES.index("evaluating")
+            self._add(time, "examination", f"examination {'begins' if begins else 'ends'}")
+        elif now < len(PHASES):
+            self._add(time, "phase", PHASES[now])
+
+    def _add(self, time: float, kind: str, text: str) -> None:
+        if len(self._marks) < MARKS:
+            self._marks.append(Mark(time, kind, text))
+        else:
+            self.dropped += 1
+
+
+_SENTENCES: dict[str, Callable[[str], str]] = {
+    "rollback": lambda said: f"rolled back to the best policy, {said} times in all",
+    "override": lambda said: "gains given back" if said == "no" else f"gains by hand: {said}",
+    "examination": lambda said: said,
+}

@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording as a page shows it, read once, block by block: memory is that of the slots and marks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_bridge.bags.reader import STATE_TOPIC, as_states
+from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
+from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.dashboard import series, words
+from hydro_bridge.viewer.growing import GrowingThinner
+from hydro_bridge.viewer.marks import Mark, Marks
+
+CORRECTION_TOPIC, TRAINING_TOPIC, AUTHORITY_TOPIC = "/hydro/correction", "/hydro/training", "/hydro/authority"
+DIAGNOSTICS_TOPIC = "/diagnostics"
+TOLD_BY = {
+    CORRECTION_TOPIC: "the filter's correction and certificate",
+    TRAINING_TOPIC: "episodes and examinations",
+    AUTHORITY_TOPIC: "who commanded",
+    DIAGNOSTICS_TOPIC: "rollbacks and overrides",
+}
+"""What is not to be seen of a recording without a topic."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Recorded:
+    """What a page shows of a recording."""
+
+    path: Path
+    begin: float
+    """s since 1970 of the first sample; all other times count from it."""
+    seconds: float
+    slot: float
+    """s."""
+    values: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
+    """States and corrections: least and greatest, shape (slots, columns, 2)."""
+    marks: list[Mark]
+    curve: dict[str, Any]
+    """Learner's curve, as the live page draws it."""
+    messages: dict[str, int]
+    """How many of each topic."""
+    metadata: dict[str, str]
+    attachments: list[str]
+    notes: list[str]
+    """What the reader had to put up with, and what the recording lacks."""
+
+
+@dataclass
+class _Reading:
+    """What has been read so far."""
+
+    span: tuple[float, float]
+    states: GrowingThinner | None = None
+    corrections: GrowingThinner | None = None
+    marks: Marks = field(default_factory=Marks)
+    curve: words.Curve = field(default_factory=words.Curve)
+    waiting: list[Callable[[], None]] = field(default_factory=list)  # from before the first sample
+
+    def within(self, table: Table) -> Table:
+        """The part of the span that the user wants, which counts from the first sample."""
+        if self.states is None:
+            return table[:0]
+        since = table["time"] - self.begin
+        return table[(since >= self.span[0]) & (since <= self.span[1])]
+
+    begin: float = 0.0
+
+    def take_states(self, table: Table) -> None:
+        """Enter samples; the first one is the begin of everything."""
+        if self.states is None and len(table):
+            self.begin = float(table["time"][0])
+            first = self.begin + self.span[0]
+            self.states = GrowingThinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA), first)
+            self.corrections = GrowingThinner(len(series.CORRECTION_COLUMNS), first)
+        table = self.within(table)
+        if self.states is not None and len(table):
+            self.states.add(table["time"], series.state_values(table))
+            self.marks.states(table)
+
+    def take_corrections(self, table: Table) -> None:
+        """Enter corrections."""
+        table = self.within(table)
+        if self.corrections is not None and len(table):
+            self.corrections.add(table["time"], series.correction_values(table))
+
+    def take_training(self, table: Table) -> None:
+        """Enter what the trainer was doing."""
+        for row in self.within(table):
+            self.marks.training({name: row[name] for name in row.dtype.names})
+            self.curve.add(int(row["episode"]), float(row["force_rmse"]), float(row["episode_return"]))
+
+    def take_object(self, topic: str, time: float, message: Any) -> None:
+        """Enter a word of the authority or of diagnostics."""
+        if topic == AUTHORITY_TOPIC:
+            self.marks.authority(time, message.holder)
+            return
+        for status in message.status:
+            self.marks.diagnostics(time, status.name, {entry.key: entry.value for entry in status.values})
+
+
+def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf)) -> Recorded:
+    """Read a recording for a page.
+
+    Parameters
+    ----------
+    path
+        A rosbag2 folder or an .mcap file.
+    span
+        s from the first sample: the part to show, which a page shows the finer the shorter it is.
+
+    Raises
+    ------
+    RecordingError
+        Nothing there, damaged, or no samples of a bench in it, or none within the span.
+    """
+    source = BagSource(Path(path))
+    reading = _Reading(span=span)
+    decoder = MessageDecoder(source)
+    tables = {
+        STATE_TOPIC: lambda table: reading.take_states(as_states(table, source.path)),
+        CORRECTION_TOPIC: reading.take_corrections,
+        TRAINING_TOPIC: reading.take_training,
+    }
+    messages: dict[str, int] = {}
+    for scan, channel, block, part in source.spans():
+        topic = channel.topic
+        messages[topic] = messages.get(topic, 0) + len(part.starts)
+        if topic in tables and (layout := source.layout(scan, channel)) is not None:
+            tables[topic](decode_span(scan.path, topic, layout, block, part))
+        elif topic in (AUTHORITY_TOPIC, DIAGNOSTICS_TOPIC):
+            for _, message in decoder.objects(scan, channel, block, part):
+                stamp = message.header.stamp
+                reading.take_object(topic, stamp.sec + 1e-9 * stamp.nanosec, message)
+    return _finished(source, reading, messages)
+
+
+def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) -> Recorded:
+    states, corrections = reading.states, reading.corrections
+    if states is None or corrections is None:
+        there = ", ".join(sorted(messages)) or "nothing"
+        raise RecordingError(f"{source.path} has no samples on {STATE_TOPIC} to show; there is {there}")
+    begin = reading.begin + reading.span[0]
+    slot = max(states.slot, corrections.slot)
+    values = (states.values(slot), corrections.values(slot))
+    if not len(values[0]):
+        raise RecordingError(f"{source.path} has no samples from {reading.span[0]:g} to {reading.span[1]:g} s")
+    seconds = states.end - begin
+    metadata = {key: value for scan in source.scans for key, value in scan.metadata.get("hydro", {}).items()}
+    return Recorded(
+        path=source.path,
+        begin=begin,
+        seconds=seconds,
+        slot=slot,
+        values=values,
+        marks=[
+            Mark(mark.time - begin, mark.kind, mark.text)
+            for mark in reading.marks.sorted()
+            if 0.0 <= mark.time - begin <= seconds
+        ],
+        curve=reading.curve.content(),
+        messages=messages,
+        metadata=metadata,
+        attachments=[name for scan in source.scans for name in scan.attachments],
+        notes=[*source.notes, *_lacking(messages, reading, states.left_out)],
+    )
+
+
+def _lacking(messages: dict[str, int], reading: _Reading, left_out: int) -> list[str]:
+    notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOLD_BY.items()
+             if topic not in messages]  # fmt: skip
+    if left_out:
+        notes.append(f"{left_out} samples have stamps from before the first one, or from an hour after the one before")
+    if reading.marks.dropped:
+        notes.append(f"{reading.marks.dropped} more marks are not shown: give a part of it by --from and --to")
+    return notes

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""runs/index.html: one front page for all runs in a folder, with their pictures and pages."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import environment
+
+INDEX = "index.html"
+FOLDER = "runs"
+"""Name of the folder whose front page commands bring up to date by themselves."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunEntry:
+    """What the front page says of one run; addresses are relative to the folder of all runs."""
+
+    name: str
+    kind: str
+    """training, evaluation, diagnosis, proof, pretraining or recording."""
+    summary: str
+    changed: float
+    """s since 1970."""
+    pages: tuple[str, ...]
+    pictures: tuple[str, ...]
+    recordings: tuple[str, ...]
+    """Those that have no page yet."""
+
+    @property
+    def when(self) -> str:
+        """Of the last change, in words."""
+        return datetime.fromtimestamp(self.changed, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+
+
+def list_runs(folder: Path) -> list[RunEntry]:
+    """Runs in a folder, the newest first; what is no run is left out."""
+    entries = (_entry(folder, run) for run in folder.iterdir() if run.is_dir() and not run.name.startswith("."))
+    return sorted(filter(None, entries), key=lambda entry: -entry.changed)
+
+
+def write_index(folder: Path) -> Path:
+    """Write the front page of a folder of runs; its place.
+
+    Raises
+    ------
+    OSError
+        The folder cannot be read, or the page not be written.
+    """
+    page = environment("hydro_bridge", "viewer/page").get_template("runs.html")
+    index = folder / INDEX
+    write_whole(index, page.render(title="Runs", runs=list_runs(folder), folder=folder.name).encode())
+    return index
+
+
+def refresh_index(run: Path) -> None:
+    """Bring the front page above a run that ended up to date, if its folder is called `FOLDER`; fails in silence."""
+    folder = run.absolute().parent
+    if folder.name == FOLDER:
+        with suppress(OSError):
+            write_index(folder)
+
+
+def _entry(folder: Path, run: Path) -> RunEntry | None:
+    kind = next((kind for kind, file in _KINDS.items() if (run / file).is_file()), "")
+    if not kind:
+        return None
+    bags = [run] if kind == "recording" else sorted(path.parent for path in run.glob("*/metadata.yaml"))
+    beside = [run.with_name(f"{run.name}.html")] if kind == "recording" else []
+    pages = [page for page in (*sorted(run.glob("*.html")), *beside) if page.is_file()]
+    unseen = [bag for bag in bags if not bag.with_name(f"{bag.name}.html").is_file()]
+    summary = ""
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):  # of another version: no summary
+        summary = _SUMMARIES[kind](run) if kind in _SUMMARIES else ""
+    return RunEntry(
+        name=run.name,
+        kind=kind,
+        summary=summary,
+        changed=max(path.stat().st_mtime for path in (run, run / _KINDS[kind])),
+        pages=_relative(folder, pages),
+        pictures=_relative(folder, sorted(run.glob("*.png"))),
+        recordings=_relative(folder, unseen),
+    )
+
+
+def _relative(folder: Path, paths: list[Path]) -> tuple[str, ...]:
+    return tuple(path.relative_to(folder).as_posix() for path in paths)
+
+
+def _read(file: Path) -> Any:
+    return json.loads(file.read_text(encoding="utf-8"))
+
+
+def _training(run: Path) -> str:
+    events = _read(run / "run.json")["events"]
+    episodes = [event for event in events if event["kind"] == "episode"]
+    last = f", the last one with an RMSE of {episodes[-1]['force_rmse']:.1f} N" if episodes else ""
+    ends = [event for event in events if event["kind"] in ("stop", "end") and event.get("sentence")]
+    return f"{len(episodes)} episodes{last}.{' ' + ends[-1]['sentence'] if ends else ''}"
+
+
+def _diagnosis(run: Path) -> str:
+    report = _read(run / "report.json")
+    names = ", ".join(effect["id"].replace("_", " ") for effect in report["effects"])
+    return f"{report['verdict'].replace('_', ' ')}{': ' + names if names else ''}"
+
+
+_KINDS = {
+    "training": "run.json",
+    "diagnosis": "report.json",
+    "proof": "proof.html",
+    "pretraining": "pretrain.yaml",
+    "evaluation": "evaluation.json",
+    "recording": "metadata.yaml",
+}
+"""By which file of its folder a kind of run is known; the first one counts."""
+_SUMMARIES: dict[str, Callable[[Path], str]] = {"training": _training, "diagnosis": _diagnosis}

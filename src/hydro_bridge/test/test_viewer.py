@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A recording as a page: nothing is lost of what a screen shows, memory is bounded, and what happened is marked."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_bridge.bags.recording import BagWriter, RecordingError
+from hydro_bridge.dashboard.series import STATE_COLUMNS
+from hydro_bridge.signals import Flag
+from hydro_bridge.viewer.growing import JUMP, GrowingThinner
+from hydro_bridge.viewer.marks import MARKS, Marks
+from hydro_bridge.viewer.page import rendered
+from hydro_bridge.viewer.recorded import read_recorded
+
+ARMED, TRIPPED = int(Flag.ARMED), int(Flag.TRIPPED)
+
+
+@pytest.fixture
+def states(make_states):
+    """5 s: armed from 1 s on, tripped by the force limit at 3 s, disarmed by hand at 4 s."""
+    made = make_states(5000)
+    made["flags"] = 0
+    made["flags"][1000:3000] = ARMED
+    made["flags"][3000:4000] = TRIPPED | int(Flag.FORCE_LIMIT)
+    return made
+
+
+@pytest.fixture
+def bag(tmp_path: Path, states) -> Path:
+    folder = tmp_path / "run"
+    with BagWriter(folder, metadata={"weights": "sha256:<1>"}) as writer:
+        writer.write_states(states)
+    return folder
+
+
+def training(time: float, **said: float) -> dict[str, float]:
+    """A TrainingStatus."""
+    return {"time": time, "phase": 1, "episode": 0, "force_rmse": 12.34, "episode_return": -5.0, "learner_alive": True,
+            **said}  # fmt: skip
+
+
+def test_a_pulse_of_one_sample_stays_at_every_length_and_memory_does_not_grow() -> None:
+    thinner = GrowingThinner(1, 100.0, limit=64)
+    for second in range(50):
+        times = 100.0 + second + 1e-3 * np.arange(1000)
+        values = np.zeros((1000, 1))
+        values[500] = float(second)
+        thinner.add(times, values)
+    slots = thinner.values(0.0)
+    assert thinner.slot == pytest.approx(1.28), "7 times twice 10 ms: 50 s in 64 slots"
+    assert len(slots) == 40
+    peaks = [slots[int((second + 0.5) / thinner.slot), 0, 1] for second in range(0, 50, 2)]
+    assert all(peak >= second for peak, second in zip(peaks, range(0, 50, 2), strict=True))
+    assert (slots[:, 0, 0] == 0.0).all()
+
+
+def test_a_slot_without_samples_stays_empty_and_an_unbelievable_stamp_is_left_out() -> None:
+    thinner = GrowingThinner(1, 0.0, limit=1024)
+    thinner.add(np.array([0.001, 0.051]), np.array([[1.0], [2.0]]))
+    thinner.add(np.array([-1.0, 2 * JUMP]), np.array([[9.0], [9.0]]))
+    slots = thinner.values(0.0)[:, 0, 1]
+    assert slots[0] == 1.0 and slots[5] == 2.0 and np.isnan(slots[1:5]).all() and len(slots) == 6
+    assert thinner.left_out == 2
+
+
+def test_what_the_flags_tell_is_marked_at_its_sample(bag: Path, states) -> None:
+    found = read_recorded(bag)
+    assert [(mark.kind, mark.text) for mark in found.marks] == [("armed", "armed"), ("trip", "tripped: force limit")]
+    assert [mark.time for mark in found.marks] == pytest.approx([1.0, 3.0], abs=1e-3)
+    force = [column.name for column in STATE_COLUMNS].index("force")
+    table = found.values[0][:, force]
+    assert table[:, 1].max() == pytest.approx(states["load_force"].max(), rel=1e-6)
+    assert table[:, 0].min() == pytest.approx(states["load_force"].min(), rel=1e-6)
+    assert any("episodes" in note for note in found.notes), "it says what it lacks"
+
+
+def test_a_part_of_it_counts_from_the_begin_of_the_part(bag: Path) -> None:
+    found = read_recorded(bag, (2.0, 3.5))
+    assert found.seconds == pytest.approx(1.5, abs=2e-3)
+    assert [mark.kind for mark in found.marks] == ["armed", "trip"]
+    assert found.marks[0].text == "armed already when the recording begins"
+    assert found.marks[1].time == pytest.approx(1.0, abs=2e-3)
+    with pytest.raises(RecordingError, match="no samples from 60"):
+        read_recorded(bag, (60.0, 70.0))
+
+
+def test_episodes_examinations_rollbacks_and_overrides_are_marked_once_each() -> None:
+    marks = Marks()
+    for n, said in enumerate([{}, {"episode": 1}, {"episode": 1, "phase": 2}, {"episode": 1, "learner_alive": False}]):
+        marks.training(training(float(n), **said))
+    quiet = {"rollbacks": "0", "override": "no", "examination": "none yet"}
+    for n, said in enumerate([{}, {}, {"rollbacks": "1"}, {"override": "K_p 60"}, {}]):
+        marks.diagnostics(10.0 + n, "trainer", {**quiet, **said})
+    marks.diagnostics(20.0, "filter", {"rollbacks": "7"})
+    told = [(mark.time, mark.kind) for mark in marks.sorted()]
+    assert told[:4] == [(1.0, "episode"), (2.0, "examination"), (3.0, "examination"), (3.0, "learner")]
+    assert (12.0, "rollback") in told and [time for time, kind in told if kind == "override"] == [13.0, 14.0]
+    assert marks.sorted()[0].text == "episode 1; the last one: RMSE 12.3 N, return -5"
+
+
+def test_marks_are_bounded(make_states) -> None:
+    marks, flicker = Marks(), make_states(MARKS + 100)
+    flicker["flags"] = np.arange(len(flicker)) % 2 * ARMED
+    marks.states(flicker)
+    assert len(marks.sorted()) == MARKS
+    assert marks.dropped == 99
+
+
+def test_the_page_loads_nothing_and_escapes_what_the_recording_says(bag: Path) -> None:
+    page = rendered(read_recorded(bag))
+    assert "sha256:&lt;1&gt;" in page and "<1>" not in page
+    assert 'src="http' not in page and 'href="http' not in page
+    assert "default-src &#39;none&#39;" in page
+
+
+def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "run"):
+        pass
+    with pytest.raises(RecordingError, match="no samples on /hydro/state to show; there is nothing"):
+        read_recorded(tmp_path / "run")
