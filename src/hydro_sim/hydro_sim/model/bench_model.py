@@ -23,7 +23,7 @@ from functools import cached_property, lru_cache
 from importlib.metadata import version
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -97,7 +97,7 @@ class BenchModel:
         past = _past(catalogue.delay(bench.effects))
         labels = tuple(catalogue.label(effect) for effect in bench.terms)
         self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
-        self._code = _library(self.structure, derivatives=False)
+        self._code = library(self.structure)
         hidden = [State(one.name, one.unit, one.scale) for kind, _ in kinds for one in kind.effect.states]
         self.states = (*_TEXTBOOK, *hidden, *(State(f"current {i} samples ago", "A", 1e-2) for i in range(past)))
         self.address = ctypes.cast(self._code.bench_sample, ctypes.c_void_p).value or 0
@@ -161,12 +161,12 @@ class BenchModel:
     @cached_property
     def _derivatives(self) -> ctypes.CDLL:
         """The code with derivatives: five times as long to compile, and not needed by a simulation."""
-        return _library(self.structure, derivatives=True)
+        return library(self.structure, "derivatives")
 
     @property
     def source(self) -> str:
         """The model's C: what a box can run."""
-        return _source(self.structure, derivatives=True)
+        return _source(self.structure, "derivatives")
 
 
 @dataclass(frozen=True)
@@ -209,11 +209,16 @@ def _past(delay: float) -> int:
     return next(past for past in PASTS if past >= needed)
 
 
+Part = Literal["", "derivatives", "sensitivities"]
+"""What a library has beside the simulation: `BenchModel`'s derivatives, or what `model.sensitivities` calls."""
+
+
 @lru_cache(maxsize=256)
-def _library(structure: Structure, *, derivatives: bool) -> ctypes.CDLL:
-    name = f"{structure} {derivatives} {_sources_digest()}"
-    code = machine_code.kept(name, lambda: _source(structure, derivatives=derivatives), said=lambda: _say(structure))
-    if derivatives:
+def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
+    """Compiled code of a structure; it is compiled where it first comes."""
+    name = f"{structure} {part} {_sources_digest()}"
+    code = machine_code.kept(name, lambda: _source(structure, part), said=lambda: _say(structure))
+    if part == "derivatives":
         code.bench_window.restype = ctypes.c_double
     return code
 
@@ -233,10 +238,11 @@ def _assembled(structure: Structure) -> Functions:
     return made.functions()
 
 
-def _source(structure: Structure, *, derivatives: bool) -> str:
+def _source(structure: Structure, part: Part) -> str:
     from hydro_sim.model.source import c_source
 
-    return c_source(_assembled(structure), structure.substeps, derivatives=derivatives)
+    asked = {"derivatives": part == "derivatives", "sensitivities": part == "sensitivities"}
+    return c_source(_assembled(structure), structure.substeps, **asked)
 
 
 @lru_cache(maxsize=1)
@@ -245,8 +251,8 @@ def _sources_digest() -> str:
     import hashlib
 
     here = Path(__file__).parent
-    names = ["equations.py", "laws.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench_model.c"]
-    files = [here / name for name in [*names, "bench.py"]] + sorted((here / "effects").glob("*.py"))
+    names = ["equations.py", "laws.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench.py"]
+    files = [here / name for name in names] + sorted(here.glob("*.c")) + sorted((here / "effects").glob("*.py"))
     others = f"{SAMPLE_PERIOD} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 
