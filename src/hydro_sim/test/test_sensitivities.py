@@ -93,7 +93,7 @@ def test_sensitivities_are_those_of_the_adjoint() -> None:
 
 
 def test_the_filter_finds_states_that_nothing_measures() -> None:
-    """Noise on the readings, a start that is off: the velocity comes out, and what the supply is asked for within 2 %."""
+    """Noise on the readings, a start that is off: the velocity comes out, and what the supply gives within 2 %."""
     model, exact = _made("bristles")
     k, y, _ = model.begin(model.values)
     current, states, readings = wave(1500), [], []

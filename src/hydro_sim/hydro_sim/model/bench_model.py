@@ -111,26 +111,27 @@ class BenchModel:
             raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
         k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(READINGS)
         y[:TEXTBOOK] = rest_state(self.bench)
-        self._code.bench_begin(_to(theta), _to(k), _to(y), _to(z))
+        self._code.bench_begin(to_c(theta, (len(self.parameters),)), to_c(k), to_c(y), to_c(z))
         return k, y, z
 
     def sample(self, k: FloatArray, y: FloatArray, current: float) -> FloatArray:
         """Readings z, shape (5,), after a sample at a held current [A]; y, shape (states,), moves on in place."""
         z = np.empty(READINGS)
-        self._code.bench_sample(_to(k), _to(y), ctypes.c_double(current), _to(z))
+        self._code.bench_sample(*self._at(k, y), ctypes.c_double(current), to_c(z))
         return z
 
     def rollout(self, k: FloatArray, y: FloatArray, currents: FloatArray) -> FloatArray:
         """Readings after each of n samples, shape (n, 5); y moves on in place."""
         z = np.empty((len(currents), READINGS))
-        self._code.bench_rollout(_to(k), _to(y), ctypes.c_long(len(currents)), _to(currents), _to(z))
+        n = len(currents)
+        self._code.bench_rollout(*self._at(k, y), ctypes.c_long(n), to_c(currents, (n,)), to_c(z))
         return z
 
     def jacobian(self, k: FloatArray, y: FloatArray, current: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As `sample`; and d y/d(y, u), shape (states, states + 1), and d z/d(y, u), shape (5, states + 1)."""
         width = len(self.states) + 1
         z, dy, dz = np.empty(READINGS), np.empty((width - 1, width)), np.empty((READINGS, width))
-        self._derivatives.bench_jacobian(_to(k), _to(y), ctypes.c_double(current), _to(z), _to(dy), _to(dz))
+        self._derivatives.bench_jacobian(*self._at(k, y), ctypes.c_double(current), to_c(z), to_c(dy), to_c(dz))
         return z, dy, dz
 
     def window(
@@ -142,14 +143,20 @@ class BenchModel:
         """
         gy, gk = np.empty_like(y), np.zeros_like(k)
         room = np.empty((len(currents) + 1, len(y)))
-        words = [_to(k), _to(y), ctypes.c_long(len(currents)), _to(currents), _to(targets), _to(weights)]
-        return self._derivatives.bench_window(*words, _to(gy), _to(gk), _to(room)), gy, gk
+        n, at = len(currents), self._at(k, y)
+        words = [ctypes.c_long(n), to_c(currents, (n,)), to_c(targets, (n, READINGS)), to_c(weights, (READINGS,))]
+        return self._derivatives.bench_window(*at, *words, to_c(gy), to_c(gk), to_c(room)), gy, gk
 
     def gradient(self, theta: FloatArray, gk: FloatArray) -> FloatArray:
         """A gradient by the parameters, of one by the coefficients."""
         gtheta = np.empty_like(theta)
-        self._derivatives.bench_once_back(_to(theta), _to(gk), _to(gtheta))
+        self._derivatives.bench_once_back(
+            to_c(theta, (len(self.parameters),)), to_c(gk, (self.coefficients,)), to_c(gtheta)
+        )
         return gtheta
+
+    def _at(self, k: FloatArray, y: FloatArray) -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
+        return to_c(k, (self.coefficients,)), to_c(y, (len(self.states),))
 
     def symbols(self) -> Functions:
         """The model's functions as CasADi's symbols."""
@@ -257,8 +264,10 @@ def _sources_digest() -> str:
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 
 
-def _to(array: Any) -> Any:
-    """Where an array's float64 numbers lie."""
+def to_c(array: FloatArray, shape: tuple[int, ...] | None = None) -> ctypes.c_void_p:
+    """Where an array's float64 numbers lie; ValueError if it is not what compiled code reads."""
     if array.dtype != np.float64 or not array.flags.c_contiguous:
         raise ValueError(f"an array of {array.dtype} and strides {array.strides} is not one of adjacent float64")
-    return array.ctypes.data_as(ctypes.c_void_p)
+    if shape is not None and array.shape != shape:
+        raise ValueError(f"an array has shape {array.shape}, the model needs {shape}")
+    return ctypes.c_void_p(array.ctypes.data)

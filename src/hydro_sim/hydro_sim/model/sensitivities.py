@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.model.bench_model import READINGS, BenchModel, library
+from hydro_sim.model.bench_model import READINGS, BenchModel, library, to_c
 
 
 @dataclass
@@ -49,14 +49,14 @@ class Sensitivities:
         """Coefficients k, shape (m,), and d k/d theta, shape (m, parameters)."""
         k = np.empty(self.model.coefficients)
         dk = np.empty((len(k), len(self.model.parameters)))
-        self._code.bench_once_partials(_to(theta, (len(self.model.parameters),)), _to(k), _to(dk))
+        self._code.bench_once_partials(to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(dk))
         return k, dk
 
     def begin(self, theta: FloatArray, y: FloatArray) -> FloatArray:
         """States, shape (states,), of a bench that stands still in the textbook states y[:6]."""
         y, k, z = y.copy(), np.empty(self.model.coefficients), np.empty(READINGS)
         self._code.bench_begin(
-            _to(theta, (len(self.model.parameters),)), _to(k), _to(y, (len(self.model.states),)), _to(z)
+            to_c(theta, (len(self.model.parameters),)), to_c(k), to_c(y, (len(self.model.states),)), to_c(z)
         )
         return y
 
@@ -79,8 +79,8 @@ class Sensitivities:
         n, p = len(currents), directions.shape[1]
         z, dz, room = np.empty((n, READINGS)), np.empty((n, READINGS, p)), np.empty((self.held, p))
         self._code.bench_sensitivities(
-            _to(k, (self.model.coefficients,)), _to(y, (len(self.model.states),)), ctypes.c_long(n), _to(currents, (n,)),
-            ctypes.c_long(p), _to(directions), _to(z), _to(dz), _to(room),
+            to_c(k, (self.model.coefficients,)), to_c(y, (len(self.model.states),)), ctypes.c_long(n),
+            to_c(currents, (n,)), ctypes.c_long(p), to_c(directions), to_c(z), to_c(dz), to_c(room),
         )  # fmt: skip
         return z, dz, y
 
@@ -101,17 +101,8 @@ class Sensitivities:
         n, held = len(currents), self.held
         states, room = np.empty((n, len(self.model.states))), np.empty((2 * held + len(k), held))
         self._code.bench_follow(
-            _to(k, (self.model.coefficients,)), _to(track.y, (len(self.model.states),)),
-            _to(track.covariance, (held, held)), ctypes.c_long(n), _to(currents, (n,)), _to(readings, (n, READINGS)),
-            _to(q, (held,)), _to(r, (READINGS,)), _to(states), _to(room),
+            to_c(k, (self.model.coefficients,)), to_c(track.y, (len(self.model.states),)),
+            to_c(track.covariance, (held, held)), ctypes.c_long(n), to_c(currents, (n,)), to_c(readings, (n, READINGS)),
+            to_c(q, (held,)), to_c(r, (READINGS,)), to_c(states), to_c(room),
         )  # fmt: skip
         return states
-
-
-def _to(array: FloatArray, shape: tuple[int, ...] | None = None) -> ctypes.c_void_p:
-    """Where an array's float64 numbers lie; ValueError if it is not what the compiled code reads."""
-    if array.dtype != np.float64 or not array.flags.c_contiguous:
-        raise ValueError(f"an array of {array.dtype} and strides {array.strides} is not one of adjacent float64")
-    if shape is not None and array.shape != shape:
-        raise ValueError(f"an array has shape {array.shape}, the model needs {shape}")
-    return ctypes.c_void_p(array.ctypes.data)
