@@ -284,3 +284,10 @@ def test_learn_goes_on_with_the_same_recordings_alone(begun, recording, tmp_path
     with pytest.raises(SystemExit) as ended:
         learn.main()
     assert ended.value.code == 2 and "is of other recordings: one, two" in capsys.readouterr().err
+
+
+def test_a_training_whose_epochs_are_done_gives_what_it_found(data, tmp_path):
+    done, model = trained(data, settings(), tmp_path / "c")
+    again, found = trained(data, None, tmp_path / "c")
+    assert again.epoch == done.epoch and same(again, done)
+    assert np.array_equal(found.flat, model.flat)

@@ -78,13 +78,35 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
 
 
 def progress(
-    items: Iterable[T] | None = None, *, total: float | None = None, label: str = "", unit: str = "it"
+    items: Iterable[T] | None = None,
+    *,
+    total: float | None = None,
+    label: str = "",
+    unit: str = "it",
+    every: float | None = None,
 ) -> tqdm[T]:
-    """Progress bar on standard error, none where that is no terminal: iterate it, or `update` it."""
-    bar: tqdm[Any] = tqdm(
-        items, total=total, desc=label or None, unit=unit, file=sys.stderr, disable=None, dynamic_ncols=True
-    )
+    """Progress bar on standard error: iterate it, or `update` it.
+
+    Where that is no terminal there is none, or a line `every` so many seconds.
+    """
+    about: dict[str, Any] = {"total": total, "desc": label or None, "unit": unit}
+    if every is None or sys.stderr.isatty():
+        how: dict[str, Any] = {"file": sys.stderr, "disable": None, "dynamic_ncols": True}
+    else:
+        how = {"file": _Lines(), "mininterval": every, "maxinterval": every, "ascii": True, "ncols": 0}
+    bar: tqdm[Any] = tqdm(items, **about, **how)
     return bar
+
+
+class _Lines:
+    """Standard error, where each state of a progress bar becomes a line of its own."""
+
+    def write(self, text: str) -> None:
+        if line := text.strip("\r\n "):
+            print(line, file=sys.stderr)
+
+    def flush(self) -> None:
+        sys.stderr.flush()
 
 
 @dataclass

@@ -18,6 +18,8 @@ import yaml
 from hydro_bridge.errors import UserError
 
 _LISTS = ("effects", "closures")
+_ABOUT = "learned"
+"""What `learn` says of its file: no part of the bench."""
 _UNSET: tuple[Any, ...] = (None, [], ())
 
 DIGITS = 12
@@ -26,7 +28,8 @@ DIGITS = 12
 
 def digest(bench: Mapping[str, Any]) -> str:
     """SHA-256 of keys and values, its first 12 digits; what is not set counts as absent."""
-    numbers = {key: value if key in _LISTS else float(value) for key, value in bench.items() if value not in _UNSET}
+    said = {key: value for key, value in bench.items() if value not in _UNSET and key != _ABOUT}
+    numbers = {key: value if key in _LISTS else float(value) for key, value in said.items()}
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGITS]
 
 
@@ -40,7 +43,8 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
     """
     try:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
-        return {str(key): value if key in _LISTS else _number(value) for key, value in content.items()}
+        numbers = {key: value for key, value in content.items() if key != _ABOUT}
+        return {str(key): value if key in _LISTS else _number(value) for key, value in numbers.items()}
     except (OSError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
     except (AttributeError, TypeError, ValueError, yaml.YAMLError) as error:

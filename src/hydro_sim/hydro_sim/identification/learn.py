@@ -21,7 +21,7 @@ from hydro_bridge.cli.resuming import given, refuse_changes
 from hydro_sim.files import recordings
 from hydro_sim.files.pairing import MadeFor
 from hydro_sim.files.recordings import DataError
-from hydro_sim.identification import adam, engines, stages, training
+from hydro_sim.identification import adam, engines, learn_bench, stages, training
 from hydro_sim.identification.checkpoint import Checkpoint
 from hydro_sim.identification.curves import draw_curves
 from hydro_sim.learned.model import Model
@@ -37,8 +37,8 @@ DEVICE_HELP = (
 
 STRUCTURE_HELP = (
     "structured: equations with learned constants, and a network for the rest; residual: a network on top of the bench "
-    "file's equations; network: the paper's, x' by a network alone (default structured; "
-    "docs/reports/learned_bench.md compares)"
+    "file's equations; network: the paper's, x' by a network alone (docs/reports/learned_bench.md compares these); "
+    "bench: the parameters of effects and closures that --bench names, WEIGHTS is a bench file (default structured)"
 )
 RESUME_HELP = (
     "go on from WEIGHTS' checkpoint, if there is one, with what it was begun with; --epochs, --patience, --device and "
@@ -55,6 +55,9 @@ HIDDEN_HELP = "hidden layers' widths, as many as there are to be layers; two for
 def main() -> None:
     """Entry point."""
     options = parser().parse_args()
+    if options.structure == learn_bench.STRUCTURE:
+        learn_bench.run(options, given(parser(), sys.argv[1:]))
+        return
     _check(options)
     out, began = Path(options.out), time.monotonic()
     before = going_on(options)
@@ -116,7 +119,7 @@ def _begun(options: argparse.Namespace, data: recordings.Data, settings: trainin
 
 
 def _train(first: Checkpoint, data: recordings.Data, path: Path) -> tuple[adam.Progress, Model]:
-    bar: tqdm[Any] = progress(total=first.settings.adam.epochs, label="training", unit="epoch")
+    bar: tqdm[Any] = progress(total=first.settings.adam.epochs, label="training", unit="epoch", every=10.0)
 
     def keep(state: adam.Progress) -> None:
         replace(first, progress=state).save(path)
@@ -150,6 +153,8 @@ def _check(options: argparse.Namespace) -> None:
         raise ValueError(f"--hidden names {len(options.hidden)} layers, --structure structured has two")
     if deep and (options.device == "cuda" or options.printed_loss):
         raise ValueError("--device cuda and --printed-loss are for a network alone of two layers, and for structured")
+    if options.json:
+        raise ValueError("--json is for --structure bench")
     engines.engines(options.device)
 
 
@@ -172,10 +177,14 @@ def parser() -> argparse.ArgumentParser:
         required=True,
         type=writable,
         metavar="WEIGHTS",
-        help="file to write, .safetensors; its curve beside it",
+        help="file to write, .safetensors; its curve beside it. A bench.yaml for --structure bench",
     )
-    result.add_argument("--structure", choices=training.CHOICES, default="structured", help=STRUCTURE_HELP)
+    result.add_argument(
+        "--structure", choices=(*training.CHOICES, learn_bench.STRUCTURE), default="structured", help=STRUCTURE_HELP
+    )
     result.add_argument("--bench", metavar="FILE", help=BENCH_HELP)
+    result.add_argument("--windows", type=int, default=120, help="bench: predictions that it is learnt from")
+    result.add_argument("--json", metavar="FILE", help="bench: write the table of parameters there as well")
     result.add_argument("--hidden", nargs="+", type=int, default=[32, 32], metavar="WIDTH", help=HIDDEN_HELP)
     result.add_argument("--horizon", type=int, default=70, help="samples rolled out; 1: one-step training")
     result.add_argument("--batch", type=int, default=8192, help="windows per gradient")

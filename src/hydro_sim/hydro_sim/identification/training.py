@@ -109,18 +109,25 @@ def steps(
 ) -> Iterator[tuple[adam.Progress, Model]]:  # fmt: skip
     """The loop, from its beginning or from `progress`: progress and the best model so far after every epoch.
 
-    `keep` gets what there is to go on from: at the beginning and at every validation.
+    Where all epochs are done already, both come once. `keep` gets what there is to go on from: at the beginning and at
+    every validation.
     """
     target = objective(model, data, settings)
     progress = progress or adam.Progress.begin(target.model.flat)
     keep(progress)
+    before = progress.epoch
     for state in adam.train(target, settings.adam, progress):
         if state.epoch % settings.adam.validate_every == 0:
             keep(state)
-        best = (
-            target.at(state.best) if isinstance(target, StructuredObjective) else target.model.with_weights(state.best)
-        )
-        yield state, best
+        yield state, _best(target, state)
+    if progress.epoch == before:
+        yield progress, _best(target, progress)
+
+
+def _best(target: NetworkObjective | StructuredObjective, state: adam.Progress) -> Model:
+    if isinstance(target, StructuredObjective):
+        return target.at(state.best)
+    return target.model.with_weights(state.best)
 
 
 def finished(model: Model, data: Data, training: dict[str, object]) -> Learned:

@@ -60,6 +60,8 @@ class Functions:
     """Mean position of the spool [A] over a step."""
     rates: SX
     """y' of the textbook's states and the integrated hidden ones, where the edges are open as `openings`."""
+    past: int
+    """Past currents at the end of y."""
 
 
 class Assembly:
@@ -116,7 +118,7 @@ class Assembly:
         theta = vertcat(*self.theta.values())
         return Functions(
             theta, vertcat(theta, symbols), self.y, self.current, self.share, vertcat(theta, expressions),
-            begin, enter, step, read, spool, slopes,
+            begin, enter, step, read, spool, slopes, self.past,
         )  # fmt: skip
 
     def once(self, expression: Symbol) -> Symbol:

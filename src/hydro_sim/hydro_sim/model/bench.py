@@ -21,6 +21,9 @@ import yaml
 from hydro_bridge.files import bench_file
 from hydro_sim.model.effects import catalogue
 
+UNFIT = 3.0
+"""Times the noise that 70-sample predictions may leave, geometric mean of the readings, of what is relied on."""
+
 
 def _quantity(unit: str, low: float, high: float) -> Any:
     return field(metadata={"unit": unit, "low": low, "high": high})
@@ -74,6 +77,8 @@ class Bench:
     """Effects beyond these equations, found by a diagnosis (`corrected.yaml`), as read: `hydro_sim.model.effects`."""
     closures: tuple[Mapping[str, Any], ...] = ()
     """What a diagnosis modelled without a name, as read: equation, form, parameters (`hydro_sim.model.laws`)."""
+    learned: Mapping[str, Any] | None = None
+    """What `learn` says of its file: the `bench` that it was (a digest) and what predictions leave, `over_noise`."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -96,6 +101,20 @@ class Bench:
     def terms(self) -> tuple[Mapping[str, Any], ...]:
         """Effects and closures, as the model takes them."""
         return (*self.effects, *({"id": "closure", **closure} for closure in self.closures))
+
+    @property
+    def unfit(self) -> str:
+        """Why nothing may rely on predictions of this bench, in a sentence; empty where nothing is known against it.
+
+        What `learn` found of it holds as long as no number was changed since.
+        """
+        known = self.learned or {}
+        if known.get("bench") != self.digest or float(known.get("over_noise", 0.0)) <= UNFIT:
+            return ""
+        return (
+            f"predictions of this bench file leave {float(known['over_noise']):.3g} times the noise, more than "
+            f"{UNFIT:g}: it lacks an effect that the bench has (`diagnose` names candidates)"
+        )
 
     @classmethod
     def nominal(cls) -> Bench:
@@ -138,9 +157,14 @@ class Bench:
             raise ValueError(f"unknown key {unknown[0]!r}")
         if missing:
             raise ValueError(f"key {missing[0]!r} is missing")
-        values = {key: _number(key, value) for key, value in content.items() if key not in ("effects", "closures")}
+        values = {key: _number(key, value) for key, value in content.items() if key not in _NOT_NUMBERS}
+        learned = content.get("learned")
+        if learned is not None and not isinstance(learned, Mapping):
+            raise ValueError("'learned' is a mapping, as `learn` writes it")
         closures = _listed("closures", content.get("closures"), ("equation", "form", "parameters"))
-        return cls(**values, effects=_listed("effects", content.get("effects"), ("id",)), closures=closures)
+        return cls(
+            **values, effects=_listed("effects", content.get("effects"), ("id",)), closures=closures, learned=learned
+        )
 
     def to_mapping(self) -> dict[str, Any]:
         """Keys and values as in bench.yaml; the optional ones only if set."""
@@ -169,7 +193,7 @@ class Bench:
         limits = {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in quantities}
         believed = {name: getattr(self, name) for name in limits}
         numbers: dict[str, Any] = catalogue.corrected(believed, limits, self.effects)
-        return replace(self, effects=(), closures=(), **numbers)
+        return replace(self, effects=(), closures=(), learned=None, **numbers)
 
 
 BENCH_DTYPE = np.dtype(
@@ -180,8 +204,11 @@ BENCH_DTYPE = np.dtype(
 Effects that are wrong numbers of the bench file are in the numbers; the others are the model's (`bench_model`)."""
 
 
+_NOT_NUMBERS = ("effects", "closures", "learned")
+
+
 def _required(entry: Any) -> bool:
-    return entry.name not in ("load_cell_bandwidth", "effects", "closures")
+    return entry.name not in ("load_cell_bandwidth", *_NOT_NUMBERS)
 
 
 def _check(key: str, value: object, metadata: Mapping[str, Any], *, optional: bool) -> None:

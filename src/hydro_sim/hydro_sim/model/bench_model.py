@@ -23,7 +23,7 @@ from functools import cached_property, lru_cache
 from importlib.metadata import version
 from math import ceil
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -97,7 +97,7 @@ class BenchModel:
         past = _past(catalogue.delay(bench.effects))
         labels = tuple(catalogue.label(effect) for effect in bench.terms)
         self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
-        self._code = _library(self.structure, derivatives=False)
+        self._code = library(self.structure)
         hidden = [State(one.name, one.unit, one.scale) for kind, _ in kinds for one in kind.effect.states]
         self.states = (*_TEXTBOOK, *hidden, *(State(f"current {i} samples ago", "A", 1e-2) for i in range(past)))
         self.address = ctypes.cast(self._code.bench_sample, ctypes.c_void_p).value or 0
@@ -111,26 +111,27 @@ class BenchModel:
             raise ValueError("a dead time is above the bench file's: make a model of a bench file with the longer one")
         k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(READINGS)
         y[:TEXTBOOK] = rest_state(self.bench)
-        self._code.bench_begin(_to(theta), _to(k), _to(y), _to(z))
+        self._code.bench_begin(to_c(theta, (len(self.parameters),)), to_c(k), to_c(y), to_c(z))
         return k, y, z
 
     def sample(self, k: FloatArray, y: FloatArray, current: float) -> FloatArray:
         """Readings z, shape (5,), after a sample at a held current [A]; y, shape (states,), moves on in place."""
         z = np.empty(READINGS)
-        self._code.bench_sample(_to(k), _to(y), ctypes.c_double(current), _to(z))
+        self._code.bench_sample(*self._at(k, y), ctypes.c_double(current), to_c(z))
         return z
 
     def rollout(self, k: FloatArray, y: FloatArray, currents: FloatArray) -> FloatArray:
         """Readings after each of n samples, shape (n, 5); y moves on in place."""
         z = np.empty((len(currents), READINGS))
-        self._code.bench_rollout(_to(k), _to(y), ctypes.c_long(len(currents)), _to(currents), _to(z))
+        n = len(currents)
+        self._code.bench_rollout(*self._at(k, y), ctypes.c_long(n), to_c(currents, (n,)), to_c(z))
         return z
 
     def jacobian(self, k: FloatArray, y: FloatArray, current: float) -> tuple[FloatArray, FloatArray, FloatArray]:
         """As `sample`; and d y/d(y, u), shape (states, states + 1), and d z/d(y, u), shape (5, states + 1)."""
         width = len(self.states) + 1
         z, dy, dz = np.empty(READINGS), np.empty((width - 1, width)), np.empty((READINGS, width))
-        self._derivatives.bench_jacobian(_to(k), _to(y), ctypes.c_double(current), _to(z), _to(dy), _to(dz))
+        self._derivatives.bench_jacobian(*self._at(k, y), ctypes.c_double(current), to_c(z), to_c(dy), to_c(dz))
         return z, dy, dz
 
     def window(
@@ -142,14 +143,20 @@ class BenchModel:
         """
         gy, gk = np.empty_like(y), np.zeros_like(k)
         room = np.empty((len(currents) + 1, len(y)))
-        words = [_to(k), _to(y), ctypes.c_long(len(currents)), _to(currents), _to(targets), _to(weights)]
-        return self._derivatives.bench_window(*words, _to(gy), _to(gk), _to(room)), gy, gk
+        n, at = len(currents), self._at(k, y)
+        words = [ctypes.c_long(n), to_c(currents, (n,)), to_c(targets, (n, READINGS)), to_c(weights, (READINGS,))]
+        return self._derivatives.bench_window(*at, *words, to_c(gy), to_c(gk), to_c(room)), gy, gk
 
     def gradient(self, theta: FloatArray, gk: FloatArray) -> FloatArray:
         """A gradient by the parameters, of one by the coefficients."""
         gtheta = np.empty_like(theta)
-        self._derivatives.bench_once_back(_to(theta), _to(gk), _to(gtheta))
+        self._derivatives.bench_once_back(
+            to_c(theta, (len(self.parameters),)), to_c(gk, (self.coefficients,)), to_c(gtheta)
+        )
         return gtheta
+
+    def _at(self, k: FloatArray, y: FloatArray) -> tuple[ctypes.c_void_p, ctypes.c_void_p]:
+        return to_c(k, (self.coefficients,)), to_c(y, (len(self.states),))
 
     def symbols(self) -> Functions:
         """The model's functions as CasADi's symbols."""
@@ -161,12 +168,12 @@ class BenchModel:
     @cached_property
     def _derivatives(self) -> ctypes.CDLL:
         """The code with derivatives: five times as long to compile, and not needed by a simulation."""
-        return _library(self.structure, derivatives=True)
+        return library(self.structure, "derivatives")
 
     @property
     def source(self) -> str:
         """The model's C: what a box can run."""
-        return _source(self.structure, derivatives=True)
+        return _source(self.structure, "derivatives")
 
 
 @dataclass(frozen=True)
@@ -209,11 +216,16 @@ def _past(delay: float) -> int:
     return next(past for past in PASTS if past >= needed)
 
 
+Part = Literal["", "derivatives", "sensitivities"]
+"""What a library has beside the simulation: `BenchModel`'s derivatives, or what `model.sensitivities` calls."""
+
+
 @lru_cache(maxsize=256)
-def _library(structure: Structure, *, derivatives: bool) -> ctypes.CDLL:
-    name = f"{structure} {derivatives} {_sources_digest()}"
-    code = machine_code.kept(name, lambda: _source(structure, derivatives=derivatives), said=lambda: _say(structure))
-    if derivatives:
+def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
+    """Compiled code of a structure; it is compiled where it first comes."""
+    name = f"{structure} {part} {_sources_digest()}"
+    code = machine_code.kept(name, lambda: _source(structure, part), said=lambda: _say(structure))
+    if part == "derivatives":
         code.bench_window.restype = ctypes.c_double
     return code
 
@@ -233,10 +245,11 @@ def _assembled(structure: Structure) -> Functions:
     return made.functions()
 
 
-def _source(structure: Structure, *, derivatives: bool) -> str:
+def _source(structure: Structure, part: Part) -> str:
     from hydro_sim.model.source import c_source
 
-    return c_source(_assembled(structure), structure.substeps, derivatives=derivatives)
+    asked = {"derivatives": part == "derivatives", "sensitivities": part == "sensitivities"}
+    return c_source(_assembled(structure), structure.substeps, **asked)
 
 
 @lru_cache(maxsize=1)
@@ -245,14 +258,16 @@ def _sources_digest() -> str:
     import hashlib
 
     here = Path(__file__).parent
-    names = ["equations.py", "laws.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench_model.c"]
-    files = [here / name for name in [*names, "bench.py"]] + sorted((here / "effects").glob("*.py"))
+    names = ["equations.py", "laws.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench.py"]
+    files = [here / name for name in names] + sorted(here.glob("*.c")) + sorted((here / "effects").glob("*.py"))
     others = f"{SAMPLE_PERIOD} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 
 
-def _to(array: Any) -> Any:
-    """Where an array's float64 numbers lie."""
+def to_c(array: FloatArray, shape: tuple[int, ...] | None = None) -> ctypes.c_void_p:
+    """Where an array's float64 numbers lie; ValueError if it is not what compiled code reads."""
     if array.dtype != np.float64 or not array.flags.c_contiguous:
         raise ValueError(f"an array of {array.dtype} and strides {array.strides} is not one of adjacent float64")
-    return array.ctypes.data_as(ctypes.c_void_p)
+    if shape is not None and array.shape != shape:
+        raise ValueError(f"an array has shape {array.shape}, the model needs {shape}")
+    return ctypes.c_void_p(array.ctypes.data)

@@ -13,6 +13,7 @@ import fcntl
 import hashlib
 import os
 import platform
+import shlex
 import shutil
 import subprocess
 import tempfile
@@ -43,20 +44,31 @@ def kept(name: str, source: Callable[[], str], *, said: Callable[[], None] = lam
     Raises
     ------
     ValueError
-        There is no C compiler, or it refuses.
+        There is no C compiler, or it refuses; or there is no place to keep the library.
     """
     file = folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
-    if not file.exists():
+    if found := _loaded(file):
+        return found
+    try:
         file.parent.mkdir(parents=True, exist_ok=True)
         with (file.parent / "lock").open("w") as lock:  # a graph starts its nodes at once
             fcntl.flock(lock, fcntl.LOCK_EX)
-            if not file.exists():
-                said()
-                _compile(source(), file)
-    try:
-        return ctypes.CDLL(str(file))
+            if found := _loaded(file):
+                return found
+            said()
+            _compile(source(), file)
     except OSError as error:
-        raise ValueError(f"{file} cannot be loaded ({error}): delete it, it is compiled anew") from error
+        where = f"{file.parent} ({error.strerror})"
+        raise ValueError(f"compiled models cannot be kept in {where}: set NUMBA_CACHE_DIR to a folder") from error
+    return ctypes.CDLL(str(file))
+
+
+def _loaded(file: Path) -> ctypes.CDLL | None:
+    """None where it is not there, or damaged: a disk was full, or it was copied in part."""
+    try:
+        return ctypes.CDLL(str(file)) if file.exists() else None
+    except OSError:
+        return None
 
 
 def folder() -> Path:
@@ -69,13 +81,13 @@ def folder() -> Path:
 
 
 def _compile(source: str, file: Path) -> None:
-    compiler = os.environ.get("CC") or next(filter(shutil.which, ("cc", "gcc", "clang")), None)
-    if compiler is None:
+    compiler = shlex.split(os.environ.get("CC", "")) or [*filter(shutil.which, ("cc", "gcc", "clang"))][:1]
+    if not compiler or shutil.which(compiler[0]) is None:
         raise ValueError("no C compiler found for the model of this bench: `apt install gcc`")
     with tempfile.TemporaryDirectory(dir=file.parent) as place:
         text, made = Path(place) / "model.c", Path(place) / "model.so"
         text.write_text(source, encoding="utf-8")
-        words = [compiler, *FLAGS, str(text), "-o", str(made), "-lm"]
+        words = [*compiler, *FLAGS, str(text), "-o", str(made), "-lm"]
         done = subprocess.run(words, capture_output=True, text=True, check=False)
         if done.returncode:
             first = next((line for line in done.stderr.splitlines() if "error" in line), "no message")

@@ -18,8 +18,11 @@ Inputs = Sequence[tuple[str, SX]]
 Outputs = Sequence[tuple[str, SX]]
 
 
-def c_source(model: Functions, substeps: int, *, derivatives: bool = True) -> str:
-    """The whole source, one text; without derivatives it compiles in a fifth of the time."""
+def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensitivities: bool = False) -> str:
+    """The whole source, one text; without derivatives it compiles in a fifth of the time.
+
+    `sensitivities`: with the loops of `bench_sensitivities.c`, by any number of directions at once.
+    """
     if substeps % 2:
         raise ValueError(f"{substeps} integration steps in a sample are not an even number")
     k, y = ("k", model.k), ("y", model.y)
@@ -32,12 +35,15 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True) -> st
         ("read", [k, y], [("z", model.read)]),
         ("rates", at, [("out", model.rates)]),
         *(_tangents(model, at) + _gradients(model, at) if derivatives else []),
+        *(_partials(model, at) if sensitivities else []),
     ]
     sizes = {"N": model.y, "M": model.k, "P": model.theta, "RATES": model.rates}
     head = "".join(f"#define {name} {symbols.numel()}\n" for name, symbols in sizes.items())
     head += f"#define SUBSTEPS {substeps}\n" + "#define DERIVATIVES\n" * derivatives
+    head += _places(model) if sensitivities else ""
     body = "\n".join(_function(*entry) for entry in functions)
-    loops = (resources.files("hydro_sim.model") / "bench_model.c").read_text(encoding="utf-8")
+    files = ["bench_model.c", *(["bench_sensitivities.c"] if sensitivities else [])]
+    loops = "\n".join((resources.files("hydro_sim.model") / name).read_text(encoding="utf-8") for name in files)
     return f"#include <math.h>\n{head}\n{body}\n{loops}"
 
 
@@ -74,6 +80,36 @@ def _gradients(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]
         ("step_back", [*at, ("g", g)], step),
         ("read_back", [*at[:2], ("gz", gz)], read),
     ]
+
+
+def _partial(outcome: SX, model: Functions) -> SX:
+    """d outcome/d(y, k): rows of past currents, which nothing changes, and columns by them left out."""
+    held = model.y.numel() - model.past
+    jacobian = casadi.horzcat(casadi.jacobian(outcome, model.y)[:, :held], casadi.jacobian(outcome, model.k))
+    return casadi.sparsify(jacobian[:held, :] if outcome.numel() == model.y.numel() else jacobian)
+
+
+def _partials(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]:
+    """What comes out, and those of its derivatives by y and k that are not always 0."""
+    step, read = (_partial(outcome, model).nz[:] for outcome in (model.step, model.read))
+    once = casadi.sparsify(casadi.jacobian(model.once, model.theta)).nz[:]
+    return [
+        ("once_partials", [("theta", model.theta)], [("out", model.once), ("partials", once)]),
+        ("step_partials", at, [("out", model.step), ("partials", step)]),
+        ("read_partials", at[:2], [("z", model.read), ("partials", read)]),
+    ]
+
+
+def _places(model: Functions) -> str:
+    """Rows and columns of these derivatives, as C arrays."""
+    once = casadi.sparsify(casadi.jacobian(model.once, model.theta))
+    text = f"#define HELD {model.y.numel() - model.past}\n"
+    for name, matrix in (("ONCE", once), ("STEP", _partial(model.step, model)), ("READ", _partial(model.read, model))):
+        rows, columns = matrix.sparsity().get_triplet()
+        text += f"#define {name}_PARTIALS {len(rows)}\n"
+        for word, places in (("ROW", rows), ("COLUMN", columns)):
+            text += f"static const short {name}_{word}[] = {{{', '.join(map(str, places))}}};\n"
+    return text
 
 
 def _function(name: str, inputs: Inputs, outputs: Outputs) -> str:

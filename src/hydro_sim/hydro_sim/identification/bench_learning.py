@@ -1,0 +1,210 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bench file names is learnt: every parameter of its effects and closures, from recordings.
+
+Rounds of two halves: the filter follows the recordings with the parameters so far and says where windows begin
+(`bench_states`), then parameters and starts are fitted to the windows together (`bench_fit`). At first the filter
+trusts the model little, so that a poor bench file does not send the starts astray. A reading of which the model leaves
+more than noise is weighed by what is left: the likelihood of five unknown variances.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_sim.files.recordings import Data, Run
+from hydro_sim.identification.bench_fit import PRIOR, Batch, Coordinates, Fit, Problem
+from hydro_sim.identification.bench_states import Follower, noise_of
+from hydro_sim.identification.objectives import SETTLED, Indices
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel
+from hydro_sim.model.effects import catalogue, valve
+from hydro_sim.model.sensitivities import Sensitivities
+
+SUBSTEPS = 10
+"""Integration steps per sample: 100 us, a 110th of a period of the 90 Hz mass-on-oil mode."""
+HORIZON = 70
+"""Samples of a prediction."""
+TRUSTS = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
+"""How much the filter thinks that the model misses, round by round."""
+ITERATIONS = 5
+"""In a round, at most."""
+TRIED = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+"""Trusts of which the one that predicts the validation runs best is taken in the end."""
+DELAY_LEAST, DELAY_FACTOR = 5e-3, 2.0
+"""s, and times the bench file's: what a dead time may become."""
+QUANTILE = 1.96
+"""Standard deviations from the middle of a 95 % interval to its end."""
+
+Report = Callable[[str], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Identified:
+    """A parameter that was learnt."""
+
+    name: str
+    unit: str
+    before: float
+    """In the bench file."""
+    value: float
+    low: float
+    """Of the 95 % interval, as far as windows are independent and the model holds."""
+    high: float
+    seen: bool
+    """Whether the recordings say more than was believed before."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Result:
+    """A bench that was learnt."""
+
+    bench: Bench
+    parameters: list[Identified]
+    noise: FloatArray
+    """Of the readings, measured in the recordings, shape (5,)."""
+    left: FloatArray
+    """RMSE of 70-sample predictions of the validation runs against the readings, shape (5,)."""
+
+    @property
+    def over_noise(self) -> float:
+        """What predictions leave, over the noise, geometric mean of the five readings; 1: nothing but noise."""
+        return float(np.exp(np.mean(np.log(self.left / self.noise))))
+
+
+def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: Report = lambda text: None) -> Result:
+    """The bench with its effects' and closures' parameters fitted to `count` windows of the training runs.
+
+    Raises
+    ------
+    ValueError
+        The bench file names no effects, or the recordings have no room for windows.
+    """
+    if not bench.terms:
+        raise ValueError("the bench file names no effects: list them under 'effects', or let `diagnose` find them")
+    exact = Sensitivities(BenchModel(_roomy(bench), substeps=SUBSTEPS))
+    coordinates = _coordinates(bench, exact.model)
+    noise = noise_of(data.training)
+    weights, q, problem = noise, coordinates.q(coordinates.values), None
+    chosen = _windows(data.training, count, np.random.default_rng(seed))
+    for number, trust in enumerate(TRUSTS, 1):
+        follower = Follower(exact, coordinates.theta(q), weights, trust)
+        problem = Problem(exact, coordinates, _batch(follower, data.training, chosen, weights))
+        fit = Fit(q=q, s=np.zeros((len(problem.batch.starts), exact.held)))
+        for _ in range(ITERATIONS):
+            if not problem.improve(fit):
+                break
+        q, weights = fit.q, np.maximum(noise, problem.left(fit))
+        report(f"round {number} of {len(TRUSTS)}: error over noise {problem.left(fit) / noise}")
+    matrix, _, _ = problem.normal(fit)
+    deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
+    theta = coordinates.theta(q)
+    left = _least_left(exact, theta, noise, data.validation)
+    return Result(
+        bench=_with(bench, exact.model, theta), parameters=_identified(exact.model, coordinates, q, deviation),
+        noise=noise, left=left,
+    )  # fmt: skip
+
+
+def left_of(bench: Bench, runs: list[Run]) -> FloatArray:
+    """What 70-sample predictions of a bench leave of the readings of runs, RMSE, shape (5,); starts by the filter."""
+    model = BenchModel(bench, substeps=SUBSTEPS)
+    return _least_left(Sensitivities(model), model.values, noise_of(runs), runs)
+
+
+def _least_left(exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]) -> FloatArray:
+    """With the trust of the filter that leaves least."""
+    found = [_left(Follower(exact, theta, noise, trust), runs) for trust in TRIED]
+    return min(found, key=lambda left: float(np.mean(np.log(left))))
+
+
+def _roomy(bench: Bench) -> Bench:
+    """The bench with dead times as long as they may become: a model keeps as many past currents as that needs."""
+    delays = sum(effect["id"] == valve.TransportDelay.id for effect in bench.effects)
+
+    def longer(effect: Any) -> Any:
+        if effect["id"] != valve.TransportDelay.id:
+            return effect
+        time = max(DELAY_FACTOR * float(effect["parameters"]["time"]), DELAY_LEAST)
+        return {**effect, "parameters": {"time": min(time, catalogue.DELAY_MAX / delays, 0.03)}}
+
+    return replace(bench, effects=tuple(longer(effect) for effect in bench.effects))
+
+
+def _coordinates(bench: Bench, model: BenchModel) -> Coordinates:
+    """All parameters of effects and closures but where tables begin and end."""
+    values = [value for effect in bench.terms for value in catalogue.kind_of(effect)[1]]
+    first = len(model.parameters) - len(values)
+    free = [
+        i for i in range(first, len(model.parameters))
+        if not (model.parameters[i].name.startswith("closure") and model.parameters[i].name.endswith((".low", ".high")))
+    ]  # fmt: skip
+    delays = max(sum(one.name == DEAD_TIME for one in model.parameters), 1)
+    longest = max(model.structure.past - 2, 0) * SAMPLE_PERIOD / delays
+    bounded = [replace(one, high=longest) if one.name == DEAD_TIME else one for one in model.parameters]
+    return Coordinates(bounded, np.concatenate([model.values[:first], values]), np.array(free))
+
+
+def _windows(runs: list[Run], count: int, generator: np.random.Generator) -> list[Indices]:
+    """Where windows begin in each run, in rising order; none overlaps another."""
+    places = [
+        (i, begin) for i, run in enumerate(runs)
+        for begin in range(min(SETTLED, len(run) // 4), len(run) - HORIZON - 1, HORIZON)
+    ]  # fmt: skip
+    if len(places) < 2:
+        raise ValueError("the recordings have no room for predictions: record more")
+    picked = generator.choice(len(places), min(count, len(places)), replace=False)
+    return [np.sort([places[j][1] for j in picked if places[j][0] == i]).astype(np.int64) for i in range(len(runs))]
+
+
+def _batch(follower: Follower, runs: list[Run], chosen: list[Indices], weights: FloatArray) -> Batch:
+    starts = [follower.starts(run, samples) for run, samples in zip(runs, chosen, strict=True)]
+    steps = np.arange(HORIZON)
+    return Batch(
+        starts=np.concatenate([one.states for one in starts]), roots=np.concatenate([one.roots for one in starts]),
+        currents=np.concatenate([run.u[at[:, None] + steps] for run, at in zip(runs, chosen, strict=True)]),
+        targets=np.concatenate([run.readings[at[:, None] + steps + 1] for run, at in zip(runs, chosen, strict=True)]),
+        noise=weights,
+    )  # fmt: skip
+
+
+def _left(follower: Follower, runs: list[Run]) -> FloatArray:
+    """RMSE of predictions from the filter's states against the readings, shape (5,)."""
+    squares, windows = np.zeros(READINGS), 0
+    for run in runs:
+        states, readings = follower.states(run), run.readings
+        for begin in range(min(SETTLED, len(run) // 4), len(run) - HORIZON - 1, HORIZON // 2):
+            z = follower.exact.model.rollout(follower.k, states[begin].copy(), run.u[begin : begin + HORIZON])
+            squares += np.mean((z - readings[begin + 1 : begin + HORIZON + 1]) ** 2, axis=0)
+            windows += 1
+    return np.asarray(np.sqrt(squares / max(windows, 1)))
+
+
+def _identified(model: BenchModel, coordinates: Coordinates, q: FloatArray, deviation: FloatArray) -> list[Identified]:
+    value, half = coordinates.one(q), QUANTILE * deviation
+    low, high = coordinates.one(q - half), coordinates.one(q + half)
+    return [
+        Identified(
+            name=model.parameters[index].name, unit=model.parameters[index].unit,
+            before=float(coordinates.values[index]), value=float(value[i]), low=float(low[i]), high=float(high[i]),
+            seen=bool(deviation[i] < 0.5 * PRIOR),
+        )
+        for i, index in enumerate(coordinates.free)
+    ]  # fmt: skip
+
+
+def _with(bench: Bench, model: BenchModel, theta: FloatArray) -> Bench:
+    """The bench with these parameters in its effects and closures."""
+    kinds = [catalogue.kind_of(effect)[0] for effect in bench.terms]
+    rest = iter(theta[len(theta) - sum(len(kind.parameters) for kind in kinds) :])
+    terms = [
+        {**effect, "parameters": {one.name: float(f"{next(rest):.9g}") for one in kind.parameters}}
+        for effect, kind in zip(bench.terms, kinds, strict=True)
+    ]
+    effects, closures = terms[: len(bench.effects)], terms[len(bench.effects) :]
+    without = [{key: value for key, value in one.items() if key != "id"} for one in closures]
+    return replace(bench, effects=tuple(effects), closures=tuple(without))

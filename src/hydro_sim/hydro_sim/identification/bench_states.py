@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where a bench of any effects is, from the readings up to a sample: the start of a prediction, and how sure it is.
+
+An extended Kalman filter on the bench's model follows a run. What it thinks where a window begins is the window's first
+guess, and its covariance says which way the start may be wrong: along the columns of `root`, each one standard
+deviation. Past currents are the recorded ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import comb
+
+import numpy as np
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.files.recordings import Run
+from hydro_sim.identification.objectives import Indices
+from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
+from hydro_sim.model.sensitivities import Sensitivities, Track
+
+ORDER = 6
+"""Of the differences that noise is measured by: what a bench does below 100 Hz is a thirtieth of itself in them."""
+
+MISSED_PRESSURE, MISSED_VELOCITY, MISSED_HIDDEN = 6e-6, 2.5e-4, 1e-4
+"""What a sample of the model misses at a trust of 1, standard deviations: of the supply pressure, of the stroke per
+second, and of a hidden state's typical size."""
+
+
+def noise_of(runs: list[Run]) -> FloatArray:
+    """Standard deviation of the five readings' noise, shape (5,), from how they jump from sample to sample."""
+    squares = [np.mean(np.diff(run.readings, ORDER, axis=0) ** 2, axis=0) for run in runs]
+    spread = np.sqrt(np.mean(squares, axis=0) / comb(2 * ORDER, ORDER))
+    moved = np.std(np.concatenate([run.readings for run in runs]), axis=0)
+    return np.asarray(np.maximum(spread, 1e-6 * moved + 1e-12))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Starts:
+    """First guesses of windows of one run."""
+
+    states: FloatArray
+    """Shape (n, states)."""
+    roots: FloatArray
+    """Shape (n, held, held): square roots of the guesses' covariances."""
+
+
+class Follower:
+    """The filter with a model's parameters.
+
+    Parameters
+    ----------
+    exact
+        The model.
+    theta
+        Its parameters.
+    noise
+        Standard deviation of the readings, shape (5,).
+    trust
+        How much the model misses, times `MISSED_*`.
+    """
+
+    def __init__(self, exact: Sensitivities, theta: FloatArray, noise: FloatArray, trust: float) -> None:
+        self.exact, self.theta, self.noise = exact, theta, noise
+        self.k, _ = exact.coefficients(theta)
+        self.q = (trust * missed(exact.model)[: exact.held]) ** 2
+
+    def states(self, run: Run) -> FloatArray:
+        """At every sample of a run, shape (n, states)."""
+        track = self._begin(run)
+        first = track.y.copy()
+        rest = self.exact.follow(self.k, track, run.u[:-1], run.readings[1:], self.q, self.noise**2)
+        return np.concatenate([first[None], rest])
+
+    def starts(self, run: Run, samples: Indices) -> Starts:
+        """At some samples of a run, in rising order."""
+        track, at, readings, r = self._begin(run), 0, run.readings, self.noise**2
+        held = self.exact.held
+        states, roots = np.empty((len(samples), len(track.y))), np.empty((len(samples), held, held))
+        scales = np.array([state.scale for state in self.exact.model.states])[:held]
+        for i, sample in enumerate(samples):
+            self.exact.follow(self.k, track, run.u[at:sample], readings[at + 1 : sample + 1], self.q, r)
+            at = int(sample)
+            states[i], roots[i] = track.y, scales[:, None] * _root(track.covariance / np.outer(scales, scales))
+        return Starts(states=states, roots=roots)
+
+    def _begin(self, run: Run) -> Track:
+        model = self.exact.model
+        y = np.zeros(len(model.states))
+        y[:TEXTBOOK] = run.x[0, [4, 5, 6, 7, 2, 3]]
+        y = self.exact.begin(self.theta, y)
+        spread = np.array([state.scale for state in model.states])[: self.exact.held]
+        spread[:3] = 3.0 * self.noise[2:]
+        return Track(y, np.diag(spread**2))
+
+
+def missed(model: BenchModel) -> FloatArray:
+    """Standard deviation that a sample adds to each state at a trust of 1, shape (states,)."""
+    result = MISSED_HIDDEN * np.array([state.scale for state in model.states])
+    result[:TEXTBOOK] = 0.0
+    result[:2] = MISSED_PRESSURE * model.bench.supply_pressure
+    result[3] = MISSED_VELOCITY * model.bench.stroke
+    return result
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """A matrix whose product with its own transpose it is."""
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T))
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

@@ -1,0 +1,115 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a bench file names is learnt from recordings of a bench that has it; where it lacks some, it says so."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.files import bench_file
+from hydro_bridge.signals import StateArray
+from hydro_sim.emulator.offline import record_offline
+from hydro_sim.emulator.truth.config import truth_from_mapping
+from hydro_sim.excitation.drawn import draw
+from hydro_sim.files import recordings
+from hydro_sim.identification import bench_learning, learn, learn_bench
+from hydro_sim.identification.bench_fit import Coordinates
+from hydro_sim.identification.bench_states import noise_of
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import BenchModel, Named
+
+TRUTH = {
+    "profile": "nominal", "bench": {"spring_stiffness": 32000.0}, "effects": {"valve_deadband": {"half_width": 3e-4}},
+}  # fmt: skip
+SPRING = {"id": "spring_stiffness", "parameters": {"ratio": 1.0}}
+DEADBAND = {"id": "valve_deadband", "parameters": {"half_width": 5e-5}}
+DRAG = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 0.0}}
+
+
+@pytest.fixture(scope="module")
+def states() -> StateArray:
+    return record_offline(truth_from_mapping(TRUTH), draw(20.0, 3), seed=3).states
+
+
+@pytest.fixture(scope="module")
+def data(states: StateArray) -> recordings.Data:
+    return recordings.split({"one": states})
+
+
+def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordings.Data) -> None:
+    bench = replace(Bench.nominal(), effects=(SPRING, DEADBAND), closures=(DRAG,))
+    result = bench_learning.learn(bench, data, count=60)
+    ratio, half_width, drag = result.parameters
+    assert ratio.value == pytest.approx(1.6, rel=2e-3) and ratio.seen
+    assert half_width.value == pytest.approx(3e-4, rel=5e-3) and half_width.low < 3.01e-4 and half_width.high > 2.99e-4
+    assert drag.low < 30.0 and drag.high > -30.0
+    assert result.over_noise < 1.2
+    assert result.bench.effects[0]["parameters"]["ratio"] == pytest.approx(ratio.value, rel=1e-6)
+    assert result.bench.closures[0]["form"] == "quadratic drag" and "id" not in result.bench.closures[0]
+    assert learn_bench.stated(result).unfit == ""
+
+
+def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
+    states: StateArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """By the command, from a recording to the file: it is written, and says itself that nothing may rely on it."""
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_states(states)
+    mapping = replace(Bench.nominal(), effects=(DEADBAND,)).to_mapping()
+    (tmp_path / "bench.yaml").write_text(yaml.safe_dump(mapping))
+    words = ["learn", str(tmp_path / "bag"), "--structure", "bench", "--bench", str(tmp_path / "bench.yaml")]
+    words += ["--windows", "20", "--out", str(tmp_path / "out.yaml"), "--json", str(tmp_path / "table.json")]
+    monkeypatch.setattr("sys.argv", words)
+    with pytest.raises(SystemExit) as ended:
+        learn.main()
+    assert ended.value.code == 0
+    assert "NOT fit for the filter" in capsys.readouterr().out
+    found = Bench.load(tmp_path / "out.yaml")
+    assert "more than 3" in found.unfit and (tmp_path / "table.json").exists()
+    assert replace(found, viscous_friction=61.0).unfit == ""
+    assert bench_file.digest(yaml.safe_load((tmp_path / "out.yaml").read_text())) == found.digest
+    assert replace(found, learned=None).digest == found.digest
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        ([], "name one by --bench"),
+        (["--bench", "plain.yaml"], "plain.yaml names no effects"),
+        (["--bench", "plain.yaml", "--epochs", "3"], "--epochs means nothing for --structure bench"),
+    ],
+)
+def test_what_cannot_be_learnt_is_said_in_a_sentence(
+    words: list[str], sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("plain.yaml").write_text(yaml.safe_dump(Bench.nominal().to_mapping()))
+    monkeypatch.setattr("sys.argv", ["learn", "/no/recording", "--structure", "bench", "--out", "out.yaml", *words])
+    with pytest.raises(SystemExit) as ended:
+        learn.main()
+    assert ended.value.code == 2 and sentence in capsys.readouterr().err
+
+
+def test_noise_is_measured_within_a_tenth(data: recordings.Data) -> None:
+    assert noise_of(data.training)[:4] == pytest.approx([0.6, 0.6, 6e3, 6e3], rel=0.1)
+
+
+def test_coordinates_come_back_and_stay_within_bounds() -> None:
+    named = [Named("a", "-", 0.01, 100.0, 0.1), Named("b", "N", 0.0, 50.0, 10.0), Named("c", "N", -1.0, 1.0, 1.0)]
+    coordinates = Coordinates(named, np.array([2.0, 5.0, 0.5]), np.array([0, 1]))
+    theta = np.array([3.0, 7.0, 0.5])
+    np.testing.assert_allclose(coordinates.theta(coordinates.q(theta)), theta)
+    np.testing.assert_allclose(coordinates.theta(np.array([50.0, -2.0])), [100.0, 0.0, 0.5])
+
+
+def test_a_dead_time_has_room_to_grow() -> None:
+    bench = replace(Bench.nominal(), effects=({"id": "transport_delay", "parameters": {"time": 0.0}},))
+    model = BenchModel(bench_learning._roomy(bench))
+    coordinates = bench_learning._coordinates(bench, model)
+    assert coordinates.values[-1] == 0.0 and coordinates.high[0] >= 5e-3
+    model.begin(coordinates.theta(np.array([1e9])))

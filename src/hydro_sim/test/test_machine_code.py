@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled models: kept, made anew where damaged, and refused in a sentence."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_sim.model import machine_code
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import BenchModel
+
+SOURCE = "int answer(void) { return 42; }\n"
+
+
+@pytest.fixture(autouse=True)
+def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path / "cache"))
+    machine_code._machine.cache_clear()
+    yield tmp_path / "cache" / "models"
+    machine_code._machine.cache_clear()
+
+
+def test_a_damaged_library_is_compiled_anew(apart: Path) -> None:
+    """In another process: this one has the library in memory."""
+    make = f"from hydro_sim.model import machine_code; print(machine_code.kept('x', lambda: {SOURCE!r}).answer())"
+    first = subprocess.run([sys.executable, "-c", make], capture_output=True, text=True, check=True)
+    (kept,) = apart.glob("*.so")
+    kept.write_bytes(kept.read_bytes()[:100])
+    again = subprocess.run([sys.executable, "-c", make], capture_output=True, text=True, check=True)
+    assert first.stdout == again.stdout == "42\n"
+
+
+def test_the_compiler_may_come_with_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "cc -DANSWER=42")
+    assert machine_code.kept("words", lambda: "int answer(void) { return ANSWER; }\n").answer() == 42
+
+
+def test_a_compiler_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "no-such-compiler -O2")
+    with pytest.raises(ValueError, match="no C compiler found"):
+        machine_code.kept("none", lambda: SOURCE)
+
+
+def test_a_place_that_cannot_be_written_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(machine_code, "folder", lambda: tmp_path / "file" / "models")
+    with pytest.raises(ValueError, match="set NUMBA_CACHE_DIR to a folder"):
+        machine_code.kept("nowhere", lambda: SOURCE)
+
+
+def test_arrays_that_are_not_the_models_are_refused() -> None:
+    model = BenchModel(replace(Bench.nominal(), effects=()))
+    k, y, _ = model.begin(model.values)
+    with pytest.raises(ValueError, match="an array has shape"):
+        model.sample(k, y[:-1].copy(), 0.0)
+    with pytest.raises(ValueError, match="an array has shape"):
+        model.rollout(k[1:].copy(), y, np.zeros(3))
+    with pytest.raises(ValueError, match="strides"):
+        model.rollout(k, y, np.zeros((4, 2))[:, 0])
