@@ -78,14 +78,15 @@ def recorded(case: Case, folder: Path, seconds: float = SECONDS, substeps: int =
             shutil.rmtree(scratch.parent, ignore_errors=True)
             scratch.parent.mkdir()
             log = simulated(case, number, seconds, substeps)
-            _write_table(scratch, log) if case.table else _write_bag(scratch, log)
+            _write_table(scratch, log) if case.table else write_bag(scratch, log)
             scratch.rename(path)
             scratch.parent.rmdir()
         paths.append(path)
     return paths
 
 
-def _write_bag(folder: Path, log: FloatArray) -> None:
+def write_bag(folder: Path, log: FloatArray) -> None:
+    """Write a log, shape (n, LOGGED), as a rosbag2 folder that there is not yet."""
     states = np.zeros(len(log), STATE_DTYPE)
     states["sequence"] = np.arange(len(log))
     states["time"] = EPOCH + PERIOD * states["sequence"]

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The diagnosis on physics that its table has no name for: is it located, modelled, and in the right form?
+
+Each case conceals one such kind, alone, beside named causes or under more noise, or nothing at all; it records two runs
+of 25 s (the second is held out) and runs `diagnose` on them in a process of its own.
+
+    python -m benchmarks.beyond_the_table --half dev --cases 10        the eight kinds alone, and two clean ones
+    python -m benchmarks.beyond_the_table --half dev --kinds drag_square --cases 5
+
+Ctrl-C loses no finished case: run it again to go on. OUT/SEED/NAME/ holds the report and what it cost.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import resource
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+from benchmarks.beyond_the_table.cases import Case, drawn
+from benchmarks.beyond_the_table.kinds import HALVES, NAMES
+from benchmarks.beyond_the_table.recordings import SECONDS, recorded
+from benchmarks.beyond_the_table.score import scored, table
+from hydro_bridge.cli.console import UserError, add_json_argument, command, progress, writable_folder
+
+
+@command()
+def main() -> None:
+    """Run what is asked for and print the table."""
+    options = argparse.ArgumentParser(
+        prog="python -m benchmarks.beyond_the_table",
+        description=__doc__,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )
+    options.add_argument("--cases", type=int, default=10, metavar="N", help="how many (default: 10)")
+    options.add_argument("--seed", type=int, default=1, metavar="S", help="that they are drawn from (default: 1)")
+    options.add_argument("--half", choices=HALVES, default="dev", help="of the kinds (default: dev)")
+    options.add_argument("--kinds", nargs="+", choices=NAMES, metavar="KIND", help=f"of: {', '.join(NAMES)}")
+    options.add_argument("--out", type=writable_folder, default=Path("runs/beyond_the_table"), metavar="DIR",
+                         help="where reports go (default: runs/beyond_the_table)")  # fmt: skip
+    options.add_argument("--again", action="store_true", help="diagnose cases again that are done")
+    add_json_argument(options)
+    asked = options.parse_args()
+    if asked.cases < 1 or asked.seed < 0:
+        raise UserError("--cases of at least 1 and a --seed of at least 0 are meant")
+    cases = drawn(asked.half, asked.cases, asked.seed, asked.kinds)
+    if not cases:
+        raise UserError(f"none of {', '.join(asked.kinds)} is of the half {asked.half}")
+    rows = []
+    for case in (bar := progress(cases, label="beyond the table", unit="case")):
+        bar.set_postfix_str(case.name)
+        rows.append(scored(case, carried_out(case, asked.out / str(asked.seed) / case.name, again=asked.again)))
+    table(rows).show(asked.json)
+
+
+def carried_out(case: Case, folder: Path, *, seconds: float = SECONDS, again: bool = False) -> dict[str, Any]:
+    """Record and diagnose a case, or take what is there: `report` (null where it was refused), `said`, `cpu` [s]."""
+    kept = folder / "result.json"
+    if kept.exists() and not again:
+        return dict(json.loads(kept.read_text(encoding="utf-8")))
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    fitted, held = recorded(case, folder, seconds)
+    words = ["ros2", "run", "hydro_diagnosis", "diagnose", str(fitted), "--holdout", str(held), "--quiet"]
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run([*words, "--out", str(folder / "report")], capture_output=True, text=True, check=False)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    said = (done.stdout + done.stderr).strip()
+    if done.returncode not in (0, 2):
+        raise UserError(f"`{' '.join(words)}` ended with status {done.returncode}: {said[-2000:]}")
+    report = None
+    if done.returncode == 0:
+        report = json.loads((folder / "report" / "report.json").read_text(encoding="utf-8"))
+    shutil.rmtree(fitted)
+    shutil.rmtree(held)
+    cpu = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    result = {"report": report, "said": said, "cpu": round(cpu, 1)}
+    kept.write_text(json.dumps(result) + "\n", encoding="utf-8")
+    return result
+
+
+if __name__ == "__main__":
+    main()

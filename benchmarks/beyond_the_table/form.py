@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether a law that was found has the form that its kind's right form was fixed as.
+
+What a right form is was fixed in `kinds`, blind; here the texts of the grammar's laws are read in those words: what a
+law depends on, and its degree. A test holds the list against the grammar.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+from benchmarks.beyond_the_table.kinds import Kind
+
+
+class Form(NamedTuple):
+    """What a law depends on, the total power of the signals in it (a sign counts none), and whether it has a state."""
+
+    variables: frozenset[str]
+    degree: float
+    memory: bool = False
+
+
+def _form(variables: str, degree: float) -> Form:
+    return Form(frozenset(variables.split()), degree)
+
+
+TEXTS = {
+    "v |v|": _form("velocity", 2.0),
+    "v^3": _form("velocity", 3.0),
+    "sign(v) sqrt(|v|)": _form("velocity", 0.5),
+    "sign(v) (x/L - 1/2)": _form("position velocity", 1.0),
+    "v (x/L - 1/2)": _form("position velocity", 2.0),
+    "sign(v) (p_a + p_b)/2": _form("pressure_a pressure_b velocity", 1.0),
+    "sign(v) |p_a - p_b|": _form("pressure_a pressure_b velocity", 1.0),
+    "(p_a - p_b) (x/L - 1/2)": _form("pressure_a pressure_b position", 2.0),
+    "(p_a - p_b) |p_a - p_b|": _form("pressure_a pressure_b", 2.0),
+    "p_a^2": _form("pressure_a", 2.0),
+    "p_b^2": _form("pressure_b", 2.0),
+    "u |u|": _form("current", 2.0),
+    "u^3": _form("current", 3.0),
+    "(x - x_rest) |x - x_rest|": _form("position", 2.0),
+    "|x - x_rest|": _form("position", 1.0),
+}
+"""By the text of a law."""
+
+
+def right_form(kind: Kind, closure: Mapping[str, Any]) -> bool:
+    """Whether an entry of `closures` is a law that depends on what it should, with the right power, or with memory."""
+    if closure["form"] != "law" or closure["equation"] not in places(kind):
+        return False
+    form = TEXTS.get(closure["expression"].partition(" * ")[2])
+    if form is None or form.variables != kind.variables or form.memory != kind.memory:
+        return False
+    return kind.degree is None or form.degree == kind.degree
+
+
+def places(kind: Kind) -> frozenset[str]:
+    """Ids of `closures.equation` that are right; `pressure` is both chambers'."""
+    both = {"pressure_a", "pressure_b"} <= set(kind.equations)
+    return frozenset(kind.equations) | ({"pressure"} if both else set())

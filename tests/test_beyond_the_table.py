@@ -1,0 +1,104 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant with unnamed physics against the foreign one, the cases that are drawn, and the scores."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.beyond_the_table import plant
+from benchmarks.beyond_the_table.cases import Case, drawn
+from benchmarks.beyond_the_table.form import TEXTS, right_form
+from benchmarks.beyond_the_table.kinds import HALVES, KINDS, NAMES, Kind
+from benchmarks.beyond_the_table.recordings import simulated
+from benchmarks.beyond_the_table.score import scored, summary
+from benchmarks.foreign_truth import plant as foreign
+from benchmarks.foreign_truth.bench import numbers
+from benchmarks.foreign_truth.recordings import reference
+from hydro_sim.model.laws import LAWS
+
+ROOT = Path(__file__).resolve().parent.parent
+KIND = {kind.name: kind for kind in KINDS}
+
+
+def test_no_kind_is_the_foreign_plant() -> None:
+    wanted, noise = reference("steps", 400, 3), np.zeros((400, 4))
+    ours = plant.run(numbers(coulomb=5.0), -1, 0.0, 1.0, wanted, gain=80.0, noise=noise)
+    theirs = foreign.run(numbers(coulomb=5.0), wanted, noise=noise, quantum=1e-6, substeps=plant.SUBSTEPS)
+    np.testing.assert_allclose(ours[:, [0, 2, 4, 5, 6, 8]], theirs[:, [0, 2, 4, 5, 6, 8]], rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=NAMES)
+def test_each_kind_shows(kind: Kind) -> None:
+    """By more than a force cell's noise at the least magnitude, in a force or a pressure, and the loop still tracks."""
+    missing = simulated(Case(kind.name, None, seed=5), 0, 2.0)
+    there = simulated(Case(kind.name, kind, kind.size[0], seed=5), 0, 2.0)
+    gap = np.sqrt(np.mean((there - missing)[:, [0, 2, 4, 5]] ** 2, axis=0)) / [0.6, 0.6, 6e3, 6e3]
+    assert gap.max() > 1.0
+    assert np.std(there[500:, 10] - there[500:, 2]) < 100.0
+
+
+@pytest.mark.parametrize("half", HALVES)
+def test_a_longer_list_begins_with_the_shorter_one(half: str) -> None:
+    cases = drawn(half, 40, 1)
+    assert cases[:10] == drawn(half, 10, 1)
+    assert cases[:10] != drawn(half, 10, 2)
+    assert {case.kind.half for case in cases if case.kind} == {half}
+    assert [case.kind for case in cases].count(None) == 8
+    assert {len(case.named) for case in cases} == {0, 1, 2}
+
+
+def test_halves_have_as_many_kinds() -> None:
+    assert [sum(kind.half == half for kind in KINDS) for half in HALVES] == [8, 8]
+
+
+def test_the_forms_are_those_of_the_grammar() -> None:
+    assert set(TEXTS) == {law.text for law in LAWS}
+
+
+def closure(equation: str, text: str, form: str = "law") -> dict[str, Any]:
+    return {"equation": equation, "form": form, "expression": f"1.5 N * {text}", "share_closed": 0.9}
+
+
+def test_right_form() -> None:
+    drag = KIND["drag_square"]
+    assert right_form(drag, closure("motion", "v |v|"))
+    assert not right_form(drag, closure("motion", "v^3"))
+    assert not right_form(drag, closure("motion", "v |v|", "smooth"))
+    assert not right_form(drag, closure("load", "v |v|"))
+    assert not right_form(KIND["valve_hysteresis"], closure("actuation", "u |u|"))
+
+
+def report(after: float, named: list[str], closures: list[dict[str, Any]]) -> dict[str, Any]:
+    error = {"rmse_before": 10.0, "rmse_named": 10.0, "rmse_after": after, "noise_floor": 1.0}
+    return {"verdict": "modelled", "effects": [{"id": one} for one in named], "closures": closures,
+            "fit": {"holdout": {"load_force": error}}, "remainder": None}  # fmt: skip
+
+
+def test_score_counts_what_is_closed_and_what_is_claimed() -> None:
+    case = Case("drag_square_1", KIND["drag_square"], named=("valve_gain",))
+    good = scored(case, {"report": report(1.0, ["valve_gain"], [closure("motion", "v |v|")]), "said": "", "cpu": 9.0})
+    assert good["place"]
+    assert good["form"]
+    assert good["named"]
+    assert good["all"] == pytest.approx(1.0)
+    assert good["names"] == pytest.approx(0.0)
+    bad = scored(case, {"report": report(10.0, ["moving_mass"], []), "said": "", "cpu": 9.0})
+    assert not bad["named"]
+    assert bad["all"] == pytest.approx(0.0)
+    clean = scored(Case("clean_dev_0", None), {"report": report(10.0, [], []), "said": "", "cpu": 9.0})
+    assert "least 0.00" in summary([good, bad, clean])
+    assert "claims on clean 0 of 1" in summary([good, bad, clean])
+    assert "names right beside 1 of 2" in summary([good, bad, clean])
+
+
+def test_a_kind_of_the_other_half_is_refused() -> None:
+    words = [sys.executable, "-m", "benchmarks.beyond_the_table", "--half", "dev", "--kinds", "cell_curve"]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "none of cell_curve is of the half dev" in done.stderr
