@@ -15,6 +15,7 @@ from hydro_bridge.viewer.growing import JUMP, GrowingThinner
 from hydro_bridge.viewer.marks import MARKS, Marks
 from hydro_bridge.viewer.page import rendered
 from hydro_bridge.viewer.recorded import read_recorded
+from hydro_bridge.viewer.view import main
 
 ARMED, TRIPPED = int(Flag.ARMED), int(Flag.TRIPPED)
 
@@ -122,3 +123,41 @@ def test_a_recording_without_samples_of_a_bench_is_refused_in_a_sentence(tmp_pat
         pass
     with pytest.raises(RecordingError, match="no samples on /hydro/state to show; there is nothing"):
         read_recorded(tmp_path / "run")
+
+
+def test_a_topic_of_another_type_is_left_out_and_said(bag: Path, tmp_path: Path, states) -> None:
+    with BagWriter(tmp_path / "other") as writer:
+        writer.write_states(states[:100])
+        writer.write_states(states[:100], "/hydro/training")
+        writer.write_states(states[:100], "/hydro/authority")
+    notes = read_recorded(tmp_path / "other").notes
+    assert sum("of another version or type" in note for note in notes) == 2
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    """Exit status of the command."""
+    monkeypatch.setattr("sys.argv", ["view", *words, "--no-open"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return int(ended.value.code or 0)
+
+
+def test_the_page_stands_beside_the_recording(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(monkeypatch, str(bag)) == 0
+    assert "tripped: force limit" in (bag.parent / "run.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--from", "3", "--to", "2"], "the end must come behind the begin"),
+        (["--from", "soon"], "seconds from the first sample"),
+        (["--from", "60"], "no samples from 60"),
+    ],
+)
+def test_what_makes_no_page_is_refused_and_leaves_nothing(
+    bag: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: list[str], sentence: str
+) -> None:
+    assert run(monkeypatch, str(bag), *words) == 2
+    assert sentence in capsys.readouterr().err
+    assert not (bag.parent / "run.html").exists()

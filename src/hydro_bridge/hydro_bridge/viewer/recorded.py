@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -28,6 +27,13 @@ TOLD_BY = {
     DIAGNOSTICS_TOPIC: "rollbacks and overrides",
 }
 """What is not to be seen of a recording without a topic."""
+
+_NEEDED = {
+    STATE_TOPIC: frozenset[str](),  # `as_states` says what is missing
+    CORRECTION_TOPIC: frozenset(column.field for column in series.CORRECTION_COLUMNS),
+    TRAINING_TOPIC: frozenset({"phase", "episode", "episode_return", "force_rmse", "learner_alive"}),
+}
+_OBJECTS = {AUTHORITY_TOPIC: "hydro_msgs/msg/Authority", DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,11 +64,15 @@ class _Reading:
     """What has been read so far."""
 
     span: tuple[float, float]
+    """s from the first sample: what the user wants."""
+    begin: float = 0.0
+    """s, of the first sample."""
     states: GrowingThinner | None = None
     corrections: GrowingThinner | None = None
     marks: Marks = field(default_factory=Marks)
     curve: words.Curve = field(default_factory=words.Curve)
-    waiting: list[Callable[[], None]] = field(default_factory=list)  # from before the first sample
+    foreign: set[str] = field(default_factory=set)
+    """Topics whose messages are of another version or type."""
 
     def within(self, table: Table) -> Table:
         """The part of the span that the user wants, which counts from the first sample."""
@@ -70,8 +80,6 @@ class _Reading:
             return table[:0]
         since = table["time"] - self.begin
         return table[(since >= self.span[0]) & (since <= self.span[1])]
-
-    begin: float = 0.0
 
     def take_states(self, table: Table) -> None:
         """Enter samples; the first one is the begin of everything."""
@@ -133,9 +141,16 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf)) -> R
     for scan, channel, block, part in source.spans():
         topic = channel.topic
         messages[topic] = messages.get(topic, 0) + len(part.starts)
-        if topic in tables and (layout := source.layout(scan, channel)) is not None:
-            tables[topic](decode_span(scan.path, topic, layout, block, part))
-        elif topic in (AUTHORITY_TOPIC, DIAGNOSTICS_TOPIC):
+        if topic in tables:
+            layout = source.layout(scan, channel)
+            if layout is not None and set(layout.table.names or ()) >= _NEEDED[topic]:
+                tables[topic](decode_span(scan.path, topic, layout, block, part))
+            else:
+                reading.foreign.add(topic)
+        elif topic in _OBJECTS:
+            if source.type_of(scan, channel)[0] != _OBJECTS[topic]:
+                reading.foreign.add(topic)
+                continue
             for _, message in decoder.objects(scan, channel, block, part):
                 stamp = message.header.stamp
                 reading.take_object(topic, stamp.sec + 1e-9 * stamp.nanosec, message)
@@ -176,6 +191,7 @@ def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) ->
 def _lacking(messages: dict[str, int], reading: _Reading, left_out: int) -> list[str]:
     notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOLD_BY.items()
              if topic not in messages]  # fmt: skip
+    notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(reading.foreign)]
     if left_out:
         notes.append(f"{left_out} samples have stamps from before the first one, or from an hour after the one before")
     if reading.marks.dropped:
