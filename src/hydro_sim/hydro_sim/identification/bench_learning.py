@@ -33,7 +33,7 @@ TRUSTS = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
 """How much the filter thinks that the model misses, round by round."""
 ITERATIONS = 5
 """In a round, at most."""
-TRIED = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+TRIED = (0.03, 0.3, 3.0)
 """Trusts of which the one that predicts the validation runs best is taken in the end."""
 DELAY_LEAST, DELAY_FACTOR = 5e-3, 2.0
 """s, and times the bench file's: what a dead time may become."""
