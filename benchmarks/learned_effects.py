@@ -4,8 +4,8 @@
 Truths of the emulator: the default one with one thing more, and one of five effects. The bench file names what the
 truth has, each at a value far from it.
 
-Two runs of 40 s to learn from, one of 30 s that chooses how far the filter trusts the model, one of 30 s to be judged
-by: 70-sample predictions against the recording, over the recording's own noise (RMS of recording minus noise-free log).
+Two runs to learn from, one that chooses how far the filter trusts the model, one to be judged by: 70-sample predictions
+against the recording, over the recording's own noise (RMS of recording minus noise-free log).
 """
 
 from __future__ import annotations
@@ -122,13 +122,11 @@ def floor(recording: Recording) -> FloatArray:
     return np.asarray(np.sqrt(np.nanmean(difference[:, READING_COLUMNS] ** 2, axis=0)))
 
 
-def judged(case: str, count: int) -> dict[str, Any]:
+def judged(case: str, count: int, seconds: float) -> dict[str, Any]:
     """One row of the result."""
     began = time.process_time()
-    states = {
-        f"run{seed}": recorded(case, seconds, seed).states for seconds, seed in ((40.0, 11), (40.0, 12), (30.0, 13))
-    }
-    bench, held_out = started(case), recorded(case, 30.0, 21)
+    states = {f"run{seed}": recorded(case, seconds, seed).states for seed in (11, 12, 13)}
+    bench, held_out = started(case), recorded(case, seconds, 21)
     print(f"{case}: recorded, {time.process_time() - began:.1f} s of CPU", file=sys.stderr)
     data, runs = recordings.split(states), recordings.runs("held out", held_out.states)
     before = left_of(bench, runs)
@@ -156,10 +154,11 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser("learned_effects", __doc__)
     options.add_argument("--only", choices=list(CASES), nargs="+", default=list(CASES), help="default all")
     options.add_argument("--windows", type=int, default=120, help="that are learnt from (default 120)")
+    options.add_argument("--seconds", type=float, default=20.0, help="of each recording (default 20)")
     asked = options.parse_args(arguments)
     outcome = {}
     for case in asked.only:
-        outcome[case] = row = judged(case, asked.windows)
+        outcome[case] = row = judged(case, asked.windows, asked.seconds)
         print(f"\n{case}: {row['cpu']} s of CPU")
         for one in row["parameters"]:
             print(f"{one['name']:<44}{one['before']:>10.4g} ->{one['learnt']:>11.5g}  [{one['low']:.4g}, "

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from hydro_bridge.bags.writer import RecordingError
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, writable, writable_folder
+from hydro_bridge.cli.console import (
+    Table,
+    UserError,
+    add_json_argument,
+    command,
+    progress,
+    writable,
+    writable_folder,
+)
 
 
 def test_table_is_aligned_and_its_json_has_documented_keys(tmp_path, capsys):
@@ -147,3 +155,11 @@ def test_the_return_value_is_the_exit_status(value, status):
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == status
+
+
+@pytest.mark.parametrize(("every", "lines"), [(None, 0), (0.0, 4)])
+def test_progress_without_a_terminal_is_lines_where_asked(every, lines, capsys):
+    assert list(progress(range(3), label="training", every=every)) == [0, 1, 2]
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) >= lines and (lines > 0 or not said)
+    assert all("training" in line and "\r" not in line for line in said)

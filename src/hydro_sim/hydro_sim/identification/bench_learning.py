@@ -33,7 +33,7 @@ TRUSTS = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
 """How much the filter thinks that the model misses, round by round."""
 ITERATIONS = 5
 """In a round, at most."""
-TRIED = (0.01, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
+TRIED = (0.03, 0.3, 3.0)
 """Trusts of which the one that predicts the validation runs best is taken in the end."""
 DELAY_LEAST, DELAY_FACTOR = 5e-3, 2.0
 """s, and times the bench file's: what a dead time may become."""
@@ -89,18 +89,8 @@ def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: 
     exact = Sensitivities(BenchModel(_roomy(bench), substeps=SUBSTEPS))
     coordinates = _coordinates(bench, exact.model)
     noise = noise_of(data.training)
-    weights, q, problem = noise, coordinates.q(coordinates.values), None
     chosen = _windows(data.training, count, np.random.default_rng(seed))
-    for number, trust in enumerate(TRUSTS, 1):
-        follower = Follower(exact, coordinates.theta(q), weights, trust)
-        problem = Problem(exact, coordinates, _batch(follower, data.training, chosen, weights))
-        fit = Fit(q=q, s=np.zeros((len(problem.batch.starts), exact.held)))
-        for _ in range(ITERATIONS):
-            if not problem.improve(fit):
-                break
-        q, weights = fit.q, np.maximum(noise, problem.left(fit))
-        report(f"round {number} of {len(TRUSTS)}: error over noise {problem.left(fit) / noise}")
-    matrix, _, _ = problem.normal(fit)
+    q, matrix = _fitted(exact, coordinates, data.training, chosen, noise, report)
     deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
     theta = coordinates.theta(q)
     left = _least_left(exact, theta, noise, data.validation)
@@ -108,6 +98,27 @@ def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: 
         bench=_with(bench, exact.model, theta), parameters=_identified(exact.model, coordinates, q, deviation),
         noise=noise, left=left,
     )  # fmt: skip
+
+
+def _fitted(
+    exact: Sensitivities, coordinates: Coordinates, runs: list[Run], chosen: list[Indices], noise: FloatArray,
+    report: Report,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Parameters, as coordinates, after all rounds, and the information matrix there."""
+    weights, q, matrix = noise, coordinates.q(coordinates.values), np.empty(0)
+    for number, trust in enumerate(TRUSTS, 1):
+        follower = Follower(exact, coordinates.theta(q), weights, trust)
+        problem = Problem(exact, coordinates, _batch(follower, runs, chosen, weights))
+        fit = Fit(q=q, s=np.zeros((len(problem.batch.starts), exact.held)))
+        for _ in range(ITERATIONS):
+            if not problem.improve(fit):
+                break
+        left = problem.left(fit)
+        q, weights = fit.q, np.maximum(noise, left)
+        report(f"round {number} of {len(TRUSTS)}: error over noise {np.round(left / noise, 3)}")
+        if number == len(TRUSTS):
+            matrix, _, _ = problem.normal(fit)
+    return q, matrix
 
 
 def left_of(bench: Bench, runs: list[Run]) -> FloatArray:

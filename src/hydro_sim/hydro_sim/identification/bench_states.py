@@ -86,7 +86,7 @@ class Follower:
 
     def _begin(self, run: Run) -> Track:
         model = self.exact.model
-        y = np.zeros(len(model.states))
+        y: FloatArray = np.zeros(len(model.states))
         y[:TEXTBOOK] = run.x[0, [4, 5, 6, 7, 2, 3]]
         y = self.exact.begin(self.theta, y)
         spread = np.array([state.scale for state in model.states])[: self.exact.held]
