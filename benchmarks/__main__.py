@@ -17,6 +17,7 @@ NAMES = sorted({path.stem for path in HERE.glob("[!_]*.py")} | _PACKAGES)
 STUDIES = frozenset(
     {
         "adaptivity",
+        "beyond_the_table",
         "controllers",
         "dashboard",
         "diagnosis_peers",

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The diagnosis on physics that its table has no name for: is it located, modelled, and in the right form?
+"""The diagnosis on physics that its table has no name for: whether it is located, modelled, and in the right form.
 
 Each case conceals one such kind, alone, beside named causes or under more noise, or nothing at all; it records two runs
 of 25 s (the second is held out) and runs `diagnose` on them in a process of its own.

@@ -17,8 +17,8 @@ COLUMNS = {
     "beside": "named causes that are concealed too; dB: signal over noise",
     "verdict": "",
     "gap": "root of the worst channel's held-out squared error before, over its noise floor's",
-    "names": "share of the held-out gap (squared error above the noise, channels added up in noise floors) that the names "
-    "alone close",
+    "names": "share of the held-out gap (squared error above the noise, channels added up in noise floors) that the "
+    "names alone close",
     "all": "the same by names and closures: what is handed back",
     "place": "whether the closures, or else the largest part of the remainder, are in the right equation",
     "form": "law of the right form, as `kinds` fixes it",
