@@ -24,9 +24,8 @@ from numba import njit
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
-from hydro_filter.model import displacement
-from hydro_filter.model.displacement import MEMORY_DTYPE
-from hydro_filter.model.loop_model import LOOP, LoopModel, linearize, loop_step
+from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
+from hydro_filter.model.loop_model import LOOP
 from hydro_filter.model.state import STATES
 from hydro_sim.excitation import drawn
 from hydro_sim.model.bench import Bench
@@ -139,7 +138,7 @@ def label_of(first: StateArray, second: StateArray) -> int:
     return UNSTABLE if late > early else STABLE if late < DECAYED * early else NEITHER
 
 
-def windows_of(rollout: Rollout, loop: LoopModel, settings: DataSettings, seed: int) -> Windows | None:
+def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
     """Windows at random places after the first 0.1 s; None of a rollout that is too short."""
     count, span = len(rollout.states), settings.horizon
     if count < 100 + 2 * span:
@@ -152,7 +151,7 @@ def windows_of(rollout: Rollout, loop: LoopModel, settings: DataSettings, seed: 
         gain=np.full(settings.windows, rollout.gains[0]), label=np.full(settings.windows, rollout.label),
     )  # fmt: skip
     _follow(
-        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, np.zeros(1, MEMORY_DTYPE), loop_step(),
+        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, memories(loop), step_of(loop),
         made.x, made.state_rate, made.v, made.transition, made.push, made.feedback,
     )  # fmt: skip
     return made
@@ -164,20 +163,18 @@ def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, 
     span = xs.shape[1]
     for k in range(len(x)):
         nominal, current, reference, reference_rate, gain = signals[k]
-        displacement.settle(loop, memory[0], x[k], current, reference_rate)
+        settle(loop, memory[0], x[k], current, reference_rate)
         for n in range(len(starts)):
             h = k - starts[n]
             if 0 <= h < span:
                 linearize(loop, memory[0].hidden, x[k], nominal, current, gain, step)
-                displacement.displace(loop, memory[0], x[k], reference, reference_rate, vs[n, h])
+                displace(loop, memory[0], x[k], reference, reference_rate, vs[n, h])
                 xs[n, h], rates[n, h], transitions[n, h] = x[k], step.state_rate, step.transition
                 pushes[n, h], feedbacks[n, h] = step.push, step.feedback
-        displacement.follow(loop, memory[0], x[k], current, reference_rate)
+        follow(loop, memory[0], x[k], current, reference_rate)
 
 
-def collect(
-    plant: Plant, bench: Bench, loop: LoopModel, settings: DataSettings
-) -> Iterator[tuple[Rollout, Windows | None]]:
+def collect(plant: Plant, bench: Bench, loop: Loop, settings: DataSettings) -> Iterator[tuple[Rollout, Windows | None]]:
     """All rollouts of the settings with their windows, as they come."""
     for index in range(settings.rollouts):
         rollout = roll_out(plant, bench, settings, index)
