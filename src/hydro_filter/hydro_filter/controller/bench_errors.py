@@ -22,18 +22,18 @@ F_H, F_L, P_A, P_B, X_P = range(5)
 
 
 @njit(cache=True)
-def show(p, m, x, hidden):
+def show(model, m, x, hidden):
     """What the load cell shows at the middle sample; a valve without lag steps there, and is taken at its mean."""
-    n = len(p.rest)
+    p, n = model, len(model.rest)
     m.cell = m.hidden[p.cell]
     if p.spool == NONE:
         m.hidden[n] = 0.5 * (m.hidden[n] + hidden[n])
 
 
 @njit(cache=True)
-def errors(p, m, x, error, size):
+def errors(model, m, x, error, size):
     """Of each equation at the middle sample: its error, and the size of what it moves; both shape (5,)."""
-    n, readings = len(p.rest), m.middle
+    p, n, readings = model, len(model.rest), m.middle
     y, state, slopes, measured = np.empty(n), np.empty(len(p.from_whole)), np.empty(p.slopes), np.zeros(STATES)
     measured[PRESSURE_A], measured[PRESSURE_B], measured[POSITION] = readings[P_A], readings[P_B], readings[X_P]
     lift(p, m.hidden, measured, y, False)

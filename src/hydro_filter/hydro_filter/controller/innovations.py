@@ -141,9 +141,7 @@ def _show(model, m, x, hidden):
 
 @overload(_show, inline="always")
 def _shown(model, m, x, hidden):
-    if of_bench(model):
-        return lambda model, m, x, hidden: bench_errors.show(model, m, x, hidden)
-    return lambda model, m, x, hidden: amplify(model, m, x, hidden)
+    return (bench_errors.show if of_bench(model) else amplify).py_func
 
 
 def _errors(model, m, x, error, size):
@@ -152,9 +150,7 @@ def _errors(model, m, x, error, size):
 
 @overload(_errors, inline="always")
 def _found(model, m, x, error, size):
-    if of_bench(model):
-        return lambda model, m, x, error, size: bench_errors.errors(model, m, x, error, size)
-    return lambda model, m, x, error, size: errors(model, m, x, error, size)
+    return (bench_errors.errors if of_bench(model) else errors).py_func
 
 
 @njit(cache=True)

@@ -95,8 +95,10 @@ def rates_at(p, y, opening, whole, slopes):
 
 @njit(cache=True)
 def hydraulic_slopes(p, state, opening):
-    """Of the loop's model at a state: g [N/s/A] on the opening's side, what f_h' loses per velocity [N/m], f_h' of the
-    closed valve at rest [N/s], and how fast a velocity lowers p_a and raises p_b [Pa/m].
+    """What moves f_h of the loop's model at a state.
+
+    g [N/s/A] on the opening's side, what f_h' loses per velocity [N/m], f_h' of the closed valve at rest [N/s], and how
+    fast a velocity lowers p_a and raises p_b [Pa/m].
     """
     y, slopes = state.copy(), np.empty(p.slopes)
     side = math.copysign(1.0, opening)

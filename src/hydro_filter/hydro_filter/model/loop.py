@@ -58,52 +58,28 @@ def _displace(loop, memory, x, reference, reference_rate, v):
     raise NotImplementedError("compiled code only")
 
 
-def _linearize(loop, hidden, x, nominal, current, gain, step):
+def _linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
     raise NotImplementedError("compiled code only")
 
 
 @overload(_settle, inline="always")
-def _settled(loop, memory, x, current, reference_rate):
-    if of_bench(loop):
-        return lambda loop, memory, x, current, reference_rate: bench_kernels.settle(
-            loop, memory, x, current, reference_rate
-        )
-    return lambda loop, memory, x, current, reference_rate: displacement.settle(
-        loop, memory, x, current, reference_rate
-    )
+def _settle_of(loop, memory, x, current, reference_rate):
+    return (bench_kernels if of_bench(loop) else displacement).settle.py_func
 
 
 @overload(_follow, inline="always")
-def _followed(loop, memory, x, current, reference_rate):
-    if of_bench(loop):
-        return lambda loop, memory, x, current, reference_rate: bench_kernels.follow(
-            loop, memory, x, current, reference_rate
-        )
-    return lambda loop, memory, x, current, reference_rate: displacement.follow(
-        loop, memory, x, current, reference_rate
-    )
+def _follow_of(loop, memory, x, current, reference_rate):
+    return (bench_kernels if of_bench(loop) else displacement).follow.py_func
 
 
 @overload(_displace, inline="always")
-def _displaced(loop, memory, x, reference, reference_rate, v):
-    if of_bench(loop):
-        return lambda loop, memory, x, reference, reference_rate, v: bench_kernels.displace(
-            loop, memory, x, reference, reference_rate, v
-        )
-    return lambda loop, memory, x, reference, reference_rate, v: displacement.displace(
-        loop, memory, x, reference, reference_rate, v
-    )
+def _displace_of(loop, memory, x, reference, reference_rate, v):
+    return (bench_kernels if of_bench(loop) else displacement).displace.py_func
 
 
 @overload(_linearize, inline="always")
-def _linearized(loop, hidden, x, nominal, current, gain, step):
-    if of_bench(loop):
-        return lambda loop, hidden, x, nominal, current, gain, step: bench_kernels.linearize(
-            loop, hidden, x, nominal, current, gain, step
-        )
-    return lambda loop, hidden, x, nominal, current, gain, step: loop_model.linearize(
-        loop, hidden, x, nominal, current, gain, step
-    )
+def _linearize_of(loop, hidden, x, nominal_current, current, proportional_gain, step):
+    return (bench_kernels if of_bench(loop) else loop_model).linearize.py_func
 
 
 @njit(cache=True, inline="always")
@@ -125,6 +101,6 @@ def displace(loop, memory, x, reference, reference_rate, v):
 
 
 @njit(cache=True, inline="always")
-def linearize(loop, hidden, x, nominal, current, gain, step):
+def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
     """Fill `step` at x, shape (8,), and a memory's `hidden`, for a nominal current and the valve's [A], and K_p."""
-    _linearize(loop, hidden, x, nominal, current, gain, step)
+    _linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)

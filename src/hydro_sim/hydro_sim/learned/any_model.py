@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model of the bench by its file: weights of `learn`, or a bench file with named effects (bench.yaml, corrected.yaml).
+"""A model of the bench by its file: weights of `learn`, or a bench file with named effects.
 
 What a bench file believes it says itself; which box goes with it, the metric or the policy says that was made for both
 (`files.pairing`).

@@ -96,7 +96,7 @@ def _machine() -> str:
 
 
 def _call(signature: Any, letters: str) -> Any:
-    """A call by address, its first argument; of each other one, whether it is an array (p), a number (d), an int (l)."""
+    """A call by address, the first argument; of the others, whether each is an array (p), a number (d), an int (l)."""
     kinds = {"p": ir.DoubleType().as_pointer(), "d": ir.DoubleType(), "l": ir.IntType(64)}
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
