@@ -62,24 +62,40 @@ def _linearize(loop, hidden, x, nominal_current, current, proportional_gain, ste
     raise NotImplementedError("compiled code only")
 
 
+def _bench_settle(loop, memory, x, current, reference_rate):
+    bench_kernels.settle(loop, memory, x, current, reference_rate)
+
+
 @overload(_settle, inline="always")
 def _settle_of(loop, memory, x, current, reference_rate):
-    return (bench_kernels if of_bench(loop) else displacement).settle.py_func
+    return _bench_settle if of_bench(loop) else displacement.settle.py_func
+
+
+def _bench_follow(loop, memory, x, current, reference_rate):
+    bench_kernels.follow(loop, memory, x, current, reference_rate)
 
 
 @overload(_follow, inline="always")
 def _follow_of(loop, memory, x, current, reference_rate):
-    return (bench_kernels if of_bench(loop) else displacement).follow.py_func
+    return _bench_follow if of_bench(loop) else displacement.follow.py_func
+
+
+def _bench_displace(loop, memory, x, reference, reference_rate, v):
+    bench_kernels.displace(loop, memory, x, reference, reference_rate, v)
 
 
 @overload(_displace, inline="always")
 def _displace_of(loop, memory, x, reference, reference_rate, v):
-    return (bench_kernels if of_bench(loop) else displacement).displace.py_func
+    return _bench_displace if of_bench(loop) else displacement.displace.py_func
+
+
+def _bench_linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
+    bench_kernels.linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)
 
 
 @overload(_linearize, inline="always")
 def _linearize_of(loop, hidden, x, nominal_current, current, proportional_gain, step):
-    return (bench_kernels if of_bench(loop) else loop_model).linearize.py_func
+    return _bench_linearize if of_bench(loop) else loop_model.linearize.py_func
 
 
 @njit(cache=True, inline="always")

@@ -24,6 +24,7 @@ from numba import njit
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
+from hydro_filter.model.bench_loop import BenchLoop
 from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
 from hydro_filter.model.loop_model import LOOP
 from hydro_filter.model.state import STATES
@@ -36,6 +37,8 @@ PULSE = 3e-3
 """A, over 10 ms, of the twin: some 15 N."""
 PULSE_AT = 1000
 EARLY, LATE = slice(1050, 1350), slice(-300, None)
+OFF_STOPS = 5e-4
+"""m, that windows stay away from the end stops."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
 DECAYED = 0.6
 SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
@@ -144,17 +147,33 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
     if count < 100 + 2 * span:
         return None
     starts = np.sort(np.random.default_rng(seed).integers(100, count - span, settings.windows))
-    shape = (settings.windows, span)
+    if isinstance(loop, BenchLoop):
+        starts = starts[_between_stops(rollout.states["piston_position"], starts, span, loop.model.positions)]
+    if not len(starts):
+        return None
+    shape = (len(starts), span)
     made = Windows(
         x=np.empty((*shape, STATES)), state_rate=np.empty((*shape, STATES)), v=np.empty((*shape, LOOP)),
         transition=np.empty((*shape, LOOP, LOOP)), push=np.empty((*shape, LOOP)), feedback=np.empty((*shape, LOOP)),
-        gain=np.full(settings.windows, rollout.gains[0]), label=np.full(settings.windows, rollout.label),
+        gain=np.full(len(starts), rollout.gains[0]), label=np.full(len(starts), rollout.label),
     )  # fmt: skip
     _follow(
         loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, memories(loop), step_of(loop),
         made.x, made.state_rate, made.v, made.transition, made.push, made.feedback,
     )  # fmt: skip
     return made
+
+
+def _between_stops(
+    positions: FloatArray, starts: npt.NDArray[np.int64], span: int, ends: FloatArray
+) -> npt.NDArray[np.bool_]:
+    """Which windows begin and stay off the end stops: a piston that rests on one is no part of the loop.
+
+    `ends`: from a twentieth of the stroke before it to as much behind it [m].
+    """
+    stroke = (ends[-1] - ends[0]) / 1.1
+    inside = (positions > OFF_STOPS) & (positions < stroke - OFF_STOPS)
+    return np.array([bool(inside[k : k + span].all()) for k in starts], np.bool_)
 
 
 @njit(cache=True)
