@@ -3,7 +3,7 @@
 
 =============== ============================================= ==========================================
 metric          learned (a file of `learn_metric`)            constant (solved for the bench file)
-model           learned (a file of `learn`)                   analytic, the bench file
+model           learned (a file of `learn`) or a bench file   analytic, the bench file
 certificate     sampled, of the whole loop, with its delay    the paper's, in continuous time
 displacement    of the whole loop from its reference          of the load force alone (eq. v)
 settings        `LoopFilterSettings`                          `FilterSettings`
@@ -32,10 +32,10 @@ from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import Believed, MadeFor, unfit
 from hydro_sim.files.weights import WeightsError
+from hydro_sim.learned.any_model import digest, is_bench, model_of
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import rest_state
-from hydro_sim.structured.model import StructuredModel
 
 WAYS_ON = "or run `--metric constant`, which keeps to the bench file, with narrow gains"
 LEARNED, CONSTANT = "learned", "constant"
@@ -56,7 +56,7 @@ class Choice:
     metric: str = DEFAULT
     """`learned` (the shipped one), `constant`, or a file."""
     model: Path | None = None
-    """Of the learned bench; None: the shipped one. The constant metric has none."""
+    """Of the learned bench, or a bench file; None: the shipped one. The constant metric has none."""
 
     @property
     def constant(self) -> bool:
@@ -96,7 +96,8 @@ class Choice:
         model, metric, digest = self.stamps
         learn = f"learn one from its recordings with `ros2 run hydro_sim learn`, {WAYS_ON}"
         learn_metric = f"make one with `ros2 run hydro_filter learn_metric` and its --bench and --model, {WAYS_ON}"
-        return unfit(f"the model {self.files['model'].name}", model, box, learn) or unfit(
+        path = self.files["model"]  # a bench file is for whom its metric was made
+        return ("" if is_bench(path) else unfit(f"the model {path.name}", model, box, learn)) or unfit(
             f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest
         )
 
@@ -104,7 +105,8 @@ class Choice:
     def stamps(self) -> tuple[MadeFor | None, MadeFor | None, str]:
         """What model and metric were made for, and the model's digest, as the files were when first asked for."""
         model, metric = self.files["model"], self.files["metric"]
-        return Learned.load(model).made, LearnedMetric.load(metric).made, weights.digest(model)
+        made = LearnedMetric.load(metric).made
+        return None if is_bench(model) else Learned.load(model).made, made, digest(model)
 
     def foreign(self, box: KnownBox) -> str:
         """Why this filter does not belong to a box that runs; empty where it does, or where it is not known."""
@@ -136,10 +138,8 @@ class Choice:
         if isinstance(settings, FilterSettings):
             return ContractionFilter.for_bench(self.bench, settings)
         files = self.files
-        model = Learned.load(files["model"]).model
-        if not isinstance(model, StructuredModel):
-            raise WeightsError(f"{files['model']} is a network alone: the learned metric needs a structured model")
-        return LoopFilter(loop_parts(LearnedMetric.load(files["metric"]), model, self.bench, settings), settings)
+        metric, model = LearnedMetric.load(files["metric"]), model_of(files["model"])
+        return LoopFilter(loop_parts(metric, model, self.bench, settings), settings)
 
 
 def warm_up(contraction_filter: Filter, bench: Bench) -> None:

@@ -25,10 +25,15 @@ as when it was told: neither a gap nor a new arming ends it. Measured: safety.md
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 from numba import njit
+from numba.extending import overload
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_filter.controller import bench_errors
+from hydro_filter.model.bench_loop import BENCH_MEMORY_DTYPE, BenchLoop
 from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE, lag
+from hydro_filter.model.loop import Loop, of_bench
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
 from hydro_sim.structured import physics, rollout
 from hydro_sim.structured.integration import STATES
@@ -90,6 +95,21 @@ amplifier, the sums and for how long each is above zero; which equation is broke
 times what is allowed it was off, what moved then, and for how many samples the equations have held since."""
 
 
+BENCH_MONITOR_DTYPE = np.dtype(
+    [
+        (name, BENCH_MEMORY_DTYPE["hidden"]) if name == "hidden" else (name, MONITOR_DTYPE[name])
+        for name in MONITOR_DTYPE.names or ()
+    ],
+    align=True,
+)
+"""The same with the states that a bench file's model has."""
+
+
+def monitor_of(loop: Loop) -> npt.NDArray[np.void]:
+    """A monitor that has seen nothing, shape (1,)."""
+    return np.zeros(1, BENCH_MONITOR_DTYPE if isinstance(loop, BenchLoop) else MONITOR_DTYPE)
+
+
 @njit(cache=True)
 def begin(m):
     """As at the start or after a gap: only what was told stays. `m`: one record of `MONITOR_DTYPE`."""
@@ -102,21 +122,46 @@ def begin(m):
 def watch(model, limit, m, x, hidden):
     """Take in sample x, shape (8,), and the hidden states (3,) that belong to it; `limit` scales what is allowed.
 
-    `model` is `StructuredModel.compiled`. `m.broken` afterwards says which equation does not hold.
+    `model` is `StructuredModel.compiled`, or a bench file's `BenchParts`. `m.broken` afterwards says which equation
+    does not hold.
     """
+    _show(model, m, x, hidden)
+    if m.seen > SETTLING:
+        _judge(model, limit, m, x)
+    m.seen += 1
+    m.last[:] = m.middle
+    m.middle[F_H], m.middle[F_L], m.middle[X_P] = x[HYDRAULIC_FORCE], x[LOAD_FORCE], x[POSITION]
+    m.middle[P_A], m.middle[P_B] = x[PRESSURE_A], x[PRESSURE_B]
+    m.hidden[:] = hidden
+
+
+def _show(model, m, x, hidden):
+    raise NotImplementedError("compiled code only")
+
+
+@overload(_show, inline="always")
+def _shown(model, m, x, hidden):
+    return (bench_errors.show if of_bench(model) else amplify).py_func
+
+
+def _errors(model, m, x, error, size):
+    raise NotImplementedError("compiled code only")
+
+
+@overload(_errors, inline="always")
+def _found(model, m, x, error, size):
+    return (bench_errors.errors if of_bench(model) else errors).py_func
+
+
+@njit(cache=True)
+def amplify(model, m, x, hidden):
+    """What the load cell's amplifier shows at the middle sample."""
     c = model[0]
     if m.seen == 0:
         m.cell, m.cell_rate = (x[LOAD_FORCE] - c[BIAS_L]) / c[GAIN_L], 0.0
     elif m.seen > 1:
         spring = c[SPRING] * (0.5 * (m.last[X_P] + m.middle[X_P]) - c[REST])
         m.cell, m.cell_rate = lag(c[CELL_OMEGA], c[CELL_DAMPING], spring, m.cell, m.cell_rate)
-        if m.seen > SETTLING:
-            _judge(model, limit, m, x)
-    m.seen += 1
-    m.last[:] = m.middle
-    m.middle[F_H], m.middle[F_L], m.middle[X_P] = x[HYDRAULIC_FORCE], x[LOAD_FORCE], x[POSITION]
-    m.middle[P_A], m.middle[P_B] = x[PRESSURE_A], x[PRESSURE_B]
-    m.hidden[:] = hidden
 
 
 @njit(cache=True)
@@ -151,7 +196,7 @@ def errors(model, m, x, error, size):
 def _judge(model, limit, m, x):
     """Move the sums on, and what follows from them."""
     error, size = np.empty(COUNT), np.empty(COUNT)
-    errors(model, m, x, error, size)
+    _errors(model, m, x, error, size)
     highest = 0.0
     for i in range(COUNT):
         z = min(max(error[i] / (limit * (ALLOWED[i] + SHARE * size[i])), -CLIP), CLIP)

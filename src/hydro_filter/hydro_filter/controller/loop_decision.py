@@ -24,7 +24,8 @@ from hydro_filter.certificate import qp, sampled
 from hydro_filter.metric import network
 from hydro_filter.metric.network import MetricParts, MetricValue, metric_value
 from hydro_filter.model import displacement
-from hydro_filter.model.loop_model import LOOP, LoopModel, LoopStep, linearize, loop_step
+from hydro_filter.model.loop import Loop, Step, displace, follow, linearize, settle, step_of
+from hydro_filter.model.loop_model import LOOP
 from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.model.hydraulics import input_gain, velocity_term
 
@@ -32,7 +33,7 @@ from hydro_sim.model.hydraulics import input_gain, velocity_term
 class LoopParts(NamedTuple):
     """What `decide` reads."""
 
-    loop: LoopModel
+    loop: Loop
     metric: MetricParts
     rate: float
     """lambda [1/s] for gains of the certified range."""
@@ -49,7 +50,7 @@ class LoopParts(NamedTuple):
 class Space(NamedTuple):
     """Scratch of one caller; `space` makes it."""
 
-    step: LoopStep
+    step: Step
     value: MetricValue
     v: FloatArray
     next_v: FloatArray
@@ -85,7 +86,7 @@ class Problem(NamedTuple):
 
 def space(parts: LoopParts) -> Space:
     """New scratch for one caller."""
-    return Space(loop_step(), metric_value(parts.metric), np.zeros(LOOP), np.zeros(LOOP), np.zeros(LOOP))
+    return Space(step_of(parts.loop), metric_value(parts.metric), np.zeros(LOOP), np.zeros(LOOP), np.zeros(LOOP))
 
 
 @njit(cache=True, inline="always")
@@ -101,10 +102,10 @@ def integral_term(bench, gain_floor, x, nominal_current, reference, reference_ra
 def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace):
     """The problem of one sample, all finite, of an armed bench. Moves the memory on."""
     loop, value, step = parts.loop, workspace.value, workspace.step
-    displacement.settle(loop, memory, x, current, reference_rate)
+    settle(loop, memory, x, current, reference_rate)
     linearize(loop, memory.hidden, x, nominal, current, gain, step)
-    displacement.displace(loop, memory, x, reference, reference_rate, workspace.v)
-    displacement.follow(loop, memory, x, current, reference_rate)
+    displace(loop, memory, x, reference, reference_rate, workspace.v)
+    follow(loop, memory, x, current, reference_rate)
     network.evaluate(parts.metric, x, step.state_rate, gain, value)
     outside = network.foreign(parts.metric, gain)
     rate = parts.foreign_rate if outside else parts.rate

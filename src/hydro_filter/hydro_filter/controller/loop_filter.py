@@ -30,12 +30,10 @@ from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate.qp import QpFilter
 from hydro_filter.controller import innovations, loop_decision
 from hydro_filter.controller.filter import Result
-from hydro_filter.controller.innovations import MONITOR_DTYPE
 from hydro_filter.controller.loop_decision import LoopParts, Problem
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model import displacement
-from hydro_filter.model.displacement import MEMORY_DTYPE
-from hydro_filter.model.loop_model import loop_model
+from hydro_filter.model.loop import loop_of, memories
 from hydro_filter.model.sample import Sample
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
@@ -110,8 +108,8 @@ class LoopFilter:
         self.parts = parts
         self.settings = settings or LoopFilterSettings()
         self.qp = QpFilter()
-        self.memory = np.zeros(1, MEMORY_DTYPE)
-        self.monitor = np.zeros(1, MONITOR_DTYPE)
+        self.memory = memories(parts.loop)
+        self.monitor = innovations.monitor_of(parts.loop)
         self._box = boxed(parts, loop_decision.space(parts), self.monitor, self.settings.innovation_limit)
 
     @property
@@ -158,12 +156,12 @@ class LoopFilter:
 
 
 def loop_parts(
-    metric: LearnedMetric, model: StructuredModel, bench: Bench, settings: LoopFilterSettings | None = None
+    metric: LearnedMetric, model: StructuredModel | Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopParts:
     """What `decide` reads, of a metric, the learned model that it was trained on, and what the box believes."""
     chosen, levels = settings or LoopFilterSettings(), metric.thresholds
     return LoopParts(
-        loop=loop_model(model, bench),
+        loop=loop_of(model, bench),
         metric=metric.parts,
         rate=chosen.contraction_rate,
         foreign_rate=chosen.foreign_rate,

@@ -19,8 +19,9 @@ from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.network import ENTRIES
-from hydro_filter.model.hidden_states import HIDDEN
-from hydro_filter.model.loop_model import LOOP, LoopModel, linearize, loop_step
+from hydro_filter.model.bench_loop import BenchLoop
+from hydro_filter.model.loop import Loop, linearize, memories, settle, step_of
+from hydro_filter.model.loop_model import LOOP
 from hydro_sim.model.hydraulics import rest_state
 
 
@@ -54,13 +55,13 @@ class Table(NamedTuple):
     floor: float
 
 
-def rest_loop(loop: LoopModel, proportional_gain: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """F, G, K of the still bench, about no current."""
-    still = rest_state(loop.bench[0])
-    x = np.zeros(8)
-    x[4:7] = still[:3]
-    step = loop_step()
-    linearize(loop, np.zeros(HIDDEN), x, 1e-9, 0.0, float(proportional_gain), step)
+    x, step, memory = np.zeros(8), step_of(loop), memories(loop)[0]
+    x[4:7] = loop.model.rest[:3] if isinstance(loop, BenchLoop) else rest_state(loop.bench[0])[:3]
+    if isinstance(loop, BenchLoop):
+        settle(loop, memory, x, 0.0, 0.0)
+    linearize(loop, memory["hidden"], x, 1e-9, 0.0, float(proportional_gain), step)
     return step.transition.copy(), step.push.copy(), step.feedback.copy()
 
 
@@ -87,7 +88,7 @@ def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: flo
     return weight, feedback
 
 
-def design_table(loop: LoopModel, design: MetricDesign) -> Table:
+def design_table(loop: Loop, design: MetricDesign) -> Table:
     """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`)."""
     gains = np.arange(design.gain_low, design.gain_high + 0.5 * design.gain_step, design.gain_step)
     rows = []
@@ -102,7 +103,7 @@ def design_table(loop: LoopModel, design: MetricDesign) -> Table:
     )
 
 
-def correcting_feedback(loop: LoopModel, design: MetricDesign) -> FloatArray:
+def correcting_feedback(loop: Loop, design: MetricDesign) -> FloatArray:
     """K [A] of the best correction about the still bench, shape (8,)."""
     free, push, _ = rest_loop(loop, design.gain_low)
     unit = 0.14 * loop.current_max

@@ -22,7 +22,8 @@ from hydro_bridge.signals import FloatArray
 from hydro_filter.metric import network
 from hydro_filter.metric.design import MetricDesign, design_table
 from hydro_filter.metric.network import ENTRIES, HIDDEN, INPUTS, MetricParts, metric_value
-from hydro_filter.model.loop_model import LOOP_FIELDS, LoopModel
+from hydro_filter.model.loop import Loop
+from hydro_filter.model.loop_model import LOOP_FIELDS
 from hydro_filter.model.state import STATES, state_scale
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor, made_for
@@ -75,7 +76,7 @@ class LearnedMetric:
 
     @classmethod
     def designed(
-        cls, loop: LoopModel, bench: Bench, design: MetricDesign, *, hidden: tuple[int, int] = HIDDEN, seed: int = 0
+        cls, loop: Loop, bench: Bench, design: MetricDesign, *, hidden: tuple[int, int] = HIDDEN, seed: int = 0
     ) -> LearnedMetric:
         """The solved metrics alone: the network's last layer is zero."""
         solved = design_table(loop, design)

@@ -184,9 +184,14 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
     gain = hydraulic_slopes(c, after[0], after[1], after[2], hidden[SPOOL])[0]
     _read(c, scale, gain, step.nudges, step.rates, step.transition, step.push)
     step.transition[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = loop.model[4][1]  # the differentiator's memory
-    law, feedback = step.law, step.feedback
-    nominal = math.copysign(nominal_current, side)
-    force_law.gradient(loop.bench, x, nominal, proportional_gain, loop.gain_floor, law)
+    law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, share_a, share_b, step)
+
+
+@njit(cache=True, inline="always")
+def law_feedback(loop, x, nominal_current, proportional_gain, share_a, share_b, step):
+    """K [A] of the force law into `step`; a nudge of f_h is `share_a`, `share_b` of the pressures [Pa/N]."""
+    law, feedback, scale = step.law, step.feedback, loop.scale
+    force_law.gradient(loop.bench, x, nominal_current, proportional_gain, loop.gain_floor, law)
     feedback[:] = 0.0
     feedback[Q_HYDRAULIC] = (law[PRESSURE_A] * share_a + law[PRESSURE_B] * share_b) * scale[Q_HYDRAULIC]
     feedback[Q_LOAD] = law[LOAD_FORCE] * scale[Q_LOAD]

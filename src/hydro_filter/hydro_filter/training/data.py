@@ -24,9 +24,9 @@ from numba import njit
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
-from hydro_filter.model import displacement
-from hydro_filter.model.displacement import MEMORY_DTYPE
-from hydro_filter.model.loop_model import LOOP, LoopModel, linearize, loop_step
+from hydro_filter.model.bench_loop import BenchLoop
+from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
+from hydro_filter.model.loop_model import LOOP
 from hydro_filter.model.state import STATES
 from hydro_sim.excitation import drawn
 from hydro_sim.model.bench import Bench
@@ -37,6 +37,8 @@ PULSE = 3e-3
 """A, over 10 ms, of the twin: some 15 N."""
 PULSE_AT = 1000
 EARLY, LATE = slice(1050, 1350), slice(-300, None)
+OFF_STOPS = 5e-4
+"""m, that windows stay away from the end stops."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
 DECAYED = 0.6
 SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
@@ -139,23 +141,39 @@ def label_of(first: StateArray, second: StateArray) -> int:
     return UNSTABLE if late > early else STABLE if late < DECAYED * early else NEITHER
 
 
-def windows_of(rollout: Rollout, loop: LoopModel, settings: DataSettings, seed: int) -> Windows | None:
+def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
     """Windows at random places after the first 0.1 s; None of a rollout that is too short."""
     count, span = len(rollout.states), settings.horizon
     if count < 100 + 2 * span:
         return None
     starts = np.sort(np.random.default_rng(seed).integers(100, count - span, settings.windows))
-    shape = (settings.windows, span)
+    if isinstance(loop, BenchLoop):
+        starts = starts[_between_stops(rollout.states["piston_position"], starts, span, loop.model.positions)]
+    if not len(starts):
+        return None
+    shape = (len(starts), span)
     made = Windows(
         x=np.empty((*shape, STATES)), state_rate=np.empty((*shape, STATES)), v=np.empty((*shape, LOOP)),
         transition=np.empty((*shape, LOOP, LOOP)), push=np.empty((*shape, LOOP)), feedback=np.empty((*shape, LOOP)),
-        gain=np.full(settings.windows, rollout.gains[0]), label=np.full(settings.windows, rollout.label),
+        gain=np.full(len(starts), rollout.gains[0]), label=np.full(len(starts), rollout.label),
     )  # fmt: skip
     _follow(
-        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, np.zeros(1, MEMORY_DTYPE), loop_step(),
+        loop, matrix(rollout.states), matrix(rollout.states, SIGNALS), starts, memories(loop), step_of(loop),
         made.x, made.state_rate, made.v, made.transition, made.push, made.feedback,
     )  # fmt: skip
     return made
+
+
+def _between_stops(
+    positions: FloatArray, starts: npt.NDArray[np.int64], span: int, ends: FloatArray
+) -> npt.NDArray[np.bool_]:
+    """Which windows begin and stay off the end stops: a piston that rests on one is no part of the loop.
+
+    `ends`: from a twentieth of the stroke before it to as much behind it [m].
+    """
+    stroke = (ends[-1] - ends[0]) / 1.1
+    inside = (positions > OFF_STOPS) & (positions < stroke - OFF_STOPS)
+    return np.array([bool(inside[k : k + span].all()) for k in starts], np.bool_)
 
 
 @njit(cache=True)
@@ -164,20 +182,18 @@ def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, 
     span = xs.shape[1]
     for k in range(len(x)):
         nominal, current, reference, reference_rate, gain = signals[k]
-        displacement.settle(loop, memory[0], x[k], current, reference_rate)
+        settle(loop, memory[0], x[k], current, reference_rate)
         for n in range(len(starts)):
             h = k - starts[n]
             if 0 <= h < span:
                 linearize(loop, memory[0].hidden, x[k], nominal, current, gain, step)
-                displacement.displace(loop, memory[0], x[k], reference, reference_rate, vs[n, h])
+                displace(loop, memory[0], x[k], reference, reference_rate, vs[n, h])
                 xs[n, h], rates[n, h], transitions[n, h] = x[k], step.state_rate, step.transition
                 pushes[n, h], feedbacks[n, h] = step.push, step.feedback
-        displacement.follow(loop, memory[0], x[k], current, reference_rate)
+        follow(loop, memory[0], x[k], current, reference_rate)
 
 
-def collect(
-    plant: Plant, bench: Bench, loop: LoopModel, settings: DataSettings
-) -> Iterator[tuple[Rollout, Windows | None]]:
+def collect(plant: Plant, bench: Bench, loop: Loop, settings: DataSettings) -> Iterator[tuple[Rollout, Windows | None]]:
     """All rollouts of the settings with their windows, as they come."""
     for index in range(settings.rollouts):
         rollout = roll_out(plant, bench, settings, index)

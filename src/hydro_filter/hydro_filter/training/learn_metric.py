@@ -21,12 +21,13 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
-from hydro_bridge.cli.console import UserError, command, progress
+from hydro_bridge.cli.console import command, progress
 from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.design import MetricDesign, correcting_feedback, rest_loop
 from hydro_filter.metric.learned import LearnedMetric, Thresholds
-from hydro_filter.model.loop_model import Q_SPOOL_RATE, LoopModel, loop_model
+from hydro_filter.model.loop import Loop, loop_of
+from hydro_filter.model.loop_model import Q_SPOOL_RATE
 from hydro_filter.training.certificate import certificate_table
 from hydro_filter.training.curves import draw_metric_curves
 from hydro_filter.training.data import (
@@ -46,11 +47,11 @@ from hydro_filter.training.loss import LossSettings, Samples
 from hydro_filter.training.options import arguments, begun
 from hydro_filter.training.training import Progress, TrainingSettings, corrected, questions, train
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import Believed, MadeFor, refuse, unfit
+from hydro_sim.files.pairing import Believed, MadeFor
 from hydro_sim.files.weights import WeightsError
-from hydro_sim.learned.model import Learned
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.learned.any_model import digest, model_of, plant_of, refuse_unfit
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
 from hydro_sim.structured.model import StructuredModel
 
 HELD_OUT = 5
@@ -73,15 +74,14 @@ def main() -> None:
     data, settings = _settings(options)
     torch.set_num_threads(options.threads or torch.get_num_threads())
     out, began = Path(options.out), time.monotonic()
-    learned = Learned.load(options.model)
-    if not isinstance(learned.model, StructuredModel):
-        raise UserError("the metric needs a structured model: the network's states hold no spool and no load cell")
+    model = model_of(options.model)
     bench, path = Bench.load(options.bench) if options.bench else Bench.nominal(), options.model or weights.shipped()
     remedy = "name the bench.yaml of its box by --bench, or learn a model from this box's recordings (hydro_sim learn)"
-    refuse(unfit(f"the model {Path(path).name}", learned.made, Believed.of_file(options.bench), remedy))
-    made = MadeFor(box=bench.digest, model=weights.digest(path))  # either form of the integral: decision 31
-    loop = loop_model(learned.model, bench)
-    material = gather(LearnedPlant(learned), bench, loop, data)
+    refuse_unfit(options.model, Believed.of_file(options.bench), remedy)
+    made = MadeFor(box=bench.digest, model=digest(path))  # either form of the integral: decision 31
+    loop = loop_of(model, bench)
+    plant, clean = plant_of(options.model), plant_of(options.model, noise=0.0)
+    material = gather(plant, bench, loop, data)
     low, high = certified_range(material.rollouts)
     _say(f"{_told(material.rollouts)}; certified range: K_p {low:.0f} to {high:.0f} 1/s")
     design = replace(MetricDesign(), gain_low=round(low), gain_high=round(high))
@@ -91,11 +91,11 @@ def main() -> None:
     samples = questions(material.training, metric, correcting, push, how)
     held_out = questions(material.held_out, metric, correcting, push, how)
     last, best = _train(metric, samples, held_out, data.horizon, settings, options)
-    sizes = noise_sizes(best, loop, LearnedPlant(learned), LearnedPlant(learned, noise=0.0))
-    allowance = integral_allowance(loop, LearnedPlant(learned), bench)
+    sizes = noise_sizes(best, loop, plant, clean)
+    allowance = integral_allowance(loop, plant, bench)
     facts = {
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "settings": asdict(settings),
-        "design": asdict(design), "model": _digest(learned.model), "epochs": last.epoch, "best_epoch": last.best_epoch,
+        "design": asdict(design), "model": _digest(model), "epochs": last.epoch, "best_epoch": last.best_epoch,
         "validation_loss": last.best_loss, "seconds": round(time.monotonic() - began, 1),
         "history": [list(row) for row in last.history],
     }  # fmt: skip
@@ -112,7 +112,7 @@ def main() -> None:
     print(f"{out}: best of {last.epoch} epochs is {last.best_epoch}; {told}")
 
 
-def gather(plant: LearnedPlant, bench: Bench, loop: LoopModel, data: DataSettings) -> Material:
+def gather(plant: Plant, bench: Bench, loop: Loop, data: DataSettings) -> Material:
     """All rollouts, every fifth held out."""
     kept: list[Windows] = []
     held_out: list[Windows] = []
@@ -125,13 +125,13 @@ def gather(plant: LearnedPlant, bench: Bench, loop: LoopModel, data: DataSetting
     return Material(training=joined(kept), held_out=joined(held_out), rollouts=rollouts)
 
 
-def correction(loop: LoopModel, design: MetricDesign) -> tuple[FloatArray, float]:
+def correction(loop: Loop, design: MetricDesign) -> tuple[FloatArray, float]:
     """K [A] of the best correction about the still bench, and G's entry of the spool's rate there."""
     return correcting_feedback(loop, design), float(rest_loop(loop, design.gain_low)[1][Q_SPOOL_RATE])
 
 
 def _polished(
-    metric: LearnedMetric, material: Material, loop: LoopModel, design: MetricDesign, settings: TrainingSettings
+    metric: LearnedMetric, material: Material, loop: Loop, design: MetricDesign, settings: TrainingSettings
 ) -> LearnedMetric:
     """The table made to hold on samples of the rollouts, and the range of states that they show."""
     windows, how = material.training, settings.loss
@@ -163,8 +163,10 @@ def _told(rollouts: list[Rollout]) -> str:
     return f"{counts[STABLE]} rollouts are stable, {counts[UNSTABLE]} unstable, {counts[NEITHER]} neither"
 
 
-def _digest(model: StructuredModel) -> str:
-    """SHA-256 of the learned bench's constants and network."""
+def _digest(model: StructuredModel | Bench) -> str:
+    """SHA-256 of the learned bench's constants and network, or a bench file's digest."""
+    if isinstance(model, Bench):
+        return model.digest
     return sha256(np.concatenate((model.theta, model.flat)).tobytes()).hexdigest()
 
 

@@ -15,9 +15,8 @@ import numpy as np
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_decision import integral_term
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model import displacement
-from hydro_filter.model.displacement import MEMORY_DTYPE
-from hydro_filter.model.loop_model import LOOP, LoopModel, linearize, loop_step
+from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
+from hydro_filter.model.loop_model import LOOP
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -27,23 +26,21 @@ QUANTILE = 0.99
 """Of the noise's v'Mv: what is taken for noise."""
 
 
-def displacements(loop: LoopModel, plant: Plant, gain: float, seed: int) -> FloatArray:
+def displacements(loop: Loop, plant: Plant, gain: float, seed: int) -> FloatArray:
     """v_1 of a still bench, its valve closed, shape (samples, 8)."""
-    x, memory, step = plant.reset(seed), np.zeros(1, MEMORY_DTYPE), loop_step()
+    x, memory, step = plant.reset(seed), memories(loop), step_of(loop)
     out = np.empty((SAMPLES, LOOP))
     for k in range(SAMPLES):
-        displacement.settle(loop, memory[0], x, 0.0, 0.0)
+        settle(loop, memory[0], x, 0.0, 0.0)
         linearize(loop, memory[0]["hidden"], x, 1e-9, 0.0, gain, step)
-        displacement.displace(loop, memory[0], x, 0.0, 0.0, out[k])
+        displace(loop, memory[0], x, 0.0, 0.0, out[k])
         out[k] = (step.transition + np.outer(step.push, step.feedback)) @ out[k]
-        displacement.follow(loop, memory[0], x, 0.0, 0.0)
+        follow(loop, memory[0], x, 0.0, 0.0)
         x = plant.step(0.0)
     return out[100:]
 
 
-def noise_sizes(
-    metric: LearnedMetric, loop: LoopModel, noisy: Plant, clean: Plant, seed: int = 0
-) -> tuple[float, float]:
+def noise_sizes(metric: LearnedMetric, loop: Loop, noisy: Plant, clean: Plant, seed: int = 0) -> tuple[float, float]:
     """`QUANTILE` of v'Mv of the noise: the largest over the certified range, and that of the metric for other gains."""
     x, sizes = clean.reset(seed), []
     for gain in (metric.gains[0], float(np.median(metric.gains)), metric.gains[-1], np.inf):
@@ -54,7 +51,7 @@ def noise_sizes(
     return max(sizes[:-1]), sizes[-1]
 
 
-def integral_terms(loop: LoopModel, states: StateArray) -> FloatArray:
+def integral_terms(loop: Loop, states: StateArray) -> FloatArray:
     """I [N/s] of the force law at the samples of a run, shape (n,)."""
     out = np.empty(len(states))
     for k, record in enumerate(states):
@@ -76,7 +73,7 @@ ASKED_FOR = 18.0
 """s: the integral takes some K_p / K_i = 6 s to get where it is needed."""
 
 
-def integral_allowance(loop: LoopModel, plant: Plant, bench: Bench, seed: int = 0) -> float:
+def integral_allowance(loop: Loop, plant: Plant, bench: Bench, seed: int = 0) -> float:
     """Largest that the integral of stable loops asks for after the first second [N/s], a quarter on top."""
     largest = 0.0
     for gains, reference in product(ASKING, ASKED_BY):

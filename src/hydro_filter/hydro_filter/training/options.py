@@ -29,7 +29,11 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument(
         "--out", required=True, type=writable, metavar="METRIC", help="file to write, .safetensors; its curve beside it"
     )
-    result.add_argument("--model", metavar="WEIGHTS", help="the learned bench; the shipped one by default")
+    result.add_argument(
+        "--model",
+        metavar="FILE",
+        help="the learned bench (weights), or a bench file with named effects (.yaml); the shipped weights by default",
+    )
     result.add_argument("--bench", metavar="FILE", help="bench.yaml that the box believes; the nominal one by default")
     result.add_argument("--rollouts", type=int, default=160, help="rollouts of 3 s; every fifth is not trained on")
     result.add_argument("--contraction-rate", type=float, default=0.1, help="lambda [1/s]; the paper's 0.1")

@@ -14,7 +14,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.parameters import compile_parameters
 from hydro_sim.emulator.truth.plant import TruthPlant
-from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.learned.any_model import plant_of
 from hydro_sim.model.plant import Plant
 
 CHANGES: dict[str, dict[str, float]] = {
@@ -31,7 +31,7 @@ PLANTS = (*CHANGES, "sim")
 def plant_named(name: str, model: str | None = None) -> Plant:
     """One of `PLANTS`; `model`: weights of the learned simulation, the shipped ones by default."""
     if name == "sim":
-        return LearnedPlant(model)
+        return plant_of(model)
     if not CHANGES[name]:
         return TruthPlant(profile("default"))
     return TruthPlant(truth_from_mapping({"profile": "default", "bench": CHANGES[name]}))

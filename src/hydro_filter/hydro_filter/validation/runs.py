@@ -19,10 +19,9 @@ from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.validation.cases import CASES, Case
 from hydro_filter.validation.plants import plant_named
 from hydro_filter.validation.trial import Corrector, Gammas, Run, Trial, gammas, run
-from hydro_sim.learned.model import Learned
+from hydro_sim.learned.any_model import model_of
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
-from hydro_sim.structured.model import StructuredModel
 
 FILTERS = ("none", "learned", "solved", "projected")
 """none: bypassed, its certificate evaluated; learned: the default; solved: its metric with the network at zero;
@@ -76,8 +75,7 @@ def make_filter(task: Task, bench: Bench) -> Corrector:
         return ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=2.0))
     key = ("filter", task.metric, task.model, task.bench, task.filter, task.rate)
     if key not in _MADE:
-        model = Learned.load(task.model).model
-        assert isinstance(model, StructuredModel)
+        model = model_of(task.model)
         metric = LearnedMetric.load(task.metric)
         if task.filter == "solved":
             metric = metric.with_weights(np.zeros_like(metric.flat))

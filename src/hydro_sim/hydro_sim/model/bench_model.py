@@ -104,6 +104,11 @@ class BenchModel:
         """Of `bench_sample`, for `machine_code.sample`."""
         self.coefficients = ctypes.c_long.in_dll(self._code, "bench_coefficients").value
 
+    def address_of(self, name: str) -> int:
+        """Where a function of the compiled code lies in this process, for `machine_code`: "bench_jacobian"."""
+        code = self._derivatives if name in ("bench_jacobian", "bench_window") else self._code
+        return ctypes.cast(getattr(code, name), ctypes.c_void_p).value or 0
+
     def begin(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Coefficients k, and states y and readings z of a still bench with a relaxed spring and p_a + p_b = p_s."""
         delays = [value for one, value in zip(self.parameters, theta, strict=True) if one.name == DEAD_TIME]

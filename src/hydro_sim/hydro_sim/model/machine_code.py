@@ -107,19 +107,36 @@ def _machine() -> str:
     return " ".join([platform.machine(), os.environ.get("CC", ""), *FLAGS, *features])
 
 
+def _call(signature: Any, letters: str) -> Any:
+    """A call by address, the first argument; of the others, whether each is an array (p), a number (d), an int (l)."""
+    kinds = {"p": ir.DoubleType().as_pointer(), "d": ir.DoubleType(), "l": ir.IntType(64)}
+
+    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        at, *values = arguments
+        given = [
+            context.make_array(kind)(context, builder, value).data if letter == "p" else value
+            for kind, value, letter in zip(signature.args[1:], values, letters, strict=True)
+        ]
+        function = ir.FunctionType(ir.VoidType(), [kinds[letter] for letter in letters])
+        builder.call(builder.inttoptr(at, function.as_pointer()), given)
+        return context.get_dummy_value()
+
+    return signature, code
+
+
 @intrinsic
 def sample(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any) -> Any:
     """Call `bench_sample` at an address: y, in place, and readings z after a sample at a current [A]. For numba."""
-    double = ir.DoubleType().as_pointer()
+    return _call(types.void(types.int64, k, y, types.float64, z), "ppdp")
 
-    def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        at, k, y, current, z = arguments
-        pointers = [
-            context.make_array(kind)(context, builder, value).data
-            for kind, value in zip((signature.args[1], signature.args[2], signature.args[4]), (k, y, z), strict=True)
-        ]
-        kind = ir.FunctionType(ir.VoidType(), [double, double, ir.DoubleType(), double])
-        builder.call(builder.inttoptr(at, kind.as_pointer()), [pointers[0], pointers[1], current, pointers[2]])
-        return context.get_dummy_value()
 
-    return types.void(types.int64, k, y, types.float64, z), code
+@intrinsic
+def jacobian(typingctx: Any, address: Any, k: Any, y: Any, current: Any, z: Any, dy: Any, dz: Any) -> Any:
+    """Call `bench_jacobian`: as `sample`, with d y/d(y, u) and d z/d(y, u) by rows into dy and dz. For numba."""
+    return _call(types.void(types.int64, k, y, types.float64, z, dy, dz), "ppdppp")
+
+
+@intrinsic
+def rates(typingctx: Any, address: Any, k: Any, count: Any, y: Any, currents: Any, slopes: Any) -> Any:
+    """Call `bench_rates`: y' at each of `count` states and currents, by rows into `slopes`. For numba."""
+    return _call(types.void(types.int64, k, types.int64, y, currents, slopes), "plppp")

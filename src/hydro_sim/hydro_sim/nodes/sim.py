@@ -26,6 +26,7 @@ from hydro_bridge.signals import Flag
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import Believed, refuse, unfit
+from hydro_sim.learned.any_model import is_bench, plant_of
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
@@ -130,6 +131,8 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
         return AnalyticPlant(bench, noise=settings.noise)
+    if is_bench(name):
+        return plant_of(name, noise=settings.noise)
     learned = Learned.load(None if name == "shipped" else name)
     thing = f"the model {Path(weights.shipped() if name == 'shipped' else name).name}"
     remedy = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"

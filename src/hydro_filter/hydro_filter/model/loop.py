@@ -1,0 +1,122 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A loop of either kind of model, by its type: the structured model's (`loop_model`) or a bench file's (`bench_loop`).
+
+For compiled code and for Python; what each does is written where it is done: `settle`, `follow` and `displace` in
+`displacement` and `bench_kernels`, `linearize` in `loop_model` and `bench_kernels`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, types
+from numba.extending import overload
+
+from hydro_filter.model import bench_kernels, displacement, loop_model
+from hydro_filter.model.bench_loop import BENCH_MEMORY_DTYPE, BenchLoop, BenchParts, BenchStep, bench_loop, bench_step
+from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_filter.model.loop_model import LoopModel, LoopStep
+from hydro_sim.box.box import BoxConfig
+from hydro_sim.model.bench import Bench
+from hydro_sim.structured.model import StructuredModel
+
+Loop = LoopModel | BenchLoop
+Step = LoopStep | BenchStep
+
+
+def loop_of(model: StructuredModel | Bench, believed: Bench, box: BoxConfig | None = None) -> Loop:
+    """The loop of a model under a box that believes `believed` (raises as `bench_loop`)."""
+    return bench_loop(model, believed, box) if isinstance(model, Bench) else loop_model.loop_model(model, believed, box)
+
+
+def step_of(loop: Loop) -> Step:
+    """New space for one caller."""
+    return bench_step(loop) if isinstance(loop, BenchLoop) else loop_model.loop_step()
+
+
+def memories(loop: Loop, count: int = 1) -> npt.NDArray[np.void]:
+    """Memories of so many benches that begin, shape (count,)."""
+    return np.zeros(count, BENCH_MEMORY_DTYPE if isinstance(loop, BenchLoop) else MEMORY_DTYPE)
+
+
+def of_bench(kind: Any) -> bool:
+    """Whether a type of compiled code is a bench file's loop, or its model."""
+    return isinstance(kind, types.BaseNamedTuple) and kind.instance_class in (BenchLoop, BenchParts)
+
+
+def _settle(loop, memory, x, current, reference_rate):
+    raise NotImplementedError("compiled code only")
+
+
+def _follow(loop, memory, x, current, reference_rate):
+    raise NotImplementedError("compiled code only")
+
+
+def _displace(loop, memory, x, reference, reference_rate, v):
+    raise NotImplementedError("compiled code only")
+
+
+def _linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
+    raise NotImplementedError("compiled code only")
+
+
+def _bench_settle(loop, memory, x, current, reference_rate):
+    bench_kernels.settle(loop, memory, x, current, reference_rate)
+
+
+@overload(_settle, inline="always")
+def _settle_of(loop, memory, x, current, reference_rate):
+    return _bench_settle if of_bench(loop) else displacement.settle.py_func
+
+
+def _bench_follow(loop, memory, x, current, reference_rate):
+    bench_kernels.follow(loop, memory, x, current, reference_rate)
+
+
+@overload(_follow, inline="always")
+def _follow_of(loop, memory, x, current, reference_rate):
+    return _bench_follow if of_bench(loop) else displacement.follow.py_func
+
+
+def _bench_displace(loop, memory, x, reference, reference_rate, v):
+    bench_kernels.displace(loop, memory, x, reference, reference_rate, v)
+
+
+@overload(_displace, inline="always")
+def _displace_of(loop, memory, x, reference, reference_rate, v):
+    return _bench_displace if of_bench(loop) else displacement.displace.py_func
+
+
+def _bench_linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
+    bench_kernels.linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)
+
+
+@overload(_linearize, inline="always")
+def _linearize_of(loop, hidden, x, nominal_current, current, proportional_gain, step):
+    return _bench_linearize if of_bench(loop) else loop_model.linearize.py_func
+
+
+@njit(cache=True, inline="always")
+def settle(loop, memory, x, current, reference_rate):
+    """Take in the first sample."""
+    _settle(loop, memory, x, current, reference_rate)
+
+
+@njit(cache=True, inline="always")
+def follow(loop, memory, x, current, reference_rate):
+    """Move the memory to the next sample, over which the valve holds `current` [A]."""
+    _follow(loop, memory, x, current, reference_rate)
+
+
+@njit(cache=True, inline="always")
+def displace(loop, memory, x, reference, reference_rate, v):
+    """Write v, shape (8,), of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
+    _displace(loop, memory, x, reference, reference_rate, v)
+
+
+@njit(cache=True, inline="always")
+def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
+    """Fill `step` at x, shape (8,), and a memory's `hidden`, for a nominal current and the valve's [A], and K_p."""
+    _linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)

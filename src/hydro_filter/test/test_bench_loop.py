@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter's loop of a bench file."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hydro_filter.metric.design import rest_loop
+from hydro_filter.model.loop import loop_of
+from hydro_sim.learned.any_model import model_of
+from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
+from hydro_sim.structured.model import StructuredModel
+
+LAG = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
+LEAK = {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}
+
+
+def of(*effects: dict[str, object]) -> Bench:
+    return Bench.from_mapping(Bench.nominal().to_mapping() | {"effects": list(effects)})
+
+
+def test_the_still_loop_is_that_of_the_structured_model_with_the_same_physics(bench: Bench) -> None:
+    learned = Learned.load().model
+    assert isinstance(learned, StructuredModel)
+    ours = rest_loop(loop_of(of(LAG, LEAK), bench), 60.0)
+    theirs = rest_loop(loop_of(learned, bench), 60.0)
+    assert np.allclose(ours[0], theirs[0], atol=0.12)  # the spool's damping and bandwidth are the learned ones' about
+    assert np.allclose(ours[2], theirs[2], rtol=0.01, atol=1e-4)
+    radii = [np.abs(np.linalg.eigvals(f + np.outer(g, k))).max() for f, g, k in (ours, theirs)]
+    assert radii[0] == pytest.approx(radii[1], abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    "disturbance",
+    [
+        {"id": "friction_coulomb", "parameters": {"force": 12.0}},
+        {"id": "valve_deadband", "parameters": {"half_width": 5e-4}},
+    ],
+)
+def test_bounded_disturbances_are_no_part_of_the_linearized_loop(bench: Bench, disturbance: dict[str, object]) -> None:
+    for with_it, without in zip(
+        rest_loop(loop_of(of(LAG, disturbance), bench), 60.0), rest_loop(loop_of(of(LAG), bench), 60.0), strict=True
+    ):
+        assert np.array_equal(with_it, without)
+
+
+def test_a_dead_time_is_refused_in_a_sentence(bench: Bench) -> None:
+    with pytest.raises(ValueError, match="no place for a dead time"):
+        loop_of(of(LAG, {"id": "transport_delay", "parameters": {"time": 2e-3}}), bench)
+
+
+def test_a_model_is_read_by_the_kind_of_its_file(tmp_path: Path) -> None:
+    file = tmp_path / "corrected.yaml"
+    entries = Bench.nominal().to_mapping() | {"spring_stiffness": 3e4}
+    file.write_text("".join(f"{key}: {value}\n" for key, value in entries.items()), encoding="utf-8")
+    found = model_of(file)
+    assert isinstance(found, Bench)
+    assert found.spring_stiffness == 3e4
+    assert isinstance(model_of(None), StructuredModel)

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A model of the bench by its file: weights of `learn`, or a bench file with named effects.
+
+What a bench file believes it says itself; which box goes with it, the metric or the policy says that was made for both
+(`files.pairing`).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import Believed, refuse, unfit
+from hydro_sim.files.weights import WeightsError
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
+from hydro_sim.structured.model import StructuredModel
+
+BENCH_FILES = (".yaml", ".yml")
+
+
+def is_bench(path: str | Path | None) -> bool:
+    """Whether a file's name is a bench file's; None is the shipped model."""
+    return path is not None and Path(path).suffix in BENCH_FILES
+
+
+def model_of(path: str | Path | None) -> StructuredModel | Bench:
+    """A model that has a certificate; None: the shipped one.
+
+    Raises
+    ------
+    WeightsError
+        The file is missing or unreadable, or a network alone.
+    ValueError
+        The bench file is not one.
+    """
+    if path is not None and is_bench(path):
+        return Bench.load(path)
+    model = Learned.load(path).model
+    if not isinstance(model, StructuredModel):
+        named = path or weights.shipped()
+        raise WeightsError(f"{named} is a network alone: its states hold no spool and no load cell, as a metric needs")
+    return model
+
+
+def plant_of(path: str | Path | None, *, noise: float = 1.0) -> Plant:
+    """A plant of any model, networks too (raises as `model_of`)."""
+    if path is not None and is_bench(path):
+        return AnalyticPlant(Bench.load(path), noise=noise)
+    return LearnedPlant(path, noise=noise)
+
+
+def digest(path: str | Path) -> str:
+    """What a metric or a policy remembers of its model: of the tensors, or of the bench file's keys and numbers."""
+    return Bench.load(path).digest if is_bench(path) else weights.digest(path)
+
+
+def refuse_unfit(path: str | Path | None, box: Believed, remedy: str) -> None:
+    """Raise PairingError where learned weights are not for a box; a bench file is for whom it is named to."""
+    if not is_bench(path):
+        named = Path(path or weights.shipped())
+        refuse(unfit(f"the model {named.name}", Learned.load(path).made, box, remedy))
