@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.controllers import agent
 from benchmarks.paper.foreign import ForeignPlant
-from benchmarks.paper.store import PRINTED, Result, Store
+from benchmarks.paper.store import AUTHORITIES, PRINTED, Result, Store
 from benchmarks.paper.validation import corrector
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag
@@ -38,7 +38,6 @@ from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
-AUTHORITIES = ("paper", "wide")
 PLANTS: dict[str, Callable[[], Plant]] = {"default": lambda: TruthPlant(profile("default")), "outside": ForeignPlant}
 EXAMS = 8
 """Examinations of I on the bench after the first."""

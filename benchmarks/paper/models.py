@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks._learned_case import Case
-from benchmarks.paper.store import PRINTED, Result, Store
+from benchmarks.paper.store import LOSSES, PRINTED, TIMES, Result, Store
 from hydro_sim.identification import adam, evaluation, training
 from hydro_sim.identification.analytic import AnalyticModel
 from hydro_sim.identification.evaluation import Predictor, Scales
@@ -23,15 +23,9 @@ from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 
 HORIZON, STRIDE = 70, 37
-TIMES = (1, 10, 30, 70)
-"""Samples after which f_l is looked at."""
 LOAD_FORCE = 2
-LOSSES: dict[str, dict[str, Any]] = {
-    "squared": {},
-    "printed": {"printed_loss": True},
-    "one-step": {"horizon": 1},
-}
-"""Squared sum of errors as meant (each error squared); as printed (their sum squared); H = 1."""
+SETTINGS: dict[str, dict[str, Any]] = {"squared": {}, "printed": {"printed_loss": True}, "one-step": {"horizon": 1}}
+"""What tells the losses apart."""
 
 
 @cache
@@ -60,7 +54,7 @@ def _trained(store: Store, loss: str, seed: int) -> Result:
     settings = training.Settings(
         structure="network", hidden=tuple(table["hidden"]), batch=table["batch"], seed=seed,
         adam=adam.Settings(epochs=store.size.model_epochs, learning_rate=table["learning_rate"]),
-        **{"horizon": table["horizon"], **LOSSES[loss]},
+        **{"horizon": table["horizon"], **SETTINGS[loss]},
     )  # fmt: skip
     *_, (last, model) = training.steps(training.start(data, settings, Bench.nominal()), data, settings)
     training.finished(model, data, {"loss": loss, "seed": seed}).save(weights(store, loss, seed))

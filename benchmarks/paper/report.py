@@ -10,10 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.paper import claims
-from benchmarks.paper.agents import AUTHORITIES
-from benchmarks.paper.models import LOSSES, TIMES
-from benchmarks.paper.store import PRINTED, Result, Store
-from benchmarks.paper.validation import FILTERS, NAMES
+from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, PRINTED, TIMES, Result, Store
 from hydro_bridge.cli.console import Table
 from hydro_bridge.files.atomic import write_whole
 
@@ -112,7 +109,7 @@ def _metrics(store: Store) -> str:
 
 def _validation(store: Store) -> str:
     rows: Rows = []
-    for name in NAMES:
+    for name in CASES:
         for chosen in FILTERS:
             if found := store.kept(f"validation-{name}-{chosen}"):
                 bounded = f"{found['bounded']}/{found['runs']}"

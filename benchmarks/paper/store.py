@@ -19,6 +19,16 @@ from hydro_bridge.files.atomic import write_whole
 PRINTED: Mapping[str, Any] = yaml.safe_load((Path(__file__).parent / "paper.yaml").read_text(encoding="utf-8"))
 """paper.yaml."""
 
+LOSSES = ("squared", "printed", "one-step")
+"""Of the network model: each error squared, as meant; their sum squared, as printed; H = 1."""
+TIMES = (1, 10, 30, 70)
+"""Samples after which f_l is looked at."""
+CASES = ("stable", "unstable", "negative", "positive", "high")
+"""Of Table val_cont: the paper's two rows, strictly negative and positive gains, and K_p above 100."""
+FILTERS = ("none", "paper-short", "paper-long", "ours")
+"""Bypassed; the paper's after 3 epochs and after many; the shipped one."""
+AUTHORITIES = ("paper", "wide")
+
 Result = dict[str, Any]
 
 

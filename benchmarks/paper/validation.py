@@ -13,25 +13,19 @@ import numpy as np
 
 from benchmarks.paper import metric
 from benchmarks.paper.certificate import paper_filter
-from benchmarks.paper.store import PRINTED, Result, Store
+from benchmarks.paper.store import CASES, FILTERS, PRINTED, Result, Store
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_filter.validation import runs
-from hydro_filter.validation.cases import CASES
+from hydro_filter.validation import cases, runs
 from hydro_filter.validation.trial import Corrector, Run, Trial, gammas
 from hydro_filter.validation.trial import run as run_trial
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 
-NAMES = ("stable", "unstable", "negative", "positive", "high")
-"""The paper's two rows, strictly negative and positive gains, and K_p above 100."""
-FILTERS = ("none", "paper-short", "paper-long", "ours")
-"""Bypassed; the paper's after 3 epochs and after many; the shipped one."""
-
 
 def run(store: Store) -> None:
     """Every filter in every case."""
-    for name in NAMES:
+    for name in CASES:
         for chosen in FILTERS:
             store.piece(f"validation-{name}-{chosen}", lambda n=name, c=chosen: _cell(store, n, c))  # type: ignore[misc]
 
@@ -48,7 +42,7 @@ def corrector(store: Store, chosen: str, seed: int) -> Corrector:
 
 
 def _cell(store: Store, name: str, chosen: str) -> Result:
-    case, plant, bench = CASES[name], TruthPlant(profile("default")), Bench.nominal()
+    case, plant, bench = cases.CASES[name], TruthPlant(profile("default")), Bench.nominal()
     done: list[Run] = []
     for seed in range(store.size.seeds):
         gains = case.draw(seed, store.size.validation_seconds)
