@@ -20,7 +20,7 @@ test test-slow graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN
 test test-slow graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
 
 .PHONY: help setup environment build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
-.PHONY: bench bench-peers fuzz fuzz-line soak firmware format reference docs coverage clean
+.PHONY: bench bench-peers paper fuzz fuzz-line soak firmware format reference docs coverage clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -75,6 +75,9 @@ bench-peers: setup  ## peers of the learner in an environment of their own (.ven
 	@.venv/bin/python -c 'import site; print(site.getsitepackages()[0])' > $$(echo .venv-bench/lib/python3*/site-packages)/hydro.pth
 	@.venv-bench/bin/python -m pip install -q -r requirements-bench.txt
 	@$(SOURCED) .venv-bench/bin/python -m benchmarks.sac_peers $(ARGS)
+
+paper: setup  ## the paper's method, row by row, beside its numbers: hours, goes on where it was (ARGS=--quick: minutes)
+	@$(SOURCED) .venv/bin/python -m benchmarks.paper --report docs/reports/paper.md $(ARGS)
 
 fuzz: setup  ## a million hostile frames to the decoder
 	@$(SOURCED) .venv/bin/python tests/fuzz_link.py $(ARGS)

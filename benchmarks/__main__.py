@@ -27,6 +27,7 @@ STUDIES = frozenset(
         "learned_structures",
         "model_mismatch",
         "pairings",
+        "paper",
         "sac_peers",
         "training_seeds",
     }

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Reproduce the paper row by row: `make paper`, or `python -m benchmarks.paper [--quick] [--only TABLE ...]`.
+
+Each piece's result is kept as JSON in the folder, and a piece that is done is not repeated: after Ctrl-C the same
+command goes on. The report is written anew from what is there; what is not there is "not run yet".
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from benchmarks.paper import report
+from benchmarks.paper.store import FULL, QUICK, Store
+from hydro_bridge.cli.console import add_json_argument, command
+
+TABLES = {
+    "rmse_model": "models.run",
+    "training_metric": "metric.run",
+    "val_cont": "validation.run",
+    "rmse": "agents.run",
+    "outside": "agents.run_outside",
+    "chatter": "agents.run_chatter",
+}
+"""What runs each; imported when it does: torch and compiled code take seconds, and --show needs neither."""
+
+
+@command(ValueError)
+def main() -> None:
+    """Run what is not there yet, print, write."""
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.paper", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--quick", action="store_true", help="small sizes, two seeds: minutes instead of hours")
+    parser.add_argument("--only", nargs="+", choices=TABLES, metavar="TABLE", help=f"of {', '.join(TABLES)}")
+    parser.add_argument("--show", action="store_true", help="run nothing: print and write what is there")
+    parser.add_argument("--folder", type=Path, default=Path("runs/paper"), help="of the results (runs/paper)")
+    parser.add_argument("--report", type=Path, metavar="FILE", help="write the page there (docs/reports/paper.md)")
+    add_json_argument(parser)
+    asked = parser.parse_args()
+    store = Store(asked.folder, QUICK if asked.quick else FULL)
+    if not asked.show:
+        _run(store, asked.only or list(TABLES))
+    report.write(Store(asked.folder, FULL), Store(asked.folder, QUICK), asked.report, asked.json)
+
+
+def _run(store: Store, names: list[str]) -> None:
+    """The pieces of these tables that are not there yet, on one thread of torch and BLAS."""
+    import torch
+    from threadpoolctl import threadpool_limits
+
+    torch.set_num_threads(1)
+    threadpool_limits(1, "blas")
+    for name in names:
+        module, function = TABLES[name].split(".")
+        getattr(import_module(f"benchmarks.paper.{module}"), function)(store)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

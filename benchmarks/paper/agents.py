@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables training_agent and rmse: II pretrained in simulation, I trained further on the bench, III fixed (90, 15).
+
+Authority *paper* (K_p to 90, K_i to 15) and *wide* (to 300, 100). II is `pretrain` on the shipped model; I goes on
+from it on the bench as `trainer` does, without a clock: the same samples to the bit. Bench *default* is the emulator's
+truth, *outside* is `foreign`. No filter, the bumpless integral, the mean action of the best policy of the run's own
+examinations, which for I include the one before its first episode. Sines of 300 N, one noise seed for each training
+seed.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from benchmarks.controllers import agent
+from benchmarks.paper.foreign import ForeignPlant
+from benchmarks.paper.store import AUTHORITIES, PRINTED, Result, Store
+from benchmarks.paper.validation import corrector
+from hydro_bridge.safety.guard import GuardSettings
+from hydro_bridge.signals import SAMPLE_PERIOD, Flag
+from hydro_filter.validation.trial import Corrector
+from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.runs.initial_agent import Start, load_start
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.snapshot import actor_parameters
+from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
+from hydro_policy.sessions.training import TrainingSession
+from hydro_policy.task.cases import EvaluationSettings
+from hydro_sim.emulator.truth.config import profile
+from hydro_sim.emulator.truth.plant import TruthPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
+
+PLANTS: dict[str, Callable[[], Plant]] = {"default": lambda: TruthPlant(profile("default")), "outside": ForeignPlant}
+EXAMS = 8
+"""Examinations of I on the bench after the first."""
+CHATTER_EPISODES = 2
+
+
+class Listening(OfflineGraph):
+    """Keeps the sum of u'^2 of an armed box and how often it tripped."""
+
+    squares, counted, trips = 0.0, 0, 0
+    _last: float | None = None
+    _tripped = False
+
+    def sample(self) -> np.void:
+        """See `OfflineGraph.sample`."""
+        output = super().sample()
+        flags, current = int(output["flags"]), float(output["valve_current"])
+        if flags & Flag.ARMED and self._last is not None:
+            self.squares, self.counted = self.squares + ((current - self._last) / SAMPLE_PERIOD) ** 2, self.counted + 1
+        self._last = current if flags & Flag.ARMED else None
+        tripped = bool(flags & Flag.TRIPPED)
+        self.trips, self._tripped = self.trips + (tripped and not self._tripped), tripped
+        return output
+
+    @property
+    def chatter(self) -> float:
+        """RMS of u' [A/s]."""
+        return float(np.sqrt(self.squares / max(self.counted, 1)))
+
+
+def run(store: Store) -> None:
+    """I, II, III on the default bench."""
+    _tables(store, "default")
+
+
+def run_outside(store: Store) -> None:
+    """The same on the bench outside of the model's physics."""
+    _tables(store, "outside")
+
+
+def run_chatter(store: Store) -> None:
+    """u' during training on the default bench without a filter, behind the paper's, and behind ours."""
+    for seed in range(store.size.seeds):
+        for chosen in ("none", "paper-long", "ours"):
+            store.piece(f"chatter-{chosen}-{seed}", lambda c=chosen, s=seed: _chatter(store, c, s))  # type: ignore[misc]
+
+
+def _tables(store: Store, bench: str) -> None:
+    for seed in range(store.size.seeds):
+        store.piece(f"rmse-{bench}-III-{seed}", lambda s=seed: _rmse(bench, FixedGains(90.0, 15.0), s))  # type: ignore[misc]
+        for authority in AUTHORITIES:
+            for who, make in (("II", _second), ("I", _first)):
+                name = f"rmse-{bench}-{authority}-{who}-{seed}"
+                store.piece(name, lambda m=make, a=authority, s=seed: m(store, bench, a, s))  # type: ignore[misc]
+
+
+def simulated(store: Store, authority: str, seed: int) -> Start:
+    """II: the agent that `pretrain` makes, made or gone on with if it is not finished."""
+    folder = store.folder / f"II-{authority}-{seed}"
+    words = ["--resume", str(folder)] if folder.exists() else [
+        "--out", str(folder), "--configuration", authority, "--seed", str(seed), "--steps",
+        str(PRINTED["training_agent"]["steps"]),
+    ]  # fmt: skip
+    words += ["--episodes", str(store.size.simulated_episodes)]
+    command = [sys.executable, "-m", "hydro_policy.pretraining.pretrain", *words]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return load_start(folder)
+
+
+def _second(store: Store, bench: str, authority: str, seed: int) -> Result:
+    start = simulated(store, authority, seed)
+    return _rmse(bench, _controller(start, actor_parameters(start.agent)), seed)
+
+
+def _first(store: Store, bench: str, authority: str, seed: int) -> Result:
+    start, episodes = simulated(store, authority, seed), store.size.bench_episodes
+    session, graph = train(PLANTS[bench](), start, episodes, max(episodes // EXAMS, 1), seed)
+    best = session.keeper.best
+    told = {"episodes": session.progress.episode, "trips": graph.trips, "ended": str(session.gave_up or "")}
+    told |= {"exams": [float(exam["score"]) for exam in session.progress.exams]}
+    return {**_rmse(bench, _controller(start, actor_parameters(start.agent) if best is None else best), seed), **told}
+
+
+def train(
+    plant: Plant, start: Start, episodes: int, every: int, seed: int, corrector: Corrector | None = None
+) -> tuple[TrainingSession, Listening]:
+    """Episodes on a bench as `trainer` does them, examined every so many (0: never)."""
+    settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed))
+    settings = replace(settings, exam=replace(settings.exam, every=every))
+    reach = settings.task.gains
+    guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)
+    graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
+    learner = InlineLearner(settings, start=start.agent)
+    session = TrainingSession(settings, learner, graph)
+    graph.run(session, 60.0 * episodes + 600.0, learner)
+    return session, graph
+
+
+def _controller(start: Start, parameters: Any) -> PolicyController:
+    made = agent(parameters, start)
+    return PolicyController(made.policy, made.gains, "policy")
+
+
+def _rmse(bench: str, controller: Controller, seed: int) -> Result:
+    """Force RMSE [N] at the paper's sines; NaN: stopped by the box."""
+    guard = GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0)
+    graph = OfflineGraph(PLANTS[bench](), Bench.nominal(), guard=guard, seed=1000 + seed)
+    session = EvaluationSession(EvaluationSettings(), [controller], graph)
+    graph.run(session, 10.0 * session.seconds)
+    return {"rmse": [score.rmse for score in session.scores]}
+
+
+def _chatter(store: Store, chosen: str, seed: int) -> Result:
+    start = simulated(store, "paper", seed)
+    made = None if chosen == "none" else corrector(store, chosen, seed)
+    session, graph = train(PLANTS["default"](), start, CHATTER_EPISODES, 0, seed, made)
+    return {"chatter": graph.chatter, "trips": graph.trips, "episodes": session.progress.episode}

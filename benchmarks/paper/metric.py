@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Table training_metric: M(x) by a network, trained for v along f_l on rollouts of the paper's network model.
+
+Rollouts and their labels are those of `hydro_filter.training.data` on the network model without noise. The loss is eq.
+loss_metric with W_l, the regularizers and H_m as printed. A, B and K do not depend on M and are computed once, exactly;
+the paper takes differences in every epoch. What the paper leaves open: gains of K_p from -40 to 200 1/s, 200 windows a
+rollout, every fifth rollout held out.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+
+from benchmarks.paper import models
+from benchmarks.paper.certificate import COLUMNS, ROWS, NetworkDynamics, NetworkMetric
+from benchmarks.paper.store import PRINTED, Result, Store
+from hydro_bridge.signals import FloatArray
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.force_law import ForceLaw
+from hydro_filter.model.sample import Sample
+from hydro_filter.model.state import LOAD_FORCE, STATES
+from hydro_filter.training.data import NEITHER, STABLE, DataSettings, Rollout, roll_out
+from hydro_sim.learned.model import Learned
+from hydro_sim.learned.plant import LearnedPlant
+from hydro_sim.model.bench import Bench
+from hydro_sim.neural.network_model import NetworkModel
+
+TABLE = PRINTED["training_metric"]
+WINDOWS, HELD_OUT = 200, 5
+SETTLED = 300
+"""Samples at a rollout's beginning that are not used: the gains fade in."""
+
+
+class Samples(NamedTuple):
+    """What does not depend on M, normalized; n windows of H samples, torch, float64."""
+
+    z: torch.Tensor
+    """Shape (n, H, 8)."""
+    rate: torch.Tensor
+    """z' [1/s], shape (n, H, 8)."""
+    v: torch.Tensor
+    """Shape (n, H, 8)."""
+    closed: torch.Tensor
+    """(A + B K) v [1/s], shape (n, H, 8)."""
+    stable: torch.Tensor
+    """Shape (n, 1)."""
+
+
+def run(store: Store) -> None:
+    """Three epochs and many, for each seed; then what is ours."""
+    for seed in range(store.size.seeds):
+        for epochs in (TABLE["epochs"], store.size.metric_epochs):
+            store.piece(f"metric-{epochs}-{seed}", lambda e=epochs, s=seed: _trained(store, e, s))  # type: ignore[misc]
+    store.piece("metric-ours", _ours)
+
+
+def model_of(store: Store, seed: int) -> NetworkModel:
+    """The network model of a seed, trained if it is not there; ValueError if its weights are gone."""
+    models.run(store)
+    model = Learned.load(models.weights(store, "squared", seed)).model
+    assert isinstance(model, NetworkModel)
+    return model
+
+
+def load(store: Store, epochs: int, seed: int) -> NetworkMetric:
+    """A metric that was trained."""
+    run(store)
+    with np.load(_file(store, epochs, seed)) as found:
+        layers = tuple(found[f"layer{n}"] for n in range(6))
+        return NetworkMetric(layers, found["center"], found["scale"])
+
+
+def _file(store: Store, epochs: int, seed: int) -> Path:
+    return store.folder / f"metric-{epochs}-{seed}.npz"
+
+
+def _trained(store: Store, epochs: int, seed: int) -> Result:
+    torch.manual_seed(seed)
+    model = model_of(store, seed)
+    training, held_out, labels = material(model, store.size.rollouts, seed)
+    network = torch.nn.Sequential(
+        torch.nn.Linear(STATES, TABLE["hidden"][0]), torch.nn.ReLU(),
+        torch.nn.Linear(*TABLE["hidden"]), torch.nn.ReLU(), torch.nn.Linear(TABLE["hidden"][1], len(ROWS)),
+    ).double()  # fmt: skip
+    optimizer = torch.optim.Adam(network.parameters(), lr=TABLE["learning_rate"])
+    history = [judged(network, held_out)]
+    for _ in range(epochs):
+        for batch in torch.randperm(len(training.z)).split(TABLE["batch"]):
+            value = loss(network, Samples(*(part[batch] for part in training)))
+            optimizer.zero_grad()
+            value.backward()  # type: ignore[no-untyped-call]
+            optimizer.step()
+        history.append(judged(network, held_out))
+    kept = {f"layer{n}": p.detach().numpy().T for n, p in enumerate(network.parameters())}
+    np.savez(_file(store, epochs, seed), center=model.center, scale=model.scale, **kept)
+    return {"epochs": epochs, "windows": len(training.z), "rollouts": labels, "history": history, **history[-1]}
+
+
+def growth(network: torch.nn.Module, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
+    """M_c, shape (n, H), and M, shape (n, H, 8, 8)."""
+    flat, turned = torch.func.jvp(network, (samples.z,), (samples.rate,))  # type: ignore[no-untyped-call]
+    factor, nudge = _lower(flat), _lower(turned)
+    eye = torch.eye(STATES, dtype=factor.dtype)
+    metric = factor @ factor.mT + TABLE["epsilon"] * eye
+    left = torch.einsum("nhij,nhi->nhj", factor, samples.v)
+    left_rate = torch.einsum("nhij,nhi->nhj", nudge, samples.v)
+    along = torch.einsum("nhi,nhij->nhj", samples.v, metric)
+    grown = 2.0 * (left * left_rate).sum(-1) + 2.0 * (along * samples.closed).sum(-1)
+    return grown + 2.0 * PRINTED["val_cont"]["rate"] * (along * samples.v).sum(-1), metric
+
+
+def loss(network: torch.nn.Module, samples: Samples) -> torch.Tensor:
+    """Eq. loss_metric, the mean over windows."""
+    certificate, metric = growth(network, samples)
+    contraction = torch.relu(torch.where(samples.stable, certificate, -certificate))
+    eye = torch.eye(STATES, dtype=metric.dtype)
+    size = torch.linalg.matrix_norm(metric) + metric.diagonal(dim1=-2, dim2=-1).sum(-1)
+    size = size - torch.logdet(metric + TABLE["epsilon"] * eye)
+    return (TABLE["contraction_weight"] * contraction + TABLE["regularizer"] * size).sum(1).mean()
+
+
+def _lower(flat: torch.Tensor) -> torch.Tensor:
+    """The triangular matrix of entries by rows."""
+    factor = torch.zeros((*flat.shape[:-1], STATES, STATES), dtype=flat.dtype)
+    factor[..., ROWS, COLUMNS] = flat
+    return factor
+
+
+@torch.no_grad()
+def judged(network: torch.nn.Module, samples: Samples) -> dict[str, float]:
+    """Loss, and the shares of samples whose sign of M_c is as their label says, on windows not trained on."""
+    certificate, _ = growth(network, samples)
+    stable = samples.stable.expand(certificate.shape)
+    right = float((certificate[stable] <= 0.0).double().mean()), float((certificate[~stable] > 0.0).double().mean())
+    return {"loss": float(loss(network, samples)), "stable_verified": right[0], "unstable_found": right[1]}
+
+
+def material(model: NetworkModel, rollouts: int, seed: int) -> tuple[Samples, Samples, dict[str, int]]:
+    """Windows to train on and held out, and how many rollouts have which label."""
+    plant, bench = LearnedPlant(Learned(model=model, region=Learned.load().region), noise=0.0), Bench.nominal()
+    settings = DataSettings(rollouts=rollouts, gain_max=200.0, seed=seed)
+    parts: tuple[list[Samples], list[Samples]] = ([], [])
+    labels = {"stable": 0, "unstable": 0, "neither": 0}
+    for index in range(rollouts):
+        rollout = roll_out(plant, bench, settings, index)
+        labels["neither" if rollout.label == NEITHER else "stable" if rollout.label == STABLE else "unstable"] += 1
+        if rollout.label != NEITHER and len(rollout.states) > SETTLED + 2 * TABLE["horizon"]:
+            parts[index % HELD_OUT == HELD_OUT - 1].append(windows(rollout, model, bench, seed + index))
+    training, held_out = (Samples(*(torch.cat(field) for field in zip(*part, strict=True))) for part in parts)
+    return training, held_out, labels
+
+
+def windows(rollout: Rollout, model: NetworkModel, bench: Bench, seed: int) -> Samples:
+    """Windows at random places of a rollout."""
+    starts = np.random.default_rng(seed).integers(SETTLED, len(rollout.states) - TABLE["horizon"], WINDOWS)
+    places = starts[:, np.newaxis] + np.arange(TABLE["horizon"])
+    dynamics, law = NetworkDynamics(model), ForceLaw(bench)
+    seen = {int(k): _normalized(Sample.of(rollout.states[k]), dynamics, law) for k in np.unique(places)}
+    rows = np.array([[seen[int(k)] for k in row] for row in places])
+    parts = [torch.from_numpy(rows[:, :, n]) for n in range(4)]
+    return Samples(*parts, torch.full((WINDOWS, 1), rollout.label == STABLE))
+
+
+def _normalized(sample: Sample, dynamics: NetworkDynamics, law: ForceLaw) -> FloatArray:
+    """z, z', v and (A + B K) v of a sample, shape (4, 8)."""
+    model, limit = dynamics.model, Bench.nominal().valve_current_max
+    linear = dynamics.linearize(sample.state, float(np.clip(sample.nominal_current, -limit, limit)))
+    v = np.zeros(STATES)
+    v[LOAD_FORCE] = sample.state[LOAD_FORCE] - sample.reference_force
+    closed = linear.state_matrix @ v + linear.input_vector * float(law.gradient(sample) @ v)
+    z = (sample.state - model.center) / model.scale
+    return np.stack([z, linear.state_rate / model.scale, v / model.scale, closed / model.scale])
+
+
+def _ours() -> Result:
+    """What the shipped metric's file says of its training."""
+    training: dict[str, Any] = LearnedMetric.load().training
+    return {key: training[key] for key in ("command", "epochs", "best_epoch", "validation_loss", "seconds")}

@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The page and the printed text: the paper's tables beside what was run, and its claims."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.paper import claims
+from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, PRINTED, TIMES, Result, Store
+from hydro_bridge.cli.console import Table
+from hydro_bridge.files.atomic import write_whole
+
+HEAD = """# The paper, row by row
+
+*This page is made by `make paper` from the pieces that were run; do not edit it.*
+
+The paper's own method on the emulated bench, beside the paper's numbers and ours. All figures but the paper's are the
+emulator's: orders and signs compare, Newtons do not. *quick*: `make paper ARGS=--quick`, sizes far below the paper's,
+which show that the method runs and nothing about what it comes to; *full*: `make paper`, hours. A row that is not
+there was not run yet. Cells: mean ± standard deviation over seeds, where there is more than one.
+"""
+
+OPEN = """
+## What the paper leaves open
+
+- *Normalized* errors: over each state's range here; over the standard deviation in the pieces' `over_std`.
+- The share in gamma_2 and gamma_4 is of violations here: "verified" in 0.14 % of the steps of a stable controller, as
+  the text has it, would be a certificate that never holds.
+- v has the sign of the erratum: with the printed one a correction pushes the force away from its reference.
+- A, B, K are exact slopes, where the paper takes differences; the metric's rollouts: K_p -40 to 200 1/s, without noise.
+- II is trained on the shipped model, not on the 2x32 network: the gap from simulation to bench is the smaller for it.
+- No filter stands in the runs of Table rmse.
+"""
+
+Rows = list[list[str]]
+
+
+def write(full: Store, quick: Store, page: Path | None, json: Path | None) -> None:
+    """Print the claims, and write page and JSON where that was asked for."""
+    table = Table(
+        {"claim": "", "full": "the verdict", "full_as_paper": "comparisons as the paper says", "full_of": "comparisons",
+         "quick": "the same of --quick", "quick_as_paper": "", "quick_of": ""},
+        title="Claims of the paper",
+    )  # fmt: skip
+    for claim in claims.CLAIMS:
+        large, small = claim.verdict(full), claim.verdict(quick)
+        table.add(
+            claim=claim.text, full=large[0], full_as_paper=large[1], full_of=large[2], quick=small[0],
+            quick_as_paper=small[1], quick_of=small[2],
+        )  # fmt: skip
+    table.show(json)
+    if page is not None:
+        write_whole(page, text(full, quick).encode())
+        print(f"wrote {page}", file=sys.stderr)
+
+
+def text(full: Store, quick: Store) -> str:
+    """The whole page."""
+    parts = [HEAD, _claims(full, quick), OPEN]
+    for store in (full, quick):
+        parts.append(_sizes(store))
+        if any(store.folder.glob("*.json")):
+            parts += [_models(store), _metrics(store), _validation(store), _rmse(store), _chatter(store)]
+    return "\n".join(parts)
+
+
+def _claims(full: Store, quick: Store) -> str:
+    rows = []
+    for claim in claims.CLAIMS:
+        row = [claim.text]
+        for store in (full, quick):
+            words, right, count = claim.verdict(store)
+            row.append(f"{words} ({right} of {count})" if count else words)
+        rows.append(row)
+    return "\n## Claims\n\n" + markdown(["claim", "full", "quick"], rows)
+
+
+def _sizes(store: Store) -> str:
+    size, kept = store.size, [store.kept(file.stem) for file in sorted(store.folder.glob("*.json"))]
+    done = [one for one in kept if one is not None]
+    spent = sum(one["cpu"] for one in done) / 60.0
+    told = (
+        f"{size.seeds} seeds; networks {size.model_epochs} epochs; metrics {size.metric_epochs} epochs on "
+        f"{size.rollouts} rollouts;\nruns of {size.validation_seconds:g} s; II {size.simulated_episodes} and I "
+        f"{size.bench_episodes} episodes of {PRINTED['training_agent']['steps']} steps.\n"
+    )
+    return (
+        f"\n## Size {size.name}\n\n{told}{len(done)} pieces are there, {spent:.1f} min of CPU without II's training.\n"
+    )
+
+
+def _models(store: Store) -> str:
+    printed, rows = PRINTED["rmse_model"], []
+    names = {f"network, loss {loss}": _all(store, f"model-{loss}-{{}}") for loss in LOSSES}
+    names |= {who: _all(store, f"model-{who}") for who in ("analytic", "ours")}
+    for name, found in names.items():
+        if found:
+            force = [cell([one["load_force"][str(n)] for one in found]) for n in TIMES]
+            rows.append([name, *cells([one["over_range"] for one in found], 5), *force])
+    for who in ("trained", "analytic"):
+        rows.append([f"paper, {who}", *(f"{value:.4f}" for value in printed[who]), *[""] * len(TIMES)])
+    head = ["", *printed["states"], *(f"f_l after {n} [N]" for n in TIMES)]
+    return "\n### Table rmse_model\n\n70-sample predictions, over the state's range.\n\n" + markdown(head, rows)
+
+
+def _metrics(store: Store) -> str:
+    rows = []
+    for epochs in (PRINTED["training_metric"]["epochs"], store.size.metric_epochs):
+        if found := _all(store, f"metric-{epochs}-{{}}"):
+            columns = [[row[key] for row in (one["history"][0], one["history"][-1])] for one in found
+                       for key in ("loss",)]  # fmt: skip
+            shares = [cell([100.0 * one[key] for one in found]) for key in ("stable_verified", "unstable_found")]
+            rows.append([str(epochs), *cells(columns, 3), *shares, cell([one["windows"] for one in found])])
+    head = ["epochs", "loss before", "loss after", "stable samples verified [%]", "unstable samples found [%]",
+            "windows"]  # fmt: skip
+    body = markdown(head, rows) if rows else "not run yet\n"
+    return "\n### Table training_metric\n\nOn rollouts not trained on.\n\n" + body
+
+
+def _validation(store: Store) -> str:
+    rows: Rows = []
+    for name in CASES:
+        for chosen in FILTERS:
+            if found := store.kept(f"validation-{name}-{chosen}"):
+                bounded = f"{found['bounded']}/{found['runs']}"
+                rows.append(
+                    [name, chosen, bounded, cell(found["rmse"]), cell(found["chatter"]), *cells(found["gammas"], 3)]
+                )
+        if name in PRINTED["val_cont"]:
+            rows.append([name, "printed", "", "", "", *(f"{value:g}" for value in PRINTED["val_cont"][name])])
+    head = ["gains", "filter", "bounded", "RMSE [N]", "u' [A/s]", "gamma_1 [%]", "gamma_2 [%]", "gamma_3",
+            "gamma_4 [%]", "gamma_5"]  # fmt: skip
+    told = "gamma_2 and gamma_4: M_c > 0. *none* is judged by our metric; gamma_3 and gamma_5 compare within a filter."
+    return f"\n### Table val_cont\n\n{told}\n\n" + markdown(head, rows)
+
+
+def _rmse(store: Store) -> str:
+    rows: Rows = []
+    for bench in ("default", "outside"):
+        names = {"III": f"rmse-{bench}-III-{{}}"}
+        names |= {f"{who}, {auth}": f"rmse-{bench}-{auth}-{who}-{{}}" for auth in AUTHORITIES for who in ("I", "II")}
+        for who, name in names.items():
+            if found := _all(store, name):
+                rows.append([bench, who, *cells([one["rmse"] for one in found], 2), str(len(found))])
+    rows += [["paper's", who, *(f"{value:.2f}" for value in PRINTED["rmse"][who]), ""] for who in ("I", "II", "III")]
+    head = ["bench", "controller, authority", *(f"{f:g} Hz" for f in PRINTED["rmse"]["frequencies"]), "seeds"]
+    return "\n### Tables training_agent and rmse\n\nForce RMSE [N], sines of 300 N.\n\n" + markdown(head, rows)
+
+
+def _chatter(store: Store) -> str:
+    rows = []
+    for chosen in ("none", "paper-long", "ours"):
+        if found := _all(store, f"chatter-{chosen}-{{}}"):
+            trips = sum(one["trips"] for one in found)
+            rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(len(found))])
+    body = markdown(["filter", "u' RMS [A/s]", "trips", "seeds"], rows) if rows else "not run yet\n"
+    return "\n### Chattering in training\n\nOf I's first episodes, paper's authority, default bench.\n\n" + body
+
+
+def _all(store: Store, name: str) -> list[Result]:
+    """What is there of a piece, over seeds."""
+    names = [name.format(seed) for seed in range(store.size.seeds)] if "{}" in name else [name]
+    return [found for one in names if (found := store.kept(one)) is not None]
+
+
+def cell(values: Sequence[float], digits: int = 2) -> str:
+    """Mean and standard deviation; a run that was stopped is said."""
+    array = np.array(values, float)
+    stopped = int(np.isnan(array).sum())
+    if stopped:
+        return f"stopped {stopped}/{len(array)}"
+    mean = f"{array.mean():.{digits}f}"
+    return f"{mean} ± {array.std(ddof=1):.{digits}f}" if len(array) > 1 else mean
+
+
+def cells(rows: Sequence[Sequence[float]], digits: int) -> list[str]:
+    """A cell for each column."""
+    return [cell(column, digits) for column in zip(*rows, strict=True)]
+
+
+def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """A table."""
+    lines = [head, ["---"] * len(head), *rows]
+    return "".join("| " + " | ".join(line) + " |\n" for line in lines)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Results by piece: one JSON file each, so that a run that was interrupted goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from hydro_bridge.files.atomic import write_whole
+
+PRINTED: Mapping[str, Any] = yaml.safe_load((Path(__file__).parent / "paper.yaml").read_text(encoding="utf-8"))
+"""paper.yaml."""
+
+LOSSES = ("squared", "printed", "one-step")
+"""Of the network model: each error squared, as meant; their sum squared, as printed; H = 1."""
+TIMES = (1, 10, 30, 70)
+"""Samples after which f_l is looked at."""
+CASES = ("stable", "unstable", "negative", "positive", "high")
+"""Of Table val_cont: the paper's two rows, strictly negative and positive gains, and K_p above 100."""
+FILTERS = ("none", "paper-short", "paper-long", "ours")
+"""Bypassed; the paper's after 3 epochs and after many; the shipped one."""
+AUTHORITIES = ("paper", "wide")
+
+Result = dict[str, Any]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Size:
+    """How much is run."""
+
+    name: str
+    seeds: int
+    """Of everything that is learnt, and of the runs that judge it."""
+    model_epochs: int
+    metric_epochs: int
+    """Of the long training; the paper's 3 are always run."""
+    rollouts: int
+    """For the metric, of 3 s."""
+    validation_seconds: float
+    simulated_episodes: int
+    bench_episodes: int
+
+
+FULL = Size(
+    name="full", seeds=5, model_epochs=1000, metric_epochs=200, rollouts=400, validation_seconds=18.0,
+    simulated_episodes=160, bench_episodes=160,
+)  # fmt: skip
+QUICK = Size(
+    name="quick", seeds=2, model_epochs=50, metric_epochs=20, rollouts=30, validation_seconds=4.0,
+    simulated_episodes=8, bench_episodes=2,
+)  # fmt: skip
+
+
+class Store:
+    """The results of one size, in `folder/NAME.json`.
+
+    Parameters
+    ----------
+    folder
+        Where; made if there is none.
+    size
+        What is run; a result of another size is never taken for one of this.
+    """
+
+    def __init__(self, folder: Path, size: Size) -> None:
+        self.folder, self.size = folder / size.name, size
+        self.folder.mkdir(parents=True, exist_ok=True)
+
+    def piece(self, name: str, make: Callable[[], Result]) -> Result:
+        """The result of this name, made and kept if it is not there yet."""
+        if (kept := self.kept(name)) is not None:
+            return kept
+        print(f"paper, {self.size.name}: {name}", file=sys.stderr, flush=True)
+        began = time.process_time()
+        result = {**_plain(make()), "cpu": round(time.process_time() - began, 1), "size": asdict(self.size)}
+        write_whole(self._file(name), (json.dumps(result, indent=1, allow_nan=False) + "\n").encode())
+        return result
+
+    def kept(self, name: str) -> Result | None:
+        """What is there of this name; None: nothing, or of a size of other numbers."""
+        file = self._file(name)
+        if not file.is_file():
+            return None
+        result: Result = json.loads(file.read_text(encoding="utf-8"))
+        return result if result["size"] == asdict(self.size) else None
+
+    def _file(self, name: str) -> Path:
+        return self.folder / f"{name}.json"
+
+
+def _plain(value: Any) -> Any:
+    """The same with null for what is not finite."""
+    if isinstance(value, dict):
+        return {key: _plain(one) for key, one in value.items()}
+    if isinstance(value, list):
+        return [_plain(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

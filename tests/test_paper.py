@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""`benchmarks.paper`: pieces are kept, the metric's loss is its definition's, the page says what was not run."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.paper import claims, metric, report
+from benchmarks.paper.certificate import AtRate, NetworkDynamics, NetworkMetric, paper_filter
+from benchmarks.paper.claims import CLAIMS, NOT_RUN
+from benchmarks.paper.foreign import ForeignPlant
+from benchmarks.paper.store import FULL, PRINTED, QUICK, Store
+from hydro_filter.certificate.continuous import Certificate
+from hydro_filter.controller.filter import Result
+from hydro_filter.model.sample import Sample
+from hydro_sim.files.recordings import Run
+from hydro_sim.neural.network_model import NetworkModel
+
+STATE = np.array([50.0, 100.0, 40.0, 90.0, 6e6, 9.8e6, 0.042, 0.01])
+SCALE = np.array([150.0, 1500.0, 150.0, 1500.0, 7e5, 7e5, 7e-3, 7e-2])
+
+
+@pytest.fixture
+def model() -> NetworkModel:
+    rng = np.random.default_rng(0)
+    x = np.array([0.0, 0.0, 0.0, 0.0, 6e6, 9.8e6, 0.04, 0.0]) + SCALE * rng.standard_normal((400, 8))
+    run = Run(name="drawn", first=0, x=x, u=1e-3 * rng.standard_normal(400))
+    return NetworkModel.untrained([run], (32, 32), 0)
+
+
+def network() -> torch.nn.Sequential:
+    torch.manual_seed(0)
+    return torch.nn.Sequential(
+        torch.nn.Linear(8, 64), torch.nn.ReLU(), torch.nn.Linear(64, 64), torch.nn.ReLU(), torch.nn.Linear(64, 36)
+    ).double()
+
+
+def metric_of(made: torch.nn.Module, model: NetworkModel) -> NetworkMetric:
+    return NetworkMetric(tuple(p.detach().numpy().T for p in made.parameters()), model.center, model.scale)
+
+
+def test_a_piece_is_made_once_and_again_for_another_size(tmp_path: Path) -> None:
+    made: list[int] = []
+
+    def make() -> dict[str, object]:
+        made.append(1)
+        return {"value": [float("nan"), 1.0]}
+
+    Store(tmp_path, QUICK).piece("one", make)
+    again = Store(tmp_path, QUICK).piece("one", make)
+    assert len(made) == 1
+    assert again["value"] == [None, 1.0]
+    assert Store(tmp_path, FULL).kept("one") is None
+    assert Store(tmp_path, replace(QUICK, seeds=3)).kept("one") is None
+
+
+def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
+    dynamics = NetworkDynamics(model)
+    linear = dynamics.linearize(STATE, 1e-3)
+    for column in range(8):
+        move = np.zeros(8)
+        move[column] = 1e-6 * SCALE[column]
+        up, down = (dynamics.linearize(STATE + sign * move, 1e-3).state_rate for sign in (1.0, -1.0))
+        slope = (up - down) / (2.0 * move[column])
+        np.testing.assert_allclose(linear.state_matrix[:, column], slope, rtol=1e-4, atol=1e-6 * np.abs(slope).max())
+    up, down = (dynamics.linearize(STATE, 1e-3 + sign * 1e-9).state_rate for sign in (1.0, -1.0))
+    np.testing.assert_allclose(linear.input_vector, (up - down) / 2e-9, rtol=1e-4, atol=1e-3)
+
+
+def test_the_metrics_rate_is_its_difference_along_the_motion(model: NetworkModel) -> None:
+    made, motion = metric_of(network(), model), 5.0 * SCALE
+    value = made.matrix(STATE)
+    assert np.linalg.eigvalsh(value).min() > 0.0
+    difference = (made.matrix(STATE + 1e-6 * motion) - made.matrix(STATE - 1e-6 * motion)) / 2e-6
+    np.testing.assert_allclose(made.rate(STATE, motion), difference, rtol=1e-5, atol=1e-7)
+
+
+def test_training_and_filter_have_the_same_certificate(model: NetworkModel) -> None:
+    made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
+    certificate = paper_filter(metric_of(made, model), model).inner.certificate
+    assert isinstance(certificate, Certificate)
+    rows = metric._normalized(sample, certificate.dynamics, certificate.controller)  # type: ignore[arg-type]
+    parts = [torch.from_numpy(row)[None, None] for row in rows]
+    grown, _ = metric.growth(made, metric.Samples(*parts, torch.tensor([[True]])))
+    assert -certificate.evaluate(sample).b == pytest.approx(float(grown.detach()), rel=1e-9)
+
+
+def test_the_loss_follows_the_label(model: NetworkModel) -> None:
+    made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
+    certificate = paper_filter(metric_of(made, model), model).inner.certificate
+    rows = metric._normalized(sample, certificate.dynamics, certificate.controller)  # type: ignore[arg-type]
+    parts = [torch.from_numpy(row)[None, None] for row in rows]
+    losses = {stable: metric.loss(made, metric.Samples(*parts, torch.tensor([[stable]]))) for stable in (True, False)}
+    value = -certificate.evaluate(sample).b
+    weight = PRINTED["training_metric"]["contraction_weight"]
+    assert float((losses[True] - losses[False]).detach()) == pytest.approx(weight * value, rel=1e-6)
+
+
+def test_a_correction_is_held_for_ten_samples() -> None:
+    class Counting:
+        calls = 0
+
+        def correct(self, sample: Sample, age: float) -> Result:
+            self.calls += 1
+            return Result(1e-4 * self.calls, 0.0, 0.0, 0)  # type: ignore[arg-type]
+
+    inner = Counting()
+    made = AtRate(inner)  # type: ignore[arg-type]
+    given = [made.correct(Sample(STATE, 0.0, 0.0, 0.0)).delta_u for _ in range(20)]
+    assert inner.calls == 2
+    assert given == [1e-4] * 10 + [2e-4] * 10
+
+
+def test_the_foreign_bench_rests_and_repeats() -> None:
+    plant = ForeignPlant()
+    first = [plant.reset(3), *(plant.step(1e-3) for _ in range(200))]
+    again = [plant.reset(3), *(plant.step(1e-3) for _ in range(200))]
+    np.testing.assert_array_equal(first, again)
+    assert abs(first[0][2]) < 5.0
+    assert first[-1][6] > first[0][6], "current above 0 drives the piston out"
+
+
+@pytest.mark.parametrize(
+    ("found", "words"),
+    [([], NOT_RUN), ([True, True], "holds"), ([True, False], "holds in part"), ([False], "does not hold here")],
+)
+def test_verdicts(found: list[bool], words: str) -> None:
+    assert claims.judged(found) == words
+
+
+def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
+    full, quick = Store(tmp_path, FULL), Store(tmp_path, QUICK)
+    report.write(full, quick, tmp_path / "paper.md", tmp_path / "claims.json")
+    rows = json.loads((tmp_path / "claims.json").read_text())["rows"]
+    assert [row["full"] for row in rows] == [NOT_RUN] * len(CLAIMS)
+    page = (tmp_path / "paper.md").read_text()
+    assert "12.9744" not in page, "printed numbers are rounded like the others"
+    assert "| paper's | III | 3.27 | 6.31 | 9.73 | 12.97 |" in page
+
+
+def test_a_page_shows_what_is_there_and_judges_it(tmp_path: Path) -> None:
+    quick = Store(tmp_path, QUICK)
+    for seed in range(QUICK.seeds):
+        quick.piece(f"rmse-default-III-{seed}", lambda: {"rmse": [3.0, 6.0, 9.0, 12.0]})
+        quick.piece(f"rmse-default-paper-I-{seed}", lambda: {"rmse": [4.0, 5.0, 8.0, float("nan")]})
+    page = report.text(Store(tmp_path, FULL), quick)
+    assert "I beats fixed (90, 15) (each sine; paper: three of four) | not run yet | holds in part (4 of 8) |" in page
+    assert "| default | I, paper | 4.00 ± 0.00 | 5.00 ± 0.00 | 8.00 ± 0.00 | stopped 2/2 | 2 |" in page
