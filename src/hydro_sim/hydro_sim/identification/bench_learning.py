@@ -105,7 +105,8 @@ def _fitted(
     report: Report,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Parameters, as coordinates, after all rounds, and the information matrix there."""
-    weights, q, matrix = noise, coordinates.q(coordinates.values), np.empty(0)
+    matrix: FloatArray = np.empty((0, 0))
+    weights, q = noise, coordinates.q(coordinates.values)
     for number, trust in enumerate(TRUSTS, 1):
         follower = Follower(exact, coordinates.theta(q), weights, trust)
         problem = Problem(exact, coordinates, _batch(follower, runs, chosen, weights))
