@@ -53,7 +53,7 @@ KINDS: tuple[Kind, ...] = (
     # load += size w, w' = v / shape - |v| w / shape: the spring loads on one path and unloads on another
     _kind("spring_hysteresis", "dev", "load", (4.0, 15.0), "N", 2e-3, "position velocity", memory=True),
     # hydraulic cell reads F + size w, w' = (F - w) / shape
-    _kind("cell_creep", "dev", "sensor", (0.02, 0.06), "-", 1.5, "hydraulic_force", memory=True),
+    _kind("cell_creep", "dev", "sensor", (0.06, 0.15), "-", 1.5, "hydraulic_force", memory=True),
     # ... - size |p_a - p_b| tanh(v / shape): a lip that the pressure presses on the rod
     _kind("seal_drop", "sealed", "motion", (1.5e-6, 4e-6), "N/Pa", 2e-3, "pressure_a pressure_b velocity", degree=1.0),
     # ... - size max(x - shape, 0) v: a throttle that closes towards the end
@@ -61,7 +61,7 @@ KINDS: tuple[Kind, ...] = (
     # ... - size exp(-w) v, w' = |v| / shape - w / 10 s: oil thins as it warms
     _kind("oil_heat", "sealed", "motion", (80.0, 250.0), "N s/m", 0.25, "velocity", memory=True),
     # spool' = u - spool at 300 Hz, but no faster than size
-    _kind("spool_rate", "sealed", _FLOW, (0.1, 0.3), "A/s", 300.0, "current", memory=True),
+    _kind("spool_rate", "sealed", _FLOW, (0.2, 0.4), "A/s", 300.0, "current", memory=True),
     # sqrt(dp) becomes dp / sqrt(|dp| + size): laminar below, turbulent above
     _kind("flow_transition", "sealed", _FLOW, (4e5, 2e6), "Pa", 0.0, "current pressure_a pressure_b"),
     # q = size (p_a - p_b) while the piston moves out: a lip that opens one way
