@@ -182,7 +182,7 @@ def parts(truth: Bench) -> BenchParts:
         (place, TEXTBOOK_PRESSURES[label])
         for (label, _, state), place in places.items() if label in TEXTBOOK_PRESSURES and state == "signal"
     ]  # fmt: skip
-    positions = np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"])
+    positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
     forces = _load(numbers, chosen, positions)
     if not (np.diff(forces) > 0.0).all():
         raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
