@@ -17,6 +17,7 @@ NAMES = sorted({path.stem for path in HERE.glob("[!_]*.py")} | _PACKAGES)
 STUDIES = frozenset(
     {
         "adaptivity",
+        "bench_file_filter",
         "controllers",
         "dashboard",
         "diagnosis_peers",
