@@ -17,7 +17,11 @@ NAMES = sorted({path.stem for path in HERE.glob("[!_]*.py")} | _PACKAGES)
 STUDIES = frozenset(
     {
         "adaptivity",
+<<<<<<< HEAD
         "beyond_the_table",
+=======
+        "bench_file_filter",
+>>>>>>> c80cc5d88ad3d6f27b677114f7c5d613a99164e2
         "controllers",
         "dashboard",
         "diagnosis_peers",
