@@ -17,11 +17,8 @@ NAMES = sorted({path.stem for path in HERE.glob("[!_]*.py")} | _PACKAGES)
 STUDIES = frozenset(
     {
         "adaptivity",
-<<<<<<< HEAD
-        "beyond_the_table",
-=======
         "bench_file_filter",
->>>>>>> c80cc5d88ad3d6f27b677114f7c5d613a99164e2
+        "beyond_the_table",
         "controllers",
         "dashboard",
         "diagnosis_peers",

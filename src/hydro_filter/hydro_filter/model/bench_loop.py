@@ -182,11 +182,7 @@ def parts(truth: Bench) -> BenchParts:
         (place, TEXTBOOK_PRESSURES[label])
         for (label, _, state), place in places.items() if label in TEXTBOOK_PRESSURES and state == "signal"
     ]  # fmt: skip
-<<<<<<< HEAD
-    positions = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
-=======
     positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
->>>>>>> c80cc5d88ad3d6f27b677114f7c5d613a99164e2
     forces = _load(numbers, chosen, positions)
     if not (np.diff(forces) > 0.0).all():
         raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")

@@ -105,13 +105,8 @@ def _fitted(
     report: Report,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Parameters, as coordinates, after all rounds, and the information matrix there."""
-<<<<<<< HEAD
-    weights, q = noise, coordinates.q(coordinates.values)
-    matrix: FloatArray = np.empty(0)
-=======
     matrix: FloatArray = np.empty((0, 0))
     weights, q = noise, coordinates.q(coordinates.values)
->>>>>>> 6fa89c9e980576b4c2784c3f98a8a5426044fd16
     for number, trust in enumerate(TRUSTS, 1):
         follower = Follower(exact, coordinates.theta(q), weights, trust)
         problem = Problem(exact, coordinates, _batch(follower, runs, chosen, weights))
