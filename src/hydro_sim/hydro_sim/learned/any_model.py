@@ -34,10 +34,13 @@ def model_of(path: str | Path | None) -> StructuredModel | Bench:
     WeightsError
         The file is missing or unreadable, or a network alone.
     ValueError
-        The bench file is not one.
+        The bench file is not one, or says itself that it predicts the bench badly.
     """
     if path is not None and is_bench(path):
-        return Bench.load(path)
+        bench = Bench.load(path)
+        if bench.unfit:
+            raise ValueError(f"{path}: {bench.unfit}")
+        return bench
     model = Learned.load(path).model
     if not isinstance(model, StructuredModel):
         named = path or weights.shipped()
