@@ -26,7 +26,12 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml; default: the nominal bench")
     text = f"{LEARNED} (the shipped one), {CONSTANT} (solved for the bench file, on the analytic model), or a file"
     result.add_argument("--metric", default=DEFAULT, metavar="METRIC", help=f"{text}; default {DEFAULT}")
-    result.add_argument("--model", type=Path, metavar="FILE", help="the learned bench, weights or a bench file; default: the shipped one")
+    result.add_argument(
+        "--model",
+        type=Path,
+        metavar="FILE",
+        help="the learned bench, weights or a bench file; default: the shipped one",
+    )
     for name in NUMBERS:
         docs = {
             kind: describe(kind)[name].text for kind in (LoopFilterSettings, FilterSettings) if name in describe(kind)
