@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +17,7 @@ from cobs import cobs
 from hydro_bridge.conformance.law import floor, nominal_current
 from hydro_bridge.conformance.waveforms import faded, shape
 from hydro_bridge.files import bench_file
+from hydro_bridge.safety.limits import GuardSettings
 from hydro_bridge.serial.protocol import (
     BoxDetails,
     BoxInfo,
@@ -27,6 +30,7 @@ from hydro_bridge.serial.protocol import (
 )
 from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.box.kernel import CORRECTION_HOLD, RECOVERY, RECOVERY_MARGIN
 from hydro_sim.model.bench import Bench
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "manual" / "reference" / "protocol.md"
@@ -55,7 +59,7 @@ MADE = [
     encode_hello(0, 1_000_000),
     encode_hello(1, 2_000_000, INFO),
     encode_details(1, 2_000_000, DETAILS),
-    encode_state(258, 258_000, VALUES, int(Flag.ARMED | Flag.FILTER_STALE), 3, (0, 1)),
+    encode_state(258, 258_000, VALUES, int(Flag.ARMED | Flag.FILTER_STALE), 3, (1, 1)),
     encode_command(3, 1_003_000, COMMAND, version=2),
 ]
 
@@ -72,8 +76,14 @@ def test_the_codec_makes_the_bytes_of_the_page() -> None:
 def test_the_codec_reads_the_bytes_of_the_page() -> None:
     frames: list[Frame] = [decode(wire[1:-1]) for wire in examples()]
     assert [type(frame).__name__ for frame in frames] == ["Hello", "Hello", "Details", "State", "CommandFrame"]
-    assert frames[3][2] == VALUES and frames[3][5:] == (0, 1)
+    assert frames[3][2] == VALUES and frames[3][5:] == (1, 1)
     assert frames[4][2] == COMMAND
+
+
+def test_the_command_before_cobs_is_that_of_the_frame() -> None:
+    (block,) = re.findall(r"```\n(02 03  .*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    body = " ".join(re.split(r" {3,}", line)[0] for line in block.splitlines())
+    assert bytes.fromhex(body) == cobs.decode(examples()[4][1:-1])
 
 
 @pytest.fixture(scope="module")
@@ -148,3 +158,28 @@ def test_the_ranges_of_the_page_are_those_of_the_box() -> None:
     wanted = [force, rate, force, rate, high * 1e6, high * 1e6, far * 1e-3, velocity]
     assert record["high"] == pytest.approx(wanted)
     assert record["low"] == pytest.approx([-force, -rate, -force, -rate, low * 1e6, low * 1e6, near * 1e-3, -velocity])
+
+
+def test_the_digest_of_the_page_is_that_of_the_nominal_bench() -> None:
+    (beginning, digest) = re.findall(
+        r"begins with `(.*?)` and has the digest (\w+)\.", " ".join(PAGE.read_text(encoding="utf-8").split())
+    )[0]
+    text = json.dumps(Bench.nominal().to_mapping(), sort_keys=True)
+    assert text.startswith(beginning)
+    assert digest == Bench.nominal().digest == hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
+    box, bench = BoxConfig(), Bench.nominal()
+    row = r"\| {} \| (\S+) to (\S+) "
+    assert stated(row.format("delta_kp")) == [box.delta_kp_min, box.delta_kp_max]
+    assert stated(row.format("delta_ki")) == [box.delta_ki_min, box.delta_ki_max]
+    assert stated(r"\| base_kp, base_ki \| (\S+) 1/s, (\S+) 1/s\^2") == [box.base_kp, box.base_ki]
+    assert stated(r"valve_current_max \| (\S+) A, (\S+) A") == [box.delta_u_max, bench.valve_current_max]
+    assert stated(r"force_range \| (\S+) N, (\S+) N") == [box.load_force_limit, box.force_range]
+    assert stated(r"TRIPPED \| (\S+) ms, (\S+) ms") == [1000 * box.hold_timeout, 1000 * box.trip_timeout]
+    assert stated(r"acts; .*? \| (\S+) ms; (\S+) N, (\S+) s") == [1000 * CORRECTION_HOLD, RECOVERY_MARGIN, RECOVERY]
+    narrow = GuardSettings()
+    assert stated(r"by default 0 to (\S+) 1/s, 0 to (\S+) 1/s\^2, (\S+) A") == [
+        narrow.delta_kp_max, narrow.delta_ki_max, narrow.delta_u_max,
+    ]  # fmt: skip
