@@ -117,7 +117,7 @@ def gather(plant: Plant, bench: Bench, loop: Loop, data: DataSettings) -> Materi
     kept: list[Windows] = []
     held_out: list[Windows] = []
     rollouts: list[Rollout] = []
-    bar = progress(collect(plant, bench, loop, data), total=data.rollouts, label="rollouts", unit="run")
+    bar = progress(collect(plant, bench, loop, data), total=data.rollouts, label="rollouts", unit="run", every=10.0)
     for index, (rollout, windows) in enumerate(bar):
         rollouts.append(rollout)
         if windows is not None and rollout.label != NEITHER:
@@ -140,7 +140,7 @@ def _polished(
     seen = {"low": windows.x.min(axis=(0, 1)), "high": windows.x.max(axis=(0, 1))}
     rates = how.rate + 2.0 * how.margin, how.foreign_rate + 2.0 * how.margin
     rows = polished_rows(metric, windows, foreign, rates, settings.seed)
-    table = list(progress(rows, total=len(metric.table), label="solving", unit="metric"))
+    table = list(progress(rows, total=len(metric.table), label="solving", unit="metric", every=10.0))
     return replace(metric, table=np.array(table), **seen)
 
 
@@ -149,7 +149,7 @@ def _train(
     options: argparse.Namespace,
 ) -> tuple[Progress, LearnedMetric]:  # fmt: skip
     checkpoint, resume = Path(options.out).with_suffix(".checkpoint"), options.resume
-    bar: tqdm[Any] = progress(total=settings.epochs, label="training", unit="epoch")
+    bar: tqdm[Any] = progress(total=settings.epochs, label="training", unit="epoch", every=10.0)
     for last in train(metric, samples, held_out, horizon, settings, checkpoint, resume=resume, begun=begun(options)):
         state, row = last[0], last[0].history[-1]
         bar.update(state.epoch - bar.n)
