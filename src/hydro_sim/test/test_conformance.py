@@ -6,15 +6,18 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
+from collections import deque
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hydro_bridge.conformance.host import Host
-from hydro_bridge.conformance.run import FAIL, LEFT_OUT, PASS, run
+from hydro_bridge.conformance.command import chosen, status
+from hydro_bridge.conformance.host import Host, UnreadableError
+from hydro_bridge.conformance.run import FAIL, LEFT_OUT, NOT_JUDGED, PASS, Result, run
 from hydro_bridge.conformance.script import read, shipped
 from hydro_bridge.errors import UserError
 from hydro_sim.box import firmware
@@ -50,6 +53,45 @@ class InStep:
         self.link.send(self.machine.tick(), now)
         data, self.memory.up = self.memory.up, b""
         return data
+
+
+class Delayed(InStep):
+    """A line that brings what the host sends so many samples later."""
+
+    def __init__(self, box: InStep, samples: int) -> None:
+        super().__init__(box.machine, box.link, box.memory)
+        self.under_way: deque[bytearray] = deque(bytearray() for _ in range(samples))
+
+    def write(self, frame: bytes) -> bool:
+        self.under_way[-1].extend(frame)
+        return True
+
+    def read(self, timeout: float) -> bytes:
+        self.memory.down += self.under_way.popleft()
+        self.under_way.append(bytearray())
+        return super().read(timeout)
+
+
+class LateHost(InStep):
+    """A host that does not run for 250 samples at these reads; the line keeps what comes meanwhile."""
+
+    def __init__(self, box: InStep, late: set[int]) -> None:
+        super().__init__(box.machine, box.link, box.memory)
+        self.late, self.reads = late, 0
+
+    def read(self, timeout: float) -> bytes:
+        self.reads += 1
+        return b"".join(super(LateHost, self).read(timeout) for _ in range(250 if self.reads in self.late else 1))
+
+
+class Corrupt(InStep):
+    """A line on which no check sum holds."""
+
+    def read(self, timeout: float) -> bytes:
+        pieces = super().read(timeout).split(b"\0")
+        return b"\0".join(
+            piece[:-1] + bytes((piece[-1] ^ (3 if piece[-1] != 3 else 1),)) if piece else b"" for piece in pieces
+        )
 
 
 def python_box(memory: Any, **settings: Any) -> InStep:
@@ -88,6 +130,47 @@ def test_both_boxes_pass_every_case(memory: Any, name: str) -> None:
     found = outcomes(BOXES[name](memory))
     assert {case: result for case, result in found.items() if result[0] != PASS} == {}
     assert len(found) >= 40
+
+
+@pytest.mark.parametrize("samples", [1, 2, 4, 16])
+def test_the_time_that_a_line_takes_is_not_held_against_a_box(memory: Any, samples: int) -> None:
+    found = outcomes(Delayed(c_box(memory), samples))
+    assert {case: result for case, result in found.items() if result[0] != PASS} == {}
+
+
+def only(line: InStep, *names: str) -> list[Result]:
+    return run(
+        chosen(shipped(), list(names)), lambda: Host(line, line.clock), Bench.nominal().to_mapping(), moving=True
+    )
+
+
+def test_a_case_in_which_the_host_was_late_is_tried_once_more(memory: Any) -> None:
+    (result,) = only(LateHost(c_box(memory), {300}), "law.current")
+    assert (result.outcome, result.found) == (PASS, "")
+
+
+def test_a_case_in_which_the_host_was_late_twice_is_not_judged(memory: Any) -> None:
+    results = only(LateHost(c_box(memory), set(range(300, 10_000, 300))), "law.current")
+    assert results[0].outcome == NOT_JUDGED
+    assert results[0].found.startswith("this host was silent for 250 ms; ")
+    assert status(results) == 3
+    assert status([*results, Result(results[0].case, FAIL, "")]) == 1
+    assert status([Result(results[0].case, PASS, "")]) == 0
+
+
+def test_a_box_whose_frames_cannot_be_read_is_told_so_once(memory: Any) -> None:
+    box = c_box(memory)
+    with pytest.raises(UnreadableError, match=r"\d+ bytes came and no frame in them: \d+ pieces with a wrong CRC"):
+        only(Corrupt(box.machine, box.link, box.memory), "framing.stream", "hello.answered")
+
+
+def test_what_a_box_does_not_tell_is_left_out_or_noted(memory: Any) -> None:
+    box = python_box(memory)
+    assert box.link.details is not None
+    box.link.details = replace(box.link.details, force_rate_age=0.0, velocity_age=0.0, bench_digest="")
+    rates, bench = only(box, "measured.rates", "hello.bench")[::-1]
+    assert (rates.outcome, rates.found) == (LEFT_OUT, "DETAILS do not tell the ages of the rates")
+    assert (bench.outcome, bench.found) == (PASS, "its digest is not told: only valve_current_max is compared")
 
 
 def test_without_moving_nothing_arms_and_the_piston_rests(memory: Any) -> None:

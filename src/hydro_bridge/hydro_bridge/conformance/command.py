@@ -11,15 +11,18 @@ from pathlib import Path
 
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress
 from hydro_bridge.conformance.host import Host
-from hydro_bridge.conformance.run import FAIL, LEFT_OUT, PASS, Result, run
+from hydro_bridge.conformance.run import FAIL, LEFT_OUT, NOT_JUDGED, PASS, Result, run
 from hydro_bridge.conformance.script import Case, shipped
 from hydro_bridge.files import bench_file
 from hydro_bridge.serial.port import Port, PortSettings, no_port
 
+_LATE = 3
+"""Exit status where nothing failed and something was not judged; 2 is that of a wrong command line."""
+
 COLUMNS = {
     "case": "what was tried",
-    "result": "pass, FAIL, or left out",
-    "found": "why it failed or was left out",
+    "result": "pass, FAIL, left out, or not judged: this host was late twice",
+    "found": "why it did not pass, or what was not looked at",
     "says": "what must hold",
 }
 
@@ -29,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="conformance", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--port", required=True, help="device of the box, or link to one")
+    parser.add_argument("--port", help="device of the box, or link to one")
     parser.add_argument("--baud", type=int, default=PortSettings().baud, help="bit/s; default: %(default)s")
     parser.add_argument(
         "--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; absent: not tried"
@@ -59,16 +62,23 @@ def chosen(cases: tuple[Case, ...], beginnings: list[str]) -> tuple[Case, ...]:
 
 def table(results: list[Result]) -> Table:
     """The results for people and programs."""
-    counts = {outcome: sum(result.outcome == outcome for result in results) for outcome in (PASS, FAIL, LEFT_OUT)}
+    outcomes = (PASS, FAIL, LEFT_OUT, NOT_JUDGED)
+    counts = {outcome: sum(result.outcome == outcome for result in results) for outcome in outcomes}
     made = Table(COLUMNS, title=", ".join(f"{count} {outcome}" for outcome, count in counts.items()))
     for result in results:
         made.add(case=result.case.id, result=result.outcome, found=result.found, says=result.case.says)
     return made
 
 
+def status(results: list[Result]) -> int:
+    """The exit status."""
+    found = {result.outcome for result in results}
+    return 1 if FAIL in found else _LATE if NOT_JUDGED in found else 0
+
+
 @command()
 def main() -> int:
-    """Entry point; exit status 1 if a case failed."""
+    """Entry point; exit status 1 if a case failed, else 3 if this host was too late to judge one."""
     options = parser().parse_args()
     cases = chosen(shipped(), options.only)
     if options.listed:
@@ -77,6 +87,8 @@ def main() -> int:
             listing.add(case=case.id, moving="moving" if case.moving else "", needs=case.needs, says=case.says)
         listing.show(options.json)
         return 0
+    if options.port is None:
+        raise UserError("--port: which device is the box at? Only --list goes without")
     bench = bench_file.read_numbers(options.bench) if options.bench else None
     if (kind := no_port(options.port)) is not None:
         raise UserError(f"{options.port} is {kind}, not a serial port")
@@ -89,4 +101,4 @@ def main() -> int:
     finally:
         port.close()
     table(results).show(options.json)
-    return int(any(result.outcome == FAIL for result in results))
+    return status(results)

@@ -13,9 +13,9 @@ from hydro_bridge.signals import Flag, flag_names
 def flags(host: Host, bench: Bench, has: Sequence[str] = (), lacks: Sequence[str] = ()) -> str:
     """Flags that every settled state has, and that none has."""
     wanted, unwanted = (sum(Flag[name] for name in names) for names in (has, lacks))
-    for n, state in enumerate(settled(host)):
+    for state in settled(host):
         if state.flags & wanted != wanted or state.flags & unwanted:
-            return f"sample {n} has {flag_names(state.flags)}"
+            return f"STATE {state.sequence} has {flag_names(state.flags)}"
     return "" if settled(host) else "no command was confirmed"
 
 
@@ -25,9 +25,9 @@ def field(
     """A field is the sum of numbers and of entries of HELLO, in every settled state or in the last ones."""
     wanted = sum(getattr(box_info(host), each) if isinstance(each, str) else float(each) for each in equals)
     states = settled(host)[-last:]
-    for n, state in enumerate(states):
+    for state in states:
         if not abs(value(state, name) - wanted) <= tolerance:
-            return f"{name} is {value(state, name):g} in sample {n}, {wanted:g} is right"
+            return f"{name} is {value(state, name):g} in STATE {state.sequence}, {wanted:g} is right"
     return "" if states else "no command was confirmed"
 
 

@@ -61,7 +61,7 @@ def _compare(host: Host, tolerance: float, rate_tolerance: float, generator: Gen
     commands, seen = {each.sequence: each.command for each in host.sent}, 0
     wanted = ReferenceSignal()
     assert info is not None
-    for n, state in enumerate(host.states):
+    for state in host.states:
         command = commands.get(state.last_command)
         if command is not None and playable(command.reference, reach or 1e6):
             wanted = command.reference
@@ -74,5 +74,5 @@ def _compare(host: Host, tolerance: float, rate_tolerance: float, generator: Gen
             ("reference_force_rate", _RATE, point[1], rate_tolerance),
         ):
             if not abs(state.values[index] - right) <= allowed + 1e-4 * abs(right):
-                return f"{name} is {state.values[index]:g} in sample {n}, {right:g} is right"
+                return f"{name} is {state.values[index]:g} in STATE {state.sequence}, {right:g} is right"
     return "" if seen else "it was not armed"

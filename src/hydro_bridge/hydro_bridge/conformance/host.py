@@ -16,6 +16,10 @@ from hydro_bridge.signals import Command, ReferenceSignal, Waveform
 _CIRCLE = 1 << 32
 _PATIENCE = 1.0
 """s without a STATE after which a box counts as silent."""
+_LOOK = 0.005
+"""s that one look at the line waits at most."""
+PUNCTUAL = 0.015
+"""s from one look at the line to the next up to which this host is in time: whatever a box does, a look ends."""
 
 
 class Line(Protocol):
@@ -30,6 +34,10 @@ class Line(Protocol):
 
 class SilentError(UserError):
     """The box sends no STATE."""
+
+
+class UnreadableError(UserError):
+    """Nothing that came since the port was opened is a frame."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +78,13 @@ class Host:
     """States that had come when the present step began."""
     marked_sent: int = 0
     greeted_at: int = 0
+    lag: int = 0
+    """Samples from a command to the state that confirms it, beyond the least; measured as the conversation begins."""
+    silence: float = 0.0
+    """s, longest time from one look at the line to the next: so long no command can have gone out."""
+    looked: float | None = None
+    notes: list[str] = field(default_factory=list)
+    """What a check that found nothing wrong could not look at."""
 
     def mark(self) -> None:
         """A step begins: checks look at what comes from here on."""
@@ -78,8 +93,13 @@ class Host:
     def forget(self) -> None:
         """Forget what came before the conversation stood: it may be of the one before. The newest state stays."""
         self.states, self.arrived = self.states[-1:], self.arrived[-1:]
-        self.hellos, self.sent = [], []
+        self.hellos, self.sent, self.silence = [], [], 0.0
         self.mark()
+
+    def kept(self) -> Host:
+        """Copy of the conversation as it stands, to be judged when it is over: the box does not wait."""
+        states, arrived, hellos, sent = list(self.states), list(self.arrived), list(self.hellos), list(self.sent)
+        return replace(self, states=states, arrived=arrived, hellos=hellos, sent=sent, notes=[])
 
     @property
     def new_states(self) -> list[State]:
@@ -92,13 +112,15 @@ class Host:
         return self.sent[self.marked_sent :]
 
     def confirmed(self, sequence: int) -> int:
-        """Index of the first state that confirms this command or one behind it; the number of states if none does."""
-        behind = (n for n, state in enumerate(self.states) if n >= self._sent_at(sequence) and not
-                  (state.last_command - sequence) % _CIRCLE >= _CIRCLE // 2)  # fmt: skip
-        return next(behind, len(self.states))
+        """Index of the first state that confirms this command or one sent behind it; the number of states if none.
 
-    def _sent_at(self, sequence: int) -> int:
-        return next((each.after for each in self.sent if each.sequence == sequence), 0)
+        Only equal numbers confirm: what is newest may be of the conversation before, and larger.
+        """
+        first = next((n for n, each in enumerate(self.sent) if each.sequence == sequence), None)
+        behind = {sequence} if first is None else {each.sequence for each in self.sent[first:]}
+        begin = 0 if first is None else self.sent[first].after
+        return next((n for n in range(begin, len(self.states)) if self.states[n].last_command in behind),
+                    len(self.states))  # fmt: skip
 
     def greet(self) -> None:
         """Open a new conversation; the box's answer is kept when it comes."""
@@ -122,10 +144,16 @@ class Host:
         ------
         SilentError
             None comes for a second.
+        UnreadableError
+            None comes for a second, nor did any frame before.
         """
         wanted, last = len(self.states) + samples, self.clock()
         while len(self.states) < wanted:
-            for frame in self.decoder.feed(self.line.read(0.02)):
+            data = self.line.read(_LOOK)
+            now = self.clock()
+            self.silence = max(self.silence, now - (now if self.looked is None else self.looked))
+            self.looked = now
+            for frame in self.decoder.feed(data):
                 if isinstance(frame, Hello) and frame.info is not None:
                     self.hello = frame
                     self.hellos.append((len(self.states), frame))
@@ -138,7 +166,19 @@ class Host:
                     if each is not None and len(self.states) <= wanted:
                         each()
             if self.clock() - last > _PATIENCE:
-                raise SilentError(f"the box sent no STATE for {_PATIENCE:g} s")
+                self._give_up()
+
+    def _give_up(self) -> None:
+        counts = self.decoder.counts
+        if counts.frames:
+            raise SilentError(f"the box sent no STATE for {_PATIENCE:g} s")
+        if not counts.bytes:
+            raise UnreadableError(f"no byte came for {_PATIENCE:g} s: is the box on, and is this its port?")
+        raise UnreadableError(
+            f"{counts.bytes} bytes came and no frame in them: {counts.crc_errors} pieces with a wrong CRC, "
+            f"{counts.malformed} malformed, {counts.wrong_version} of a version and {counts.unknown} of a type not "
+            "known here; are the bit rate and the CRC right?"
+        )
 
 
 _SHAPE = ("amplitude", "offset", "frequency", "phase")

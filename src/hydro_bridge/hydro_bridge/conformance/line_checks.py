@@ -46,10 +46,10 @@ def hello(host: Host, bench: Bench) -> str:
 
 
 def greeted(host: Host, bench: Bench, within: int, versions: tuple[int, int] | None = None) -> str:
-    """The last HELLO was answered within so many samples, by one with sequence 1 or more."""
+    """The last HELLO was answered within so many samples and the line's lag, by one with sequence 1 or more."""
     answers = [(n - host.greeted_at, each) for n, each in host.hellos if n >= host.greeted_at]
-    if not answers or answers[0][0] > within:
-        return f"no HELLO came within {within} samples"
+    if not answers or answers[0][0] > within + host.lag:
+        return f"no HELLO came within {within + host.lag} samples"
     if answers[0][1].sequence == 0:
         return "the answer has sequence 0, which says power-on"
     return ""
@@ -85,6 +85,8 @@ def believes(host: Host, bench: Bench) -> str:
             f"valve_current_max {box_info(host).valve_current_max:g} A, the file has {bench['valve_current_max']:g} A"
         )
     told = host.details.details.bench_digest if host.details else ""
-    if told and told != bench_file.digest(bench):
+    if not told:
+        host.notes.append("its digest is not told: only valve_current_max is compared")
+    elif told != bench_file.digest(bench):
         return f"its bench is {told}, the file is {bench_file.digest(bench)}"
     return ""

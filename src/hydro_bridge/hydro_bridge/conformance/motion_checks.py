@@ -9,7 +9,7 @@ from math import isfinite
 from hydro_bridge.conformance import generator
 from hydro_bridge.conformance.host import Host
 from hydro_bridge.conformance.law import nominal_current
-from hydro_bridge.conformance.readings import SINGLE, Bench, box_info, followed, settled, value
+from hydro_bridge.conformance.readings import SINGLE, Bench, NotToldError, box_info, followed, settled, value
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, Flag, flag_names
 
 _CORRECTION_HOLD = 3500
@@ -30,9 +30,10 @@ def current(host: Host, bench: Bench) -> str:
         wanted = value(state, "nominal_valve_current") + delta
         clamped = min(max(wanted, -limit), limit)
         if not abs(value(state, "valve_current") - clamped) <= 1e-7 + SINGLE * abs(clamped):
-            return f"valve_current {value(state, 'valve_current'):g} A, {clamped:g} A is right"
+            found = f"valve_current is {value(state, 'valve_current'):g} A in STATE {state.sequence}"
+            return f"{found}, {clamped:g} A is right"
         if abs(abs(wanted) - limit) > 1e-6 and bool(state.flags & Flag.SATURATED) != (abs(wanted) > limit):
-            return f"{wanted:g} A of {limit:g} A and {flag_names(state.flags)}"
+            return f"{wanted:g} A of {limit:g} A and {flag_names(state.flags)} in STATE {state.sequence}"
     return ""
 
 
@@ -45,7 +46,7 @@ def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) 
     assert bench is not None
     integral, armed, form, force = 0.0, False, box_info(host).integral, followed(host)
     full = (1.0 - SINGLE) * box_info(host).valve_current_max
-    for n, state in enumerate(host.states):
+    for state in host.states:
         names = dict(zip(STATE_FIELDS, state.values, strict=True))
         if not state.flags & Flag.ARMED:
             integral, armed = 0.0, False
@@ -54,7 +55,8 @@ def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) 
         action = integral if form != "paper" else names["integral_gain"] * integral
         wanted = nominal_current(bench, names, action, force)
         if not abs(names["nominal_valve_current"] - wanted) <= tolerance + share * abs(wanted):
-            return f"nominal_valve_current is {names['nominal_valve_current']:g} A in sample {n}, {wanted:g} A is right"
+            found = f"nominal_valve_current is {names['nominal_valve_current']:g} A in STATE {state.sequence}"
+            return f"{found}, {wanted:g} A is right"
         error = names["reference_force"] - names[force]
         slope, current = names["integral_gain"] * error, names["valve_current"]
         if not (abs(current) >= full and current * slope > 0.0):
@@ -82,15 +84,19 @@ def rates(host: Host, bench: Bench) -> str:
     pairs = (("hydraulic_force", "hydraulic_force_rate", told.force_rate_age, 0.5),
              ("load_force", "load_force_rate", told.force_rate_age, 0.5),
              ("piston_position", "piston_velocity", told.velocity_age, 3e-5))  # fmt: skip
+    if not any(age for _, _, age, _ in pairs):
+        raise NotToldError("DETAILS do not tell the ages of the rates")
     for reading, rate, age, tolerance in pairs:
         if age == 0.0:
+            host.notes.append(f"the age of {rate} is not told")
             continue
         memory = (age / SAMPLE_PERIOD - 0.5) / (age / SAMPLE_PERIOD + 0.5)
         for a, b in pairwise(host.new_states):
             slope = (value(b, reading) - value(a, reading)) / SAMPLE_PERIOD
             wanted = memory * value(a, rate) + (1.0 - memory) * slope
             if not abs(value(b, rate) - wanted) <= tolerance + 1e-3 * abs(wanted):
-                return f"{rate} is {value(b, rate):g}, {wanted:g} is right for an age of {1e3 * age:g} ms"
+                found = f"{rate} is {value(b, rate):g} in STATE {b.sequence}"
+                return f"{found}, {wanted:g} is right for an age of {1e3 * age:g} ms"
     return ""
 
 

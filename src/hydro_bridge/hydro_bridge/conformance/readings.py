@@ -15,6 +15,11 @@ from hydro_bridge.signals import STATE_FIELDS
 Bench = Mapping[str, Any] | None
 """Numbers of the bench file, if one was given."""
 
+
+class NotToldError(Exception):
+    """The box does not tell what a check needs, and may leave it open: the case is left out."""
+
+
 SINGLE = 1e-6
 """Relative error of a float32, with room for one operation."""
 
