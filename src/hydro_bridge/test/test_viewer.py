@@ -12,9 +12,9 @@ from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.dashboard.series import STATE_COLUMNS
 from hydro_bridge.signals import Flag
 from hydro_bridge.viewer.growing import JUMP, GrowingThinner
-from hydro_bridge.viewer.marks import MARKS, Marks
+from hydro_bridge.viewer.marks import MARKS, Mark, Marks
 from hydro_bridge.viewer.page import rendered
-from hydro_bridge.viewer.recorded import read_recorded
+from hydro_bridge.viewer.recorded import read_recorded, within
 from hydro_bridge.viewer.view import main
 
 ARMED, TRIPPED = int(Flag.ARMED), int(Flag.TRIPPED)
@@ -161,3 +161,9 @@ def test_what_makes_no_page_is_refused_and_leaves_nothing(
     assert run(monkeypatch, str(bag), *words) == 2
     assert sentence in capsys.readouterr().err
     assert not (bag.parent / "run.html").exists()
+
+
+def test_a_part_begins_with_who_commanded_then() -> None:
+    marks = [Mark(1.0, "authority", "a"), Mark(2.0, "trip", "b"), Mark(3.0, "authority", "c"), Mark(6.0, "trip", "d")]
+    part = within(marks, 2.5, 1.0)
+    assert [(mark.time, mark.text) for mark in part] == [(0.0, "a"), (0.5, "c")]

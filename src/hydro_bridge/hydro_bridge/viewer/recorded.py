@@ -151,9 +151,12 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf)) -> R
             if source.type_of(scan, channel)[0] != _OBJECTS[topic]:
                 reading.foreign.add(topic)
                 continue
-            for _, message in decoder.objects(scan, channel, block, part):
-                stamp = message.header.stamp
-                reading.take_object(topic, stamp.sec + 1e-9 * stamp.nanosec, message)
+            try:
+                for _, message in decoder.objects(scan, channel, block, part):
+                    stamp = message.header.stamp
+                    reading.take_object(topic, stamp.sec + 1e-9 * stamp.nanosec, message)
+            except AttributeError:  # fields of another version
+                reading.foreign.add(topic)
     return _finished(source, reading, messages)
 
 
@@ -175,17 +178,20 @@ def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) ->
         seconds=seconds,
         slot=slot,
         values=values,
-        marks=[
-            Mark(mark.time - begin, mark.kind, mark.text)
-            for mark in reading.marks.sorted()
-            if 0.0 <= mark.time - begin <= seconds
-        ],
+        marks=within(reading.marks.sorted(), begin, seconds),
         curve=reading.curve.content(),
         messages=messages,
         metadata=metadata,
         attachments=[name for scan in source.scans for name in scan.attachments],
-        notes=[*source.notes, *_lacking(messages, reading, states.left_out)],
+        notes=[*source.notes, *_lacking(messages, reading, states.left_out + corrections.left_out)],
     )
+
+
+def within(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
+    """Marks of a part of `seconds` s from `begin` on, which starts with who commanded then; times from its begin."""
+    held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
+    shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
+    return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
 
 
 def _lacking(messages: dict[str, int], reading: _Reading, left_out: int) -> list[str]:

@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import shlex
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
@@ -15,6 +17,8 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
 
 INDEX = "index.html"
+MARK = "<!-- hydro: a front page of runs -->"
+"""Of a page that may be written anew."""
 FOLDER = "runs"
 """Name of the folder whose front page commands bring up to date by themselves."""
 
@@ -42,7 +46,7 @@ class RunEntry:
 
 def list_runs(folder: Path) -> list[RunEntry]:
     """Runs in a folder, the newest first; what is no run is left out."""
-    entries = (_entry(folder, run) for run in folder.iterdir() if run.is_dir() and not run.name.startswith("."))
+    entries = (_readable(folder, run) for run in folder.iterdir() if not run.name.startswith("."))
     return sorted(filter(None, entries), key=lambda entry: -entry.changed)
 
 
@@ -52,20 +56,34 @@ def write_index(folder: Path) -> Path:
     Raises
     ------
     OSError
-        The folder cannot be read, or the page not be written.
+        The folder cannot be read, or the page not be written, for one: there is another one of that name.
     """
-    page = environment("hydro_bridge", "viewer/page").get_template("runs.html")
-    index = folder / INDEX
-    write_whole(index, page.render(title="Runs", runs=list_runs(folder), folder=folder.name).encode())
+    index, here = folder / INDEX, folder.resolve()
+    if index.is_file() and MARK not in index.read_text(encoding="utf-8", errors="replace"):
+        raise FileExistsError(errno.EEXIST, "is another page than one of runs: move it away", str(index))
+    made = environment("hydro_bridge", "viewer/page")
+    made.filters["in_shell"] = lambda bag: shlex.quote(str(here / bag))
+    content = made.get_template("runs.html").render(title="Runs", runs=list_runs(folder), folder=here.name, mark=MARK)
+    write_whole(index, content.encode())
     return index
 
 
 def refresh_index(run: Path) -> None:
-    """Bring the front page above a run that ended up to date, if its folder is called `FOLDER`; fails in silence."""
+    """Bring the front page above a run that ended up to date, if its folder is called `FOLDER`; fails in silence.
+
+    A run never ends otherwise for the sake of a page.
+    """
     folder = run.absolute().parent
     if folder.name == FOLDER:
-        with suppress(OSError):
+        with suppress(Exception):
             write_index(folder)
+
+
+def _readable(folder: Path, run: Path) -> RunEntry | None:
+    try:
+        return _entry(folder, run) if run.is_dir() else None
+    except OSError:  # it may not be entered, or was taken away meanwhile
+        return None
 
 
 def _entry(folder: Path, run: Path) -> RunEntry | None:

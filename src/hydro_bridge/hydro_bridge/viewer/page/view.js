@@ -150,6 +150,7 @@ const KEYS = {
 };
 addEventListener("keydown", (event) => {
   if (!KEYS[event.key] || event.ctrlKey || event.altKey || event.metaKey) return;
+  if (event.key === " " && event.target.matches("button, input")) return; // space is theirs
   event.preventDefault();
   KEYS[event.key]();
 });
