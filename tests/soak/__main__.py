@@ -106,7 +106,8 @@ def main() -> int:
     if not asked.hours > 0.0:
         raise UserError(f"--hours {asked.hours:g}: more than 0 is meant")
     stay_on_this_machine()
-    signal.signal(signal.SIGHUP, signal.SIG_DFL)  # what nohup ignores, all that is started would ignore
+    if signal.getsignal(signal.SIGHUP) is signal.SIG_IGN:  # by nohup: all that is started would ignore it, too
+        signal.signal(signal.SIGHUP, lambda *_: None)
     with tempfile.TemporaryDirectory() as folder:
         if asked.keep is not None:
             asked.keep.mkdir(parents=True, exist_ok=True)

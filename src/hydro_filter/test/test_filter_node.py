@@ -342,16 +342,16 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
 
 
 def _another_box_comes(source: Source, sequence: int, still: Sample) -> None:
-    """The same box said twice changes nothing; with another one what was told of it is over."""
+    """The same box said again, by whichever node, changes nothing; with another one what was told of it is over."""
     latched = source.node.create_publisher(BoxInfo, BOX, BOX_QOS)
-    for plant, mismatched in (("bridge", True), ("bridge", True), ("sim", False)):
-        latched.publish(BoxInfo(plant=plant))
+    for plant, firmware, mismatched in (("bridge", "one", True), ("sim", "one", True), ("sim", "another", False)):
+        latched.publish(BoxInfo(plant=plant, firmware=firmware))
         for _ in range(20):
             sequence, wanted = sequence + 1, len(source.corrections) + 1
             source.publish(sequence, still)
             source.wait(lambda wanted=wanted: len(source.corrections) >= wanted, timeout=5.0)
             time.sleep(0.01)
-        assert (source.corrections[-1].status == CorrectionStatus.MISMATCH) is mismatched, plant
+        assert (source.corrections[-1].status == CorrectionStatus.MISMATCH) is mismatched, firmware
     source.node.destroy_publisher(latched)
 
 

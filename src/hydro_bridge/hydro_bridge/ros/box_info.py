@@ -6,6 +6,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 
 from hydro_bridge.ros.messages import box_from_message
 from hydro_bridge.ros.topics import BOX, BOX_QOS
@@ -13,6 +14,6 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_msgs.msg import BoxInfo
 
 
-def listen_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> None:
+def listen_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
     """Call `on_box` with what the plant node says of its box: as soon as it is found, and when that changes."""
-    node.create_subscription(BoxInfo, BOX, lambda message: on_box(box_from_message(message)), BOX_QOS)
+    return node.create_subscription(BoxInfo, BOX, lambda message: on_box(box_from_message(message)), BOX_QOS)

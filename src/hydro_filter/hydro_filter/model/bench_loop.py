@@ -9,8 +9,8 @@ Two models stand behind it, both compiled from the bench file::
 Dry friction, overlap and gaps are bounded disturbances to the certificate, as dry friction is to the structured model:
 inside of them nothing moves, and a derivative there says nothing of the loop.
 
-The certificate has eight coordinates. What has no place among them is refused: dead times, a second lag of the valve,
-feedback behind a load cell whose reading falls with the force. Other hidden states (bristles, a drooping supply) are
+The certificate has eight coordinates. What has no place among them is refused: dead times, a second lag of the valve, a
+second lag on the load's force. Other hidden states (bristles, a drooping supply) are
 held fixed in derivatives by x.
 """
 

@@ -98,7 +98,8 @@ class FilterNode(Node):
         self.tally = FilterStatistics()
         self.foreign = ""
         """Why its files are not this bench's, by what the plant says of itself; empty: they are."""
-        self._known: KnownBox | None = None
+        self._identity: object = None
+        """What the box says of itself and which bench it believes, once it was told."""
         self._mismatch = ""
         self._every, self._age = every, 0.0
         self._choice = choice
@@ -111,7 +112,7 @@ class FilterNode(Node):
         self.get_logger().info(f"{told}; contraction rate {self.settings.contraction_rate:g} 1/s, {scheduling}")
         if self.settings.bypass:
             self.get_logger().error("BYPASSED: nothing is corrected; plants that require the filter stay at base gains")
-        listen_to_box(self, self._on_box)
+        self._boxes = listen_to_box(self, self._on_box)
         self._words = self.create_subscription(Authority, AUTHORITY, self._on_authority, AUTHORITY_QOS)
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()
@@ -171,10 +172,14 @@ class FilterNode(Node):
     def _on_box(self, box: KnownBox) -> None:
         """Whose box it is: from now on, or from its next connection on, another bench may be believed there."""
         self.foreign = self._choice.foreign(box)
-        if self._known not in (None, box):  # what was found out is of the box before, and a still bench shows nothing
-            self.get_logger().warning("another box: what the model was found to be is forgotten, and watched anew")
+        if self._boxes.get_publisher_count() > 1:  # one of them is a stranger, or has just died
+            return
+        identity = box.info, box.bench_digest
+        if self._identity not in (None, identity):  # what was found out is of the one before; a still bench shows none
+            self.get_logger().warning("another box: what was found out about the model is forgotten, and watched anew")
             self.filter.reset()
-        self._known = box
+            self._mismatch = ""
+        self._identity = identity
 
     def _fitting(self, result: Result) -> Result:
         """The result, or that nothing should rest on it; a change of which is told at once."""

@@ -18,6 +18,7 @@ from hydro_sim.files import recordings
 from hydro_sim.files.recordings import READING_COLUMNS
 from hydro_sim.identification import bench_learning
 from hydro_sim.identification.bench_learning import HORIZON, Result
+from hydro_sim.learned.any_model import BENCH_FILES, is_bench
 from hydro_sim.model.bench import Bench
 
 STRUCTURE = "bench"
@@ -57,6 +58,8 @@ def run(options: argparse.Namespace, said: Collection[str]) -> None:
         raise UserError(f"--structure {STRUCTURE} learns what a bench file names: name one by --bench")
     if options.windows < 1 or options.seed < 0:
         raise UserError("--windows needs 1 or more, --seed 0 or more")
+    if not is_bench(options.out):
+        raise UserError(f"--out {options.out}: a bench file's name ends in {' or '.join(BENCH_FILES)}")
     bench = Bench.load(options.bench)
     if not bench.terms:
         raise UserError(f"{options.bench} names no effects: list them under 'effects', or let `diagnose` find them")

@@ -161,6 +161,8 @@ class Bench:
         learned = content.get("learned")
         if learned is not None and not isinstance(learned, Mapping):
             raise ValueError("'learned' is a mapping, as `learn` writes it")
+        if learned is not None and not isinstance(learned.get("over_noise"), int | float):
+            raise ValueError("'learned' needs the number 'over_noise', as `learn` writes it")
         closures = _listed("closures", content.get("closures"), ("equation", "form", "parameters"))
         return cls(
             **values, effects=_listed("effects", content.get("effects"), ("id",)), closures=closures, learned=learned

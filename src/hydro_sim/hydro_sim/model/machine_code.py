@@ -60,7 +60,9 @@ def kept(name: str, source: Callable[[], str], *, said: Callable[[], None] = lam
     except OSError as error:
         where = f"{file.parent} ({error.strerror})"
         raise ValueError(f"compiled models cannot be kept in {where}: set NUMBA_CACHE_DIR to a folder") from error
-    return ctypes.CDLL(str(file))
+    if found := _loaded(file):
+        return found
+    raise ValueError(f"{file} was compiled and cannot be loaded: set NUMBA_CACHE_DIR to a folder that allows programs")
 
 
 def _loaded(file: Path) -> ctypes.CDLL | None:
