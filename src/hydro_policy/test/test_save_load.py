@@ -66,26 +66,6 @@ def test_interrupted_writer_leaves_the_previous_checkpoint(tmp_path: Path) -> No
     assert sorted(p.name for p in tmp_path.iterdir()) == ["latest"]
 
 
-class Vanishing(ReplayBuffer):
-    """Somebody takes the run's folder away in the middle of the first writing."""
-
-    away: tuple[Path, Path] | None = None
-
-    def stored(self) -> tuple[np.ndarray, int]:
-        if self.away is not None:
-            self.away[0].rename(self.away[1])
-            self.away = None
-        return super().stored()
-
-
-def test_a_folder_that_vanishes_while_it_is_written_to_is_there_again_with_a_whole_checkpoint(tmp_path: Path) -> None:
-    sac, _ = trained(1)
-    replay = Vanishing(OBSERVATIONS, 2, 100)
-    replay.away = (tmp_path / "run", tmp_path / "away")
-    save_checkpoint(tmp_path / "run" / "latest", dump(sac), replay, {"episode": 2})
-    assert load_checkpoint(tmp_path / "run" / "latest").trainer == {"episode": 2}
-
-
 def test_absent_or_damaged_checkpoint_is_a_clear_error(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="no readable checkpoint"):
         load_checkpoint(tmp_path / "latest")

@@ -186,6 +186,15 @@ def write_run(
     OSError
         The disk refuses; the checkpoint before is as it was.
     """
+    try:
+        _write_run(request, learner, good, replay, settings)
+    except FileNotFoundError:  # the folder was taken away between two of its files
+        _write_run(request, learner, good, replay, settings)
+
+
+def _write_run(
+    request: SaveRequest, learner: bytes, good: bytes | None, replay: ReplayBuffer, settings: TrainingSettings
+) -> None:
     run = RunDirectory(request.run)
     save_checkpoint(run.latest, stamped(learner, settings.made), replay, request.trainer)
     if request.trainer and not run.config.exists():

@@ -43,13 +43,6 @@ def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer:
     OSError
         It cannot be written; the one that was there is as it was.
     """
-    try:
-        _save(folder, learner, replay, trainer)
-    except FileNotFoundError:  # somebody took the run's folder away meanwhile: it is made anew
-        _save(folder, learner, replay, trainer)
-
-
-def _save(folder: Path, learner: bytes, replay: ReplayBuffer, trainer: dict[str, Any]) -> None:
     partial, previous = folder.with_name(folder.name + ".partial"), folder.with_name(folder.name + ".previous")
     shutil.rmtree(partial, ignore_errors=True)
     try:
