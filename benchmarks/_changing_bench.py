@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,27 @@ class Unwatched:
         """See `Corrector`."""
         self.filter.monitor["seen"] = 0
         return self.filter.correct(sample, age)
+
+
+class ToldAtOnce(Unwatched):
+    """The best that any monitor could be: it is told of the change in the sample in which it happens."""
+
+    def __init__(self, watched: LoopFilter, change: int) -> None:
+        super().__init__(watched)
+        self.change = change
+        self.samples = 0
+
+    def reset(self) -> None:
+        """See `Corrector`."""
+        super().reset()
+        self.samples = 0
+
+    def correct(self, sample: Sample, age: float = 0.0) -> Result:
+        """See `Corrector`."""
+        self.samples += 1
+        if self.samples > self.change:
+            return Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
+        return super().correct(sample, age)
 
 
 @dataclass(frozen=True, kw_only=True)

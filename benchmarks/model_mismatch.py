@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import _false_alarms
-from benchmarks._changing_bench import Unwatched, outcome, play
+from benchmarks._changing_bench import ToldAtOnce, Unwatched, outcome, play
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_filter.controller.innovations import EQUATIONS
@@ -53,7 +53,7 @@ COLUMNS = {
     "bench": "",
     "reference": "",
     "gains": "asked for",
-    "filter": "none, before (believes its model), now",
+    "filter": "none, before (believes its model), now, told (of the change, in the sample in which it happens)",
     "told": "ms from the change (foreign: from the arming) to the first MISMATCH",
     "rmse": "N, of f_r - f_l from a second after the change on",
     "worst": "N, RMSE of the worst second from the change on",
@@ -91,6 +91,8 @@ def lines(
     filters: dict[str, Corrector | None] = {"before": Unwatched(watched), "now": watched}
     if change == 0:
         filters = {"none": None, **filters}
+    else:
+        filters["told"] = ToldAtOnce(watched, change)
     fixed = {"bench": label, "reference": reference}
     yield row({**fixed, "filter": "none"}, plant, bench, FixedGains(90.0, 15.0), signal, None, change)
     for controller in asking:
