@@ -13,6 +13,7 @@ import argparse
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, get_args
@@ -24,6 +25,7 @@ from hydro_bridge.bags.recording_run import code_version
 from hydro_bridge.cli.console import UserError, add_json_argument, command, progress, writable_folder
 from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import Section, results_page
 from hydro_bridge.process import endings
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_policy.envs.environment import Transitions
@@ -43,6 +45,7 @@ from hydro_sim.files.weights import WeightsError
 
 AGENT = "learner.safetensors"
 
+CURVE = "curve.png"
 SAVE_PERIOD = 20.0
 """s between two checkpoints at least: a long pretraining's replay buffer is 138 MB on disk."""
 
@@ -130,7 +133,7 @@ def main() -> int:
         )
         return 130
     finally:
-        refresh_index(run.path)
+        _leave_page(run, pretraining, source)
     _show(run, pretraining, options.json, time.monotonic() - began)
     return 0
 
@@ -238,7 +241,22 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
     policy.save(run.policy, training.task.gains, notes, training.made)
     save_checkpoint(run.latest, stamped(dump(pretraining.sac), training.made), pretraining.replay, pretraining.state())
     cases = pretraining.settings.evaluation.cases
-    draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / "curve.png")
+    draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / CURVE)
+
+
+def _leave_page(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
+    """report.html in the run's folder, once there is a curve, and the front page of all runs; never a failure."""
+    with suppress(OSError):
+        if pretraining.history:
+            curve = run.path / CURVE
+            table = curve_table(pretraining.history, pretraining.settings.evaluation.cases, pretraining.reference_rmse)
+            about = {
+                **asdict(source), "seed": pretraining.settings.training.seed, "episodes": pretraining.episode,
+                "best score": pretraining.best_score, "code_version": code_version(),
+            }  # fmt: skip
+            sections = [Section(heading="Learning curve", picture=curve), Section(heading="Rounds", table=table)]
+            write_whole(run.page, results_page(f"Pretraining {run.path.name}", about, sections).encode())
+    refresh_index(run.path)
 
 
 def _show(run: RunDirectory, pretraining: Pretraining, json: Path | None, seconds: float) -> None:
@@ -246,7 +264,7 @@ def _show(run: RunDirectory, pretraining: Pretraining, json: Path | None, second
     table.show(json)
     print(
         f"{run.path}: best score {pretraining.best_score:.3f}, {pretraining.sac.updates} updates, {seconds:.0f} s\n"
-        f"policy {run.policy}, learning curve {run.path / 'curve.png'}",
+        f"policy {run.policy}, learning curve {run.path / CURVE}, page {run.page}",
         file=sys.stderr,
     )
 
