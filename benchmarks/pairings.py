@@ -132,7 +132,7 @@ WRONG = (
         ("--runs @new --plant sim --policy @own", f"the policy own {FOREIGN}"),
         ("--runs @new --plant emulator --policy @unmarked", UNMARKED),
         (f"--runs @new --plant sim --bench @own.yaml {CONSTANT} --policy @shipped", f"the policy shipped {FOREIGN}"),
-        ("--runs @new --plant sim --base-gains 30 8 --policy @shipped", "was made for a box with base K_p 15, this one has 30"),
+        ("--runs @new --plant sim --base-gains 30 8 --policy @shipped", "was made for a box with base K_p 15"),
         ("--runs @new --plant sim --filter=--metric=@unmarked_metric.safetensors", UNMARKED),
     ),
 )  # fmt: skip
