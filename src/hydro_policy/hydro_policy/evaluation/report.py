@@ -78,7 +78,8 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
 
 def sections(session: EvaluationSession, picture: Path) -> list[Section]:
     """Sections of a page; `picture` is that of `plot`."""
-    found = [Section(heading="Force RMSE", text=" ".join(session.warnings), table=table(session))]
+    shown = table(session)
+    found = [Section(heading=shown.title, text=" ".join(session.warnings), table=shown)]
     return [*found, Section(heading="Tracking at the fastest sine", picture=picture)] if picture.is_file() else found
 
 

@@ -50,15 +50,12 @@ def taken_back(run: RunDirectory, node: GraphNode) -> Iterator[None]:
 
 def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
     """What results were measured under: plant, filter and bench as the words name them, and the code."""
-    started = options.plant != "external"
-    return {
-        "plant": options.plant,
-        "filter": (options.filter or "the default one") if started else "as it runs",
-        "bench": str(options.bench or "the nominal one") if started else "as it is",
-        "truth": str(options.truth or "the default one") if options.plant == "emulator" else None,
-        "code_version": code_version(),
-        **more,
-    }
+    told: dict[str, Any] = {"plant": options.plant}
+    if options.plant != "external":  # else they are as they run
+        told |= {"filter": options.filter or "the default one", "bench": str(options.bench or "the nominal one")}
+    if options.plant == "emulator":
+        told["truth"] = str(options.truth or "the default one")
+    return {**told, **more, "code_version": code_version()}
 
 
 def show_results(

@@ -7,6 +7,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
 from hydro_bridge.cli.console import Table
 from hydro_bridge.pages import Section
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
@@ -30,25 +33,33 @@ def draw_curve(events: Events, path: Path) -> None:
     episodes, exams = _of(events, "episode"), _of(events, "exam")
     if not episodes and not exams:
         return
-    with figure(path, 3, size=(8.0, 6.0), sharex=True) as (drawing, (returns, rmse, score)):
+    panels = 3 if exams else 2
+    with figure(path, panels, size=(8.0, 2.0 * panels), sharex=True) as (drawing, axes):
         numbers = [event["episode"] for event in episodes]
-        returns.plot(numbers, [event["return"] for event in episodes], color=BLUE, marker=".", label="return")
-        returns.set(ylabel="return")
-        rmse.plot(numbers, [event["force_rmse"] for event in episodes], color=ORANGE, marker=".", label="while it explores")
-        rmse.set(ylabel="force RMSE [N]")
-        numbers = [event["episode"] for event in exams]
-        score.plot(numbers, [event["score"] for event in exams], color=GREEN, marker=".", label="examinations")
-        best = [event for event in exams if event["best"]]
-        if best:
-            at, value = best[-1]["episode"], best[-1]["score"]
-            score.plot(at, value, color=GREEN, marker="o", markerfacecolor="none", linestyle="none", label="kept")
-        score.axhline(1.0, color=GRAY, linestyle="--", label="fixed gains")
-        score.set(ylabel="RMSE / fixed gains'", xlabel="episodes")
-        for panel in (returns, rmse, score):
+        axes[0].plot(numbers, [event["return"] for event in episodes], color=BLUE, marker=".", label="return")
+        axes[0].set(ylabel="return")
+        rmse = [event["force_rmse"] for event in episodes]
+        axes[1].plot(numbers, rmse, color=ORANGE, marker=".", label="while it explores")
+        axes[1].set(ylabel="force RMSE [N]")
+        if exams:
+            _draw_exams(axes[2], exams)
+        for panel in axes:
             for n, stop in enumerate(_stops(events)):
                 panel.axvline(stop, color=RED, linewidth=0.8, label=None if n else "rolled back")
             legend(panel)
+        axes[-1].set(xlabel="episodes")
+        axes[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
         drawing.align_ylabels()
+
+
+def _draw_exams(axes: Axes, exams: Events) -> None:
+    numbers, scores = [event["episode"] for event in exams], [event["score"] for event in exams]
+    axes.plot(numbers, scores, color=GREEN, marker=".", label="examinations")
+    kept = [(event["episode"], event["score"]) for event in exams if event["best"]]
+    if kept:
+        axes.plot(*kept[-1], color=GREEN, marker="o", markersize=9, markerfacecolor="none", linestyle="none", label="kept")
+    axes.axhline(1.0, color=GRAY, linestyle="--", label="fixed gains")
+    axes.set(ylabel="RMSE / fixed gains'")
 
 
 def exam_table(events: Events) -> Table:
