@@ -412,7 +412,7 @@ def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything
         with pytest.raises((CompanionError, NotReadyError), match=sentence):
             node.meet()
         node.destroy_timer(ticking)
-        assert node.response.count == 0
+        assert node.timing.response.count == 0
     finally:
         node.destroy_node()
         other.destroy_node()

@@ -43,7 +43,7 @@ def taken_back(run: RunDirectory, node: GraphNode) -> Iterator[None]:
     try:
         yield
     except CompanionError:
-        if node.response.count == 0:  # no gains have ever gone out
+        if node.timing.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(run.path, ignore_errors=True)
         raise
 

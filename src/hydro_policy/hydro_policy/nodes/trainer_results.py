@@ -41,7 +41,7 @@ def compared(session: TrainingSession, start: Start | None) -> list[Controller]:
 
 def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:
     """Percentiles [s] that results.md promises something about."""
-    measured = {"jitter": node.jitter, "inference": session.explorer.inference, "response": node.response}
+    measured = {"jitter": node.timing.jitter, "inference": session.explorer.inference, "response": node.timing.response}
     return {f"{name}_p99": latency.percentile(99) for name, latency in measured.items()}
 
 

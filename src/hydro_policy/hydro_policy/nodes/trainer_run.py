@@ -108,7 +108,7 @@ def drive(
     finally:
         bar.close()
     inference = session.explorer.inference.sentence()
-    node.say(f"gains at 100 Hz: jitter {node.jitter.sentence()}; of which inference {inference}")
+    node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; of which inference {inference}")
     if not finished or session.gave_up or not options.evaluate:
         return finished and not session.gave_up, None
     wait_for(learner, node)  # a finished run that was resumed: nobody has yet
