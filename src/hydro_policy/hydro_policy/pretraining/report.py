@@ -17,7 +17,6 @@ from hydro_policy.pretraining.examination import REFERENCE_GAINS
 from hydro_policy.task.cases import Case
 from hydro_sim.plotting import BLUE, figure, legend
 
-
 CURVE = "curve.png"
 """Of the learning curve in a pretraining's folder."""
 
