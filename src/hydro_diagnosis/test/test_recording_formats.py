@@ -17,6 +17,7 @@ from hydro_diagnosis import diagnose
 from hydro_diagnosis.findings import Report
 from hydro_diagnosis.formats.importers import read_columns
 from hydro_diagnosis.formats.mdf import NEEDED
+from hydro_diagnosis.formats.suffixes import SUFFIXES
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.proposal import proposed
 from hydro_diagnosis.io.table import columns_of, read_table
@@ -187,3 +188,10 @@ def test_file_that_is_something_else_is_one_sentence(suffix: str, tmp_path: Path
         with pytest.raises(InputError, match=f"odd{suffix}: .") as raised:
             read_columns(path)
         assert "\n" not in str(raised.value)
+
+
+def test_each_suffix_that_is_said_to_be_read_has_a_reader(tmp_path: Path) -> None:
+    for suffix in SUFFIXES:
+        (file := tmp_path / f"empty{suffix}").touch()
+        with pytest.raises(InputError, match=f"empty{suffix}: ."):
+            read_columns(file)
