@@ -341,6 +341,7 @@ int main(void)
     test_waveforms();
     test_fades();
     test_force_law();
+    test_rates();
     test_conversation();
     test_a_current_that_cannot_be();
     return 0;

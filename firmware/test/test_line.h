@@ -32,10 +32,11 @@ static void test_stream(void)
     CHECK(stream.frames == 2 && stream.bad == 1); /* the truncated one */
     wire[count / 2] ^= 0x80;
     CHECK(feed(&stream, &body, wire, count) == 0 && stream.bad == 2);
-    CHECK(feed(&stream, &body, (const uint8_t *)"\0\3\1\1\0\2\0", 7) == 0 && stream.bad == 4); /* shorter than a header, and a code that leads beyond the end */
+    /* shorter than a header, and a code that leads beyond the end */
+    CHECK(feed(&stream, &body, (const uint8_t *)"\0\3\1\1\0\2\0", 7) == 0 && stream.bad == 4);
     memset(wire, 1, sizeof wire);
     wire[HYDRO_ENCODED_MAX] = 0;
-    CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 1) == 0 && stream.bad == 5); /* the longest, and no check sum */
+    CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 1) == 0 && stream.bad == 5); /* the longest: no check sum */
     wire[HYDRO_ENCODED_MAX] = 1;
     wire[HYDRO_ENCODED_MAX + 1] = 0;
     CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 2) == 0 && stream.bad == 6); /* a byte too long */
@@ -64,7 +65,7 @@ static void test_numbers(void)
     CHECK(hydro_bits(1e39) == 0x7F800000u && hydro_bits(-1e39) == 0xFF800000u);
 #endif
     CHECK(hydro_nan(none) && !hydro_nan(infinite) && hydro_abs(-3) == 3 && hydro_abs(3) == 3);
-    CHECK(hydro_clamp(-2, -1, 1) == -1 && hydro_clamp(2, -1, 1) == 1 && hydro_clamp(HYDRO_R(0.5), -1, 1) == HYDRO_R(0.5));
+    CHECK(hydro_clamp(-2, -1, 1) == -1 && hydro_clamp(2, -1, 1) == 1 && hydro_clamp(0, -1, 1) == 0);
     CHECK(hydro_max(1, 2) == 2 && hydro_max(2, 1) == 2);
 }
 
@@ -144,6 +145,29 @@ static void test_force_law(void)
     CHECK(near(hydro_integrate(1, 3, 100, 5, -1), 3.1)); /* it may come back from the limit */
 }
 
+/* Rates lag by their age; a reading that is none leaves the rate beside it, and is shown. */
+static void test_rates(void)
+{
+    hydro_rates rates;
+    hydro_real raw[5] = {10, 20, 30, 40, HYDRO_R(0.05)}, x[HYDRO_MEASURED], none = (hydro_real)number(0x7FC00000u);
+    memset(&rates, 0xAA, sizeof rates);
+    hydro_rates_reset(&rates, &CONFIG);
+    raw[1] = none;
+    hydro_differentiate(&rates, raw, x);
+    CHECK(x[0] == 10 && x[1] == 0 && hydro_nan(x[2]) && x[3] == 0 && x[4] == 30 && x[5] == 40 && x[7] == 0);
+    raw[0] = 15;
+    raw[1] = 5;
+    raw[4] = HYDRO_R(0.053);
+    hydro_differentiate(&rates, raw, x);
+    CHECK(near(x[1] / 5000, 0.4) && near(x[3] / 5000, 0.4) && near(x[7], 3.0 * 2.0 / 3.0)); /* 1 - a: 2/5, and 2/3 */
+    raw[0] = HYDRO_R(1e9);
+    hydro_differentiate(&rates, raw, x);
+    CHECK(x[0] == HYDRO_R(1e9) && near(x[1] / 5000, 0.4) && near(x[3] / 5000, 0.24));
+    raw[0] = 15;
+    hydro_differentiate(&rates, raw, x);
+    CHECK(near(x[1] / 5000, 0.24)); /* to the last good reading */
+}
+
 /* A command of a waveform that is none, numbers that are none, hosts of both versions, and what DETAILS tell. */
 static void test_conversation(void)
 {
@@ -175,9 +199,10 @@ static void test_conversation(void)
     (void)hydro_box_tick(&box, STILL, 0.003);
     new = hydro_box_frames(&box, out);
     CHECK(new >= old + 8 + HYDRO_HEADER + 60 + 4 && new <= HYDRO_BURST_MAX); /* DETAILS, and two more counters */
-    CHECK(hydro_encode_details(1, 0, 9, &CONFIG, wire) == hydro_encode_details(1, 0, 9, &hydraulic, out));
-    CHECK(hydro_unstuff(wire + 1, 80) > 40 && wire[1 + HYDRO_HEADER + 16] == 1);
-    CHECK(hydro_unstuff(out + 1, 80) > 40 && out[1 + HYDRO_HEADER + 16] == 2);
+    CHECK(hydro_unstuff(wire + 1, hydro_encode_details(1, 0, 9, &CONFIG, wire) - 2) == HYDRO_HEADER + 60 + 4);
+    CHECK(wire[1 + HYDRO_HEADER + 16] == 1); /* the load force */
+    CHECK(hydro_unstuff(out + 1, hydro_encode_details(1, 0, 9, &hydraulic, out) - 2) == HYDRO_HEADER + 60 + 4);
+    CHECK(out[1 + HYDRO_HEADER + 16] == 2);
 }
 
 /* What no command leads to: a current that is not finite disarms and trips, and the valve rests. */
