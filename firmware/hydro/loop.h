@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Optional, of the default filter: one sample of the whole force loop, linearized, and where it is beside its reference.
+/* Optional, of the default filter: the whole force loop over one sample, linearized, and its place beside f_r.
  *
  *   q = [f_h  g spool  g spool'  f_l  f_l'  x_p  x_p'  x_p' as the box has it]      in units of `scale`
  *   q_{k+1} = F q_k + G u_k     of the structured model        u_k = K q_k     of the force law that the box runs
@@ -15,11 +15,20 @@
 #include "structured.h"
 
 #define HYDRO_LOOP 8
-#define HYDRO_INPUT 7          /* column of nudges that is the current's: the box's memory of the velocity moves nothing */
+#define HYDRO_INPUT 7          /* column of nudges that is the current's: the box's own velocity moves nothing */
 #define HYDRO_CLOSED 1e-9      /* A, where the spool is taken to stand in a sample in which it passes zero */
 #define HYDRO_BEND_MAX 2e5     /* N/s^2, largest f_r'' that is believed */
 
-enum { HYDRO_Q_F_H, HYDRO_Q_SPOOL, HYDRO_Q_SPOOL_RATE, HYDRO_Q_F_L, HYDRO_Q_F_L_RATE, HYDRO_Q_X, HYDRO_Q_V, HYDRO_Q_BOX };
+enum {
+    HYDRO_Q_F_H,
+    HYDRO_Q_SPOOL,
+    HYDRO_Q_SPOOL_RATE,
+    HYDRO_Q_F_L,
+    HYDRO_Q_F_L_RATE,
+    HYDRO_Q_X,
+    HYDRO_Q_V,
+    HYDRO_Q_BOX
+};
 
 typedef struct {
     hydro_model model;
