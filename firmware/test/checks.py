@@ -203,7 +203,7 @@ def _dies(program: Path) -> bool:
 SAMPLES = ("hold", "sine", "multisine", "smooth_step", "fade", "disarmed", "greeting")
 """Samples of a box that are counted: COMMAND in and STATE out; with `greeting` HELLO and DETAILS besides."""
 
-PARTS = ("filter", "policy")
+PARTS = ("filter", "loop_filter", "policy")
 """Optional parts, of which one decision is counted."""
 
 
