@@ -28,10 +28,12 @@ from hydro_sim.model.plant import AnalyticPlant
 ROOT = Path(__file__).resolve().parent.parent
 WIDTH = len(STATE_FIELDS)
 PRECISIONS = {"double": ([], ctypes.c_double), "single": (["-DHYDRO_SINGLE"], ctypes.c_float)}
-SOURCE = """#include "filter_config.h"
-void many(int count, const hydro_real *in, hydro_real *out)
+SOURCE = """#include <fenv.h>
+#include "filter_config.h"
+int many(int count, const hydro_real *in, hydro_real *out)
 {
     hydro_memory_of_loop memory = {0};
+    feclearexcept(FE_ALL_EXCEPT);
     for (int k = 0; k < count; k++, in += 15, out += 4) {
         hydro_decision made = hydro_decide_loop(&HYDRO_LOOP_FILTER, &memory, in, in[14] > HYDRO_R(0));
         out[0] = made.delta_u;
@@ -39,6 +41,7 @@ void many(int count, const hydro_real *in, hydro_real *out)
         out[2] = made.after;
         out[3] = (hydro_real)made.status;
     }
+    return fetestexcept(FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW);
 }
 """
 SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
@@ -68,7 +71,8 @@ def in_c(folder: Path, precision: str, rows: FloatArray) -> FloatArray:
     subprocess.run(program, check=True)
     given, made = np.ascontiguousarray(rows, kind), np.zeros((len(rows), 4), kind)
     pointer = ctypes.POINTER(kind)
-    ctypes.CDLL(str(library)).many(len(rows), given.ctypes.data_as(pointer), made.ctypes.data_as(pointer))
+    raised = ctypes.CDLL(str(library)).many(len(rows), given.ctypes.data_as(pointer), made.ctypes.data_as(pointer))
+    assert raised == 0, "a floating-point exception"
     return made.astype(np.float64)
 
 

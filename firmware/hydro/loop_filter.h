@@ -6,9 +6,10 @@
  *   the law's integral -----+
  *
  * docs/manual/explanation/safety.md has the certificate; hydro_filter.controller.loop_decision is the same in Python.
- * Samples must follow one another, each once; after a gap begin with a memory of zeros. A correction acts one sample
- * after its own. `ros2 run hydro_filter filter_header --metric learned` writes HYDRO_LOOP_FILTER. Whether the model is
- * still the bench's is not watched here: that is the graph's (status MISMATCH).
+ * Give it samples of a box: within the ranges of the sensors nothing overflows. They must follow one another, each
+ * once; after a gap begin with a memory of zeros. A correction acts one sample after its own. Whether the model is still
+ * the bench's is not watched here: that is the graph's (status MISMATCH). `ros2 run hydro_filter filter_header --metric
+ * learned` writes HYDRO_LOOP_FILTER.
  */
 #ifndef HYDRO_LOOP_FILTER_H
 #define HYDRO_LOOP_FILTER_H
