@@ -412,7 +412,7 @@ BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
     "a correction stops the integral": (
         "box.h",
         "values[HYDRO_KI], unlimited - current);",
-        "values[HYDRO_KI], current - nominal);",
+        "values[HYDRO_KI], nominal - current);",
         {"law.nominal"},
     ),
 }
