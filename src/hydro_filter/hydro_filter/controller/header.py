@@ -74,32 +74,34 @@ def main() -> None:
     """Entry point."""
     options = parser().parse_args()
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    asked = {"contraction_rate": options.contraction_rate, "noise_floor": options.noise_floor}
-    given = {name: value for name, value in asked.items() if value is not None}
     choice = Choice(bench=bench, bench_file=options.bench, metric=options.metric, model=options.model)
-    text = _constant(choice, given) if choice.constant else _learned(choice, given)
+    text = _constant(choice, options) if choice.constant else _learned(choice, options)
     write_whole(Path(options.out), text.encode())
     print(f"{options.out}: {options.metric} metric for bench {bench.digest}")
 
 
-def _constant(choice: Choice, given: dict[str, float]) -> str:
+def _constant(choice: Choice, options: argparse.Namespace) -> str:
     if choice.model is not None:
         raise ValueError("--model: the constant metric has none, it keeps to the bench file")
-    settings = FilterSettings(**given)
+    usual, rate, floor = FilterSettings(), options.contraction_rate, options.noise_floor
+    settings = FilterSettings(
+        contraction_rate=usual.contraction_rate if rate is None else rate,
+        noise_floor=usual.noise_floor if floor is None else floor,
+    )
     check(settings)
     certificate = ContractionFilter.for_bench(choice.bench, settings).certificate
     return header(filter_parts(certificate), choice.bench.digest)
 
 
-def _learned(choice: Choice, given: dict[str, float]) -> str:
-    if "noise_floor" in given:
+def _learned(choice: Choice, options: argparse.Namespace) -> str:
+    if options.noise_floor is not None:
         raise ValueError("--noise-floor: a learned metric brings its own level of the noise")
     if trouble := choice.trouble():
         raise ValueError(trouble)
+    usual, rate = LoopFilterSettings(), options.contraction_rate
+    settings = LoopFilterSettings(contraction_rate=usual.contraction_rate if rate is None else rate)
     files = choice.files
-    parts = loop_parts(
-        LearnedMetric.load(files["metric"]), model_of(files["model"]), choice.bench, LoopFilterSettings(**given)
-    )
+    parts = loop_parts(LearnedMetric.load(files["metric"]), model_of(files["model"]), choice.bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     return loop_header.header(
         parts, f"Written by `ros2 run hydro_filter filter_header` for the bench {choice.bench.digest}: {told}."
