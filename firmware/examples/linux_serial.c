@@ -82,12 +82,40 @@ static int open_port(const char *path)
     return port;
 }
 
+/* A burst begun is finished before the next, so that no frame is cut; one that finds the line full is dropped whole. */
+typedef struct {
+    uint8_t data[HYDRO_BURST_MAX];
+    size_t count, sent;
+} burst;
+
+static void pour(int port, burst *line)
+{
+    ssize_t count;
+    while (line->sent < line->count && (count = write(port, line->data + line->sent, line->count - line->sent)) > 0) {
+        line->sent += (size_t)count;
+    }
+}
+
+static void send_up(int port, burst *line, hydro_box *box)
+{
+    uint8_t dropped[HYDRO_BURST_MAX];
+    pour(port, line);
+    if (line->sent < line->count) { /* nobody reads */
+        (void)hydro_box_frames(box, dropped);
+        return;
+    }
+    line->count = hydro_box_frames(box, line->data);
+    line->sent = 0;
+    pour(port, line);
+}
+
 int main(int argc, char **argv)
 {
     static hydro_box box;
     static hydro_rates rates;
+    static burst line;
     hydro_real raw[5], measurement[HYDRO_MEASURED];
-    uint8_t in[4096], out[HYDRO_BURST_MAX];
+    uint8_t in[4096];
     struct timespec due;
     unsigned long samples, tick;
     int port;
@@ -103,19 +131,13 @@ int main(int argc, char **argv)
     clock_gettime(CLOCK_MONOTONIC, &due);
     for (tick = 0; !ended && (samples == 0 || tick < samples); tick++) {
         ssize_t count = read(port, in, sizeof in);
-        size_t left, sent = 0;
         if (count > 0) {
             hydro_box_bytes(&box, in, (size_t)count);
         }
         read_sensors(raw);
         hydro_differentiate(&rates, raw, measurement);
         hold_current(hydro_box_tick(&box, measurement, (hydro_time)tick * HYDRO_PERIOD));
-        for (left = hydro_box_frames(&box, out); left > 0; left -= (size_t)count, sent += (size_t)count) {
-            count = write(port, out + sent, left);
-            if (count <= 0) {
-                break; /* nobody reads: the rest is dropped, and the decoder there finds the next frame */
-            }
-        }
+        send_up(port, &line, &box);
         due.tv_nsec += 1000000;
         due.tv_sec += due.tv_nsec / 1000000000;
         due.tv_nsec %= 1000000000;

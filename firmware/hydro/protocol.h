@@ -83,19 +83,19 @@ static inline void hydro_write64(uint8_t *data, uint64_t value)
     hydro_write32(data + 4, (uint32_t)(value >> 32));
 }
 
-/* COBS in place: `data`, `count` bytes without delimiters, becomes the bytes that it stands for; their number, or 0. */
+/* COBS in place: `data`, fewer than 254 bytes without delimiters, becomes what it stands for; how many bytes, or 0. */
 static inline size_t hydro_unstuff(uint8_t *data, size_t count)
 {
     size_t read = 0, written = 0;
     while (read < count) {
         uint8_t code = data[read++];
-        if (code == 0 || code - 1u > count - read) {
+        if (code - 1u > count - read) {
             return 0;
         }
         for (uint8_t i = 1; i < code; i++) {
             data[written++] = data[read++];
         }
-        if (code != 0xFF && read < count) {
+        if (read < count) {
             data[written++] = 0;
         }
     }

@@ -4,6 +4,7 @@
 #include <fenv.h>
 
 #include "check.h"
+#include "test_line.h"
 
 static hydro_arming arming;
 static hydro_guard guard;
@@ -335,5 +336,13 @@ int main(void)
     test_clamps();
     test_references();
     test_box();
+    test_stream();
+    test_numbers();
+    test_waveforms();
+    test_fades();
+    test_force_law();
+    test_rates();
+    test_conversation();
+    test_a_current_that_cannot_be();
     return 0;
 }

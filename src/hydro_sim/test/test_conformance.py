@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -26,6 +27,7 @@ from hydro_sim.emulator.firmware import FirmwareLink, FirmwareMachine
 from hydro_sim.emulator.line.faults import LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
+from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.model.bench import Bench
 
@@ -305,6 +307,114 @@ BROKEN: dict[str, tuple[str, str, str, set[str]]] = {
         "(late ? HYDRO_FILTER_STALE : 0u)",
         {"stale.shown", "stale.armed", "hello.safe"},
     ),
+    "takes frames of versions to come": (
+        "stream.h",
+        "body->version < HYDRO_VERSION_MIN || body->version > HYDRO_VERSION_MAX",
+        "body->version < HYDRO_VERSION_MIN",
+        {"framing.foreign_version"},
+    ),
+    "does not tell the form of its integral": (
+        "protocol.h",
+        "at[3] = (uint8_t)config->integral_form;",
+        "at[3] = 0;",
+        {"hello.fields"},
+    ),
+    "tells another bench": (
+        "protocol.h",
+        "hydro_copy(at + 4, config->digest, sizeof config->digest);",
+        'hydro_copy(at + 4, "000000000000", 12);',
+        {"hello.bench"},
+    ),
+    "a HELLO is not the begin of a conversation": (
+        "box.h",
+        "    box->guard.heard = false;\n",
+        "",
+        {"hello.new_conversation"},
+    ),
+    "a HELLO disarms and is no heartbeat": (
+        "box.h",
+        "box->now.filter_fresh, time);",
+        "box->now.filter_fresh, box->greeted ? box->arming.received_at : time);",
+        {"hello.heartbeat"},
+    ),
+    "sends no DETAILS": (
+        "box.h",
+        "        if (box->version > HYDRO_VERSION_MIN) {",
+        "        if (false) {",
+        {"version.details"},
+    ),
+    "its clock shakes while it is disarmed": (
+        "protocol.h",
+        "(uint64_t)(sample->time * 1e6 + 0.5)",
+        "(uint64_t)(sample->time * 1e6 + ((sample->flags & 1u) == 0 && (sample->sequence & 1u) != 0 ? 300.0 : 0.5))",
+        {"clock.pace"},
+    ),
+    "shows the correction while it is disarmed": (
+        "box.h",
+        "    if (!box->arming.armed) {\n        return false;",
+        "    if (!box->arming.armed) {\n        values[HYDRO_NOMINAL] = box->guard.delta_u;\n        return false;",
+        {"idle.values", "watchdog.trip"},
+    ),
+    "whole integral gains only": (
+        "box.h",
+        "config->base_ki + box->guard.delta_ki;",
+        "config->base_ki + (hydro_real)(int)box->guard.delta_ki;",
+        {"idle.gains"},
+    ),
+    "newer is a quarter of the circle": (
+        "guard.h",
+        "ahead >= 0x80000000u",
+        "ahead >= 0x40000000u",
+        {"order.wraps"},
+    ),
+    "looks at the watchdog before it takes the command": (
+        "box.h",
+        "    hydro_box_receive(box, time);\n    late = hydro_watch(&box->arming, config, time);",
+        "    late = hydro_watch(&box->arming, config, time);\n    hydro_box_receive(box, time);",
+        {"watchdog.ends", "hello.heartbeat"},
+    ),
+    "refuses the range itself": (
+        "guard.h",
+        "|| signal->amplitude + offset > force_range) {",
+        "|| signal->amplitude + offset >= force_range) {",
+        {"refused.range"},
+    ),
+    "the hydraulic force is 200 N off": (
+        "protocol.h",
+        "hydro_bits(sample->values[i])",
+        "hydro_bits(sample->values[i] + (i == 0 ? HYDRO_R(200) : HYDRO_R(0)))",
+        {"measured.units"},
+    ),
+    "tells twice the age of its rates": (
+        "protocol.h",
+        "HYDRO_R(config->trip_timeout), config->force_rate_age,",
+        "HYDRO_R(config->trip_timeout), 2 * config->force_rate_age,",
+        {"measured.rates"},
+    ),
+    "FILTER_STALE as long as it is armed": (
+        "arming.h",
+        "(late || !arming->filter_fresh ? HYDRO_FILTER_STALE : 0u)",
+        "(late || arming->armed || !arming->filter_fresh ? HYDRO_FILTER_STALE : 0u)",
+        {"arm.arms"},
+    ),
+    "disarms a sample late": (
+        "box.h",
+        "    if (!box->arming.armed) {",
+        "    if (!box->arming.armed && (box->sample.flags & HYDRO_ARMED) == 0) {",
+        {"arm.off"},
+    ),
+    "a refused reference becomes a hold": (
+        "guard.h",
+        "        guard->refused[1]++;\n",
+        "        guard->refused[1]++;\n        wanted->waveform = HYDRO_HOLD;\n",
+        {"reference.refused"},
+    ),
+    "a correction stops the integral": (
+        "box.h",
+        "values[HYDRO_KI], unlimited - current);",
+        "values[HYDRO_KI], nominal - current);",
+        {"law.nominal"},
+    ),
 }
 """What is broken: file, text, what stands there instead, and the cases that must fail, no others."""
 
@@ -338,3 +448,19 @@ def test_a_broken_box_fails_where_it_is_broken(
     assert {case for case, (outcome, _) in found.items() if outcome == FAIL} == wanted, {
         case: why for case, (outcome, why) in found.items() if outcome == FAIL
     }
+
+
+@pytest.mark.slow
+def test_a_box_whose_valve_is_not_connected_fails_in_the_sign_alone(
+    memory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It shows the current that it should: only the force tells."""
+    loose = SimpleNamespace(physical=truth.physical, advance=lambda *words: truth.advance(*words[:-1], 0.0))
+    monkeypatch.setattr("hydro_sim.emulator.firmware.truth", loose)
+    found = outcomes(c_box(memory))
+    assert {case for case, (outcome, _) in found.items() if outcome == FAIL} == {"law.sign"}
+
+
+def test_each_case_fails_on_a_box_that_is_broken_there() -> None:
+    seen = {"law.sign"}.union(*(wanted for *_, wanted in BROKEN.values()))
+    assert seen == {case.id for case in shipped()}

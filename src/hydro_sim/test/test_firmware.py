@@ -177,6 +177,57 @@ def test_rates_are_those_of_the_sensors_module() -> None:
         np.testing.assert_array_equal(x, y)
 
 
+def test_rates_pass_over_readings_that_are_none_as_those_of_the_sensors_module_do() -> None:
+    """Also where the very first reading is none: afterwards all rates are finite at once."""
+    firmware, random = Firmware(Bench.nominal()), Random(2)
+    last, x, y = np.zeros(1, CONDITIONING_DTYPE)[0], np.zeros(8), np.zeros(8)
+    sensors, begun = Sensors().constants()[0], False
+    for k in range(5000):
+        raw = np.array([30.0, 20.0, 4e6, 6e6, 0.04]) + np.sin(k * np.array([0.01, 0.02, 0.03, 0.04, 0.05]))
+        if k == 0 or random.random() < 0.2:
+            raw[random.randrange(5)] = random.choice((nan, inf, -inf, 1e9, -1e300))
+        restart(last, raw, x) if not begun else condition(sensors, last, raw, x)
+        begun = True
+        firmware.differentiate(raw, y)
+        np.testing.assert_array_equal(x, y)
+        assert np.isfinite(x[[1, 3, 7]]).all()
+
+
+@pytest.mark.parametrize("cut", [0, 30, 60])
+def test_a_box_that_is_powered_on_anew_is_the_same_in_both(memory: Any, cut: int) -> None:
+    """Restarted amid a frame that arms, behind a greeting with a command that waits: of neither anything is left."""
+    box, link, firmware = pair(memory)
+    x, frame = np.array([0.0, 0.0, 0.0, 0.0, 3.7e6, 6.2e6, 0.04, 0.0]), encode_command(9, 0, Command(arm=True))
+    time = 0.0
+
+    def both(data: bytes) -> bytes:
+        nonlocal time
+        memory.down += data
+        if (command := link.poll(time)) is not None:
+            box.receive(command, time)
+        firmware.take(data)
+        expected = box.tick(x, time)
+        assert bits(firmware.tick(x, time)[0]) == bits(expected)
+        link.send(expected, time)
+        sent, memory.up = memory.up, b""
+        assert firmware.frames() == sent
+        time += 1e-3
+        return bytes(sent)
+
+    greeted = both(b"")
+    assert [type(each) for each in Decoder().feed(greeted)] == [Hello, State]  # HELLO of power-on: no DETAILS
+    both(encode_hello(0, 0) + encode_command(1, 0, Command(delta_kp=10.0)) + frame[:cut])
+    box.reset()
+    link.reboot()
+    firmware.power_on()
+    time = 0.0
+    hello, state = Decoder().feed(both(frame[cut:] if cut else b""))
+    assert isinstance(hello, Hello) and hello.sequence == 0 and isinstance(state, State) and state.last_command == 0
+    for _ in range(3):
+        (state,) = Decoder().feed(both(b""))
+        assert isinstance(state, State) and state.last_command == 0 and not state.flags & Flag.ARMED
+
+
 def test_what_the_box_says_of_itself_is_what_python_says(memory: Any) -> None:
     _, _, firmware = pair(memory)
     firmware.take(encode_hello(0, 0))

@@ -79,7 +79,8 @@ def follows(host: Host, bench: Bench, by: float) -> str:
 
 def rates(host: Host, bench: Bench) -> str:
     """Rates are differences behind a first-order low-pass of the ages that DETAILS tell."""
-    assert host.details is not None
+    if host.details is None:
+        raise NotToldError("no DETAILS came, which tell the ages of the rates")
     told = host.details.details
     pairs = (("hydraulic_force", "hydraulic_force_rate", told.force_rate_age, 0.5),
              ("load_force", "load_force_rate", told.force_rate_age, 0.5),

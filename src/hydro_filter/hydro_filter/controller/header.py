@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""ros2 run hydro_filter filter_header --bench bench.yaml --out filter_config.h: the constant metric's filter for C.
+"""ros2 run hydro_filter filter_header --metric M --bench bench.yaml --out filter_config.h: a filter's numbers for C.
 
-The header holds the numbers of `compiled.FilterParts` that firmware/hydro/filter.h needs; its decision is that of
-`compiled.decide`. The filter with the learned metric has no form in C.
+Of the constant metric (the default here) for firmware/hydro/filter.h, whose decision is that of `compiled.decide`; of
+the learned one, the graph's default, for firmware/hydro/loop_filter.h (`loop_header`), whose is `loop_decision.decide`.
 """
 
 from __future__ import annotations
@@ -13,11 +13,16 @@ from pathlib import Path
 from hydro_bridge.cli.console import command, writable
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.settings import check
+from hydro_filter.controller import loop_header
 from hydro_filter.controller.compiled import FilterParts, filter_parts
+from hydro_filter.controller.factory import CONSTANT, Choice
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
+from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
+from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.state import LOAD_FORCE
 from hydro_sim.box.c_text import header_file, reals
 from hydro_sim.box.configuration import BENCH_FIELDS
+from hydro_sim.learned.any_model import model_of
 from hydro_sim.model.bench import Bench
 
 
@@ -26,16 +31,22 @@ def parser() -> argparse.ArgumentParser:
     usual = FilterSettings()
     parser = argparse.ArgumentParser(
         prog="filter_header",
-        description="Write the filter with the constant metric for a box in C (firmware/hydro/filter.h).",
+        description="Write a filter's numbers for a box in C: of the constant metric for firmware/hydro/filter.h, "
+        "of the learned one for firmware/hydro/loop_filter.h.",
         allow_abbrev=False,
     )
+    parser.add_argument(
+        "--metric", default=CONSTANT, metavar="constant|learned|FILE", help="of `learn_metric`; default: %(default)s"
+    )
+    parser.add_argument("--model", type=Path, metavar="FILE", help="of `learn`; default: the shipped one")
     parser.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml that the box believes; default: nominal")
     parser.add_argument("--out", type=writable, required=True, metavar="FILE.h", help="header to write")
     parser.add_argument(
-        "--contraction-rate", type=float, default=usual.contraction_rate, metavar="1/s", help="default: %(default)s"
-    )
+        "--contraction-rate", type=float, metavar="1/s",
+        help=f"default: {usual.contraction_rate:g}; of the learned metric that for gains of the certified range",
+    )  # fmt: skip
     parser.add_argument(
-        "--noise-floor", type=float, default=usual.noise_floor, metavar="N", help="default: %(default)s"
+        "--noise-floor", type=float, metavar="N", help=f"default: {usual.noise_floor:g}; of the constant metric only"
     )
     return parser
 
@@ -63,8 +74,35 @@ def main() -> None:
     """Entry point."""
     options = parser().parse_args()
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    settings = FilterSettings(contraction_rate=options.contraction_rate, noise_floor=options.noise_floor)
+    choice = Choice(bench=bench, bench_file=options.bench, metric=options.metric, model=options.model)
+    text = _constant(choice, options) if choice.constant else _learned(choice, options)
+    write_whole(Path(options.out), text.encode())
+    print(f"{options.out}: {options.metric} metric for bench {bench.digest}")
+
+
+def _constant(choice: Choice, options: argparse.Namespace) -> str:
+    if choice.model is not None:
+        raise ValueError("--model: the constant metric has none, it keeps to the bench file")
+    usual, rate, floor = FilterSettings(), options.contraction_rate, options.noise_floor
+    settings = FilterSettings(
+        contraction_rate=usual.contraction_rate if rate is None else rate,
+        noise_floor=usual.noise_floor if floor is None else floor,
+    )
     check(settings)
-    parts = filter_parts(ContractionFilter.for_bench(bench, settings).certificate)
-    write_whole(Path(options.out), header(parts, bench.digest).encode())
-    print(f"{options.out}: constant metric for bench {bench.digest}")
+    certificate = ContractionFilter.for_bench(choice.bench, settings).certificate
+    return header(filter_parts(certificate), choice.bench.digest)
+
+
+def _learned(choice: Choice, options: argparse.Namespace) -> str:
+    if options.noise_floor is not None:
+        raise ValueError("--noise-floor: a learned metric brings its own level of the noise")
+    if trouble := choice.trouble():
+        raise ValueError(trouble)
+    usual, rate = LoopFilterSettings(), options.contraction_rate
+    settings = LoopFilterSettings(contraction_rate=usual.contraction_rate if rate is None else rate)
+    files = choice.files
+    parts = loop_parts(LearnedMetric.load(files["metric"]), model_of(files["model"]), choice.bench, settings)
+    told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
+    return loop_header.header(
+        parts, f"Written by `ros2 run hydro_filter filter_header` for the bench {choice.bench.digest}: {told}."
+    )

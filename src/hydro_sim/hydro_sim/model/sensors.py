@@ -34,6 +34,9 @@ SENSORS_DTYPE = np.dtype(
 CONDITIONING_DTYPE = np.dtype([("force_h", np.float64), ("force_l", np.float64), ("position", np.float64)])
 """The last samples that were differentiated; their rates stand in the measurement."""
 
+READING_MAX = 1e9
+"""Magnitude from which a reading is none: no sensor gives it, and the difference to it would not be finite."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sensors:
@@ -104,20 +107,30 @@ def sense(sensors, noise, raw):
 
 @njit(cache=True)
 def restart(last, raw, measurement):
-    """Begin conditioning at readings `raw`: rates are zero."""
-    last.force_h, last.force_l, last.position = raw[0], raw[1], raw[4]
+    """Begin conditioning at readings `raw`: rates are zero; a reading that is none counts as 0."""
+    last.force_h = raw[0] if abs(raw[0]) < READING_MAX else 0.0
+    last.force_l = raw[1] if abs(raw[1]) < READING_MAX else 0.0
+    last.position = raw[4] if abs(raw[4]) < READING_MAX else 0.0
     measurement[1], measurement[3], measurement[7] = 0.0, 0.0, 0.0
     _show(raw, measurement)
 
 
 @njit(cache=True)
 def condition(sensors, last, raw, measurement):
-    """One sample of the box: readings `raw`, shape (5,), into `measurement`, shape (8,), whose rates are its memory."""
+    """One sample of the box: readings `raw`, shape (5,), into `measurement`, shape (8,), whose rates are its memory.
+
+    A reading that no sensor gives, NaN too, leaves its rate as it was; the next difference is to the last good one.
+    """
     force, velocity = sensors.force_memory, sensors.velocity_memory
-    measurement[1] = force * measurement[1] + (1.0 - force) * (raw[0] - last.force_h) / SAMPLE_PERIOD
-    measurement[3] = force * measurement[3] + (1.0 - force) * (raw[1] - last.force_l) / SAMPLE_PERIOD
-    measurement[7] = velocity * measurement[7] + (1.0 - velocity) * (raw[4] - last.position) / SAMPLE_PERIOD
-    last.force_h, last.force_l, last.position = raw[0], raw[1], raw[4]
+    if abs(raw[0]) < READING_MAX:
+        measurement[1] = force * measurement[1] + (1.0 - force) * (raw[0] - last.force_h) / SAMPLE_PERIOD
+        last.force_h = raw[0]
+    if abs(raw[1]) < READING_MAX:
+        measurement[3] = force * measurement[3] + (1.0 - force) * (raw[1] - last.force_l) / SAMPLE_PERIOD
+        last.force_l = raw[1]
+    if abs(raw[4]) < READING_MAX:
+        measurement[7] = velocity * measurement[7] + (1.0 - velocity) * (raw[4] - last.position) / SAMPLE_PERIOD
+        last.position = raw[4]
     _show(raw, measurement)
 
 

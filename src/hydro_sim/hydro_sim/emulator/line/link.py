@@ -120,8 +120,10 @@ class BoxLink:
         self._replug_at = now + seconds
 
     def reboot(self) -> None:
-        """The box was power-cycled: it greets anew and knows no command."""
+        """The box was power-cycled: it greets anew, knows no command, and what it had of one is lost."""
         self.last_command = 0
+        self.decoder.reset()
+        self._waiting.clear()
         self._order.reset()
         self.details = replace(self.details, epoch=self.details.epoch % 0xFFFFFFFF + 1)
         self.version, self._hellos = VERSION_MIN, 0
