@@ -13,20 +13,23 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.cli.console import Table
+from hydro_policy.evaluation.conditions import Conditions
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 
-def table(session: EvaluationSession) -> Table:
+def table(session: EvaluationSession, conditions: Conditions) -> Table:
     """Force RMSE, one row for each controller, one column for each case; mean, and spread where runs repeat."""
     cases = [case.name for case in session.settings.cases]
-    columns = {"controller": "", **dict.fromkeys(cases, "")}
+    columns = {"controller": "", "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
     result = Table(columns, title=f"Force RMSE [N], sines of {session.settings.amplitude:g} N{spread}")
+    reaches = {controller.name: controller.reach for _, _, controller in session.plan}
     for name in dict.fromkeys(score.controller for score in session.scores):
-        result.add(controller=name, **{case: _cell(runs(session.scores, name, case)) for case in cases})
+        cells = {case: _cell(runs(session.scores, name, case)) for case in cases}
+        result.add(controller=name, authority=conditions.authority(reaches[name]), **cells)
     return result
 
 
@@ -57,8 +60,8 @@ def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
     return table
 
 
-def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:
-    """Settings, every single run, and `notes`; what is not finite becomes null. A missing folder is made."""
+def write_json(session: EvaluationSession, path: Path, conditions: Conditions, notes: Mapping[str, Any]) -> None:
+    """Conditions, settings, every single run, and `notes`; what is not finite becomes null. Makes a missing folder."""
 
     def plain(score: Score) -> dict[str, Any]:
         values = asdict(score)
@@ -66,6 +69,7 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
 
     content = {
         **notes,
+        "conditions": conditions.plain(),
         "settings": asdict(session.settings),
         "units": {"rmse": "N", "peak": "N", "chatter": "A/s", "frequency": "Hz", "lost": "samples", "held": "samples"},
         "warnings": session.warnings,

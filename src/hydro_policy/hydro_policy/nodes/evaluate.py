@@ -31,6 +31,7 @@ from hydro_bridge.ros import (
 )
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_policy.evaluation import report
+from hydro_policy.evaluation.conditions import Conditions
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller, policy_file
 from hydro_policy.evaluation.gain_search import GridSession, GridSettings
 from hydro_policy.evaluation.session import EvaluationSession, EvaluationSettings
@@ -40,6 +41,7 @@ from hydro_policy.nodes.guarding import guard_range, uncovered
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.planned import planned, refuse_policy, surprise
 from hydro_policy.nodes.progress import EvaluationProgress
+from hydro_policy.nodes.provenance import conditions
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.mdp import BASE, GainRange
@@ -120,7 +122,7 @@ def evaluate(options: argparse.Namespace) -> int:
             return 130
         if options.plant == "external":  # only now it is known whether the graph has a page
             start_page(stack, node, wanted=options.dashboard, keep=node.sayings.keep)
-        box = Believed.of_box(node.box)
+        box, made_under = Believed.of_box(node.box), conditions(plant_options(options), node.box)
         controllers = compared(options, box)
         node.unfit = partial(surprise, box)
         node.override = GainOverride(
@@ -143,7 +145,7 @@ def evaluate(options: argparse.Namespace) -> int:
         if results.finished:  # one that was stopped hands nothing over
             node.heir = options.hand_over or ""
     json, plot = (Path(name) if name else None for name in (options.json, options.plot))
-    show_results(results, json, plot, {"plant": options.plant, "seed": options.seed})
+    show_results(results, json, plot, made_under, {"plant": options.plant, "seed": options.seed})
     return 0 if results.finished else 130
 
 
@@ -235,13 +237,15 @@ def evaluate_on(
     return session
 
 
-def show_results(results: EvaluationSession, json: Path | None, plot: Path | None, notes: dict[str, object]) -> None:
+def show_results(
+    results: EvaluationSession, json: Path | None, plot: Path | None, made_under: Conditions, notes: dict[str, object]
+) -> None:
     """Table on standard output, JSON and plot to their files."""
     if not results.scores:
         return
-    print(f"\n{report.table(results).text()}")
+    print(f"\n{report.table(results, made_under).text()}\n{made_under.sentence}")
     if json is not None:
-        report.write_json(results, json, {**notes, "code_version": code_version()})
+        report.write_json(results, json, made_under, {**notes, "code_version": code_version()})
         print(f"figures of every run: {json}", file=sys.stderr)
     if plot is not None:
         report.plot(results, plot)

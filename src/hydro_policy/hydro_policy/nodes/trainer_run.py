@@ -17,8 +17,9 @@ from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.nodes.evaluate import evaluate_on, show_results
 from hydro_policy.nodes.graph import GraphNode
-from hydro_policy.nodes.options import rearms
+from hydro_policy.nodes.options import plant_options, rearms
 from hydro_policy.nodes.progress import TrainingProgress
+from hydro_policy.nodes.provenance import conditions
 from hydro_policy.nodes.trainer_results import compared, tell_files, timing
 from hydro_policy.nodes.trainer_start import (
     Prepared,
@@ -59,8 +60,10 @@ def train(options: argparse.Namespace) -> int:
         if finished:  # a run that was stopped hands nothing over
             node.heir = options.hand_over or ""
         record.add("end", session.gave_up, **timing(node, session), complete=finished)
-        if results is not None:
-            show_results(results, run.evaluation, run.tracking_plot, {"run": str(run.path), "plant": options.plant})
+        if results is not None and node.box is not None:
+            made_under = conditions(plant_options(options), node.box)
+            notes: dict[str, object] = {"run": str(run.path), "plant": options.plant}
+            show_results(results, run.evaluation, run.tracking_plot, made_under, notes)
     record.flush()
     refresh_index(run.path)
     tell_files(run, recording, finished, options, time.monotonic() - began)
