@@ -108,7 +108,7 @@ def simulated(store: Store, authority: str, seed: int) -> Start:
 
 def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Result:
     """A run of `pretrain`; what is there of a run of another length, or of one without a checkpoint, is begun anew."""
-    table, run = folder.with_suffix(".curve.json"), RunDirectory(folder)
+    table, run = folder.with_suffix(".curve"), RunDirectory(folder)
     words = ["--resume", str(folder)]
     if not (run.latest.is_dir() and run.load_settings().episodes == episodes):
         shutil.rmtree(folder, ignore_errors=True)
