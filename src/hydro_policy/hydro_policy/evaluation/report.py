@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.cli.console import Table
-from hydro_policy.evaluation.conditions import Conditions
+from hydro_bridge.pages import Section
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
 from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import GainRange
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 
-def table(session: EvaluationSession, conditions: Conditions) -> Table:
+def table(session: EvaluationSession) -> Table:
     """Force RMSE, one row for each controller, one column for each case; mean, and spread where runs repeat."""
     cases = [case.name for case in session.settings.cases]
     columns = {"controller": "", "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
@@ -29,8 +30,15 @@ def table(session: EvaluationSession, conditions: Conditions) -> Table:
     reaches = {controller.name: controller.reach for _, _, controller in session.plan}
     for name in dict.fromkeys(score.controller for score in session.scores):
         cells = {case: _cell(runs(session.scores, name, case)) for case in cases}
-        result.add(controller=name, authority=conditions.authority(reaches[name]), **cells)
+        result.add(controller=name, authority=authority(reaches[name], session.override.base), **cells)
     return result
+
+
+def authority(reach: GainRange, base: tuple[float, float]) -> str:
+    """All that a controller may ask for on a box with these base gains: K_p [1/s], K_i [1/s^2]."""
+    changes = (reach.delta_kp_min, reach.delta_kp_max), (reach.delta_ki_min, reach.delta_ki_max)
+    ends = [(own + low, own + high) for own, (low, high) in zip(base, changes, strict=True)]
+    return ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ends)
 
 
 def runs(scores: list[Score], controller: str, case: str) -> list[Score]:
@@ -60,8 +68,8 @@ def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
     return table
 
 
-def write_json(session: EvaluationSession, path: Path, conditions: Conditions, notes: Mapping[str, Any]) -> None:
-    """Conditions, settings, every single run, and `notes`; what is not finite becomes null. Makes a missing folder."""
+def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:
+    """Settings, every single run, and `notes`; what is not finite becomes null. A missing folder is made."""
 
     def plain(score: Score) -> dict[str, Any]:
         values = asdict(score)
@@ -69,7 +77,6 @@ def write_json(session: EvaluationSession, path: Path, conditions: Conditions, n
 
     content = {
         **notes,
-        "conditions": conditions.plain(),
         "settings": asdict(session.settings),
         "units": {"rmse": "N", "peak": "N", "chatter": "A/s", "frequency": "Hz", "lost": "samples", "held": "samples"},
         "warnings": session.warnings,
@@ -77,6 +84,13 @@ def write_json(session: EvaluationSession, path: Path, conditions: Conditions, n
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def sections(session: EvaluationSession, picture: Path) -> list[Section]:
+    """Sections of a page; `picture` is that of `plot`."""
+    shown = table(session)
+    found = [Section(heading=shown.title, text=" ".join(session.warnings), table=shown)]
+    return [*found, Section(heading="Tracking at the fastest sine", picture=picture)] if picture.is_file() else found
 
 
 def plot(session: EvaluationSession, path: Path) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording or a table says of where it comes from: plant, bench file, filter, digests of all weights."""
+"""What a recording says of where it comes from: the bench file, and the digests of all weights that took part."""
 
 from __future__ import annotations
 
@@ -9,15 +9,10 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydro_bridge.safety.box_info import KnownBox
-from hydro_filter.controller.factory import Choice
-from hydro_policy.evaluation.conditions import Conditions
-from hydro_policy.nodes.guarding import relied_on
-from hydro_sim.files.pairing import Believed
 from hydro_sim.files.weights import shipped
 
 if TYPE_CHECKING:
-    from hydro_policy.nodes.companions import PlantOptions
+    from hydro_filter.controller.factory import Choice
 
 
 def bench_file(given: Path | None) -> Path:
@@ -34,19 +29,6 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path]) -> list[st
     if plant == "sim":
         words.append(f"model_sha256={_digest(shipped())}" if bench is None else "model=analytic")
     return words
-
-
-def conditions(options: PlantOptions, box: KnownBox) -> Conditions:
-    """What a table that is made on this plant was made under."""
-    extra = {"truth": options.truth, "faults": options.faults, "port": options.port}
-    told = [options.plant, *(f"{name} {value}" for name, value in extra.items() if value)]
-    if options.truth is None and options.plant == "emulator":
-        told.append("truth default")
-    external = options.plant == "external"
-    return Conditions(
-        plant=", ".join(told), bench=Believed.of_box(box).told if box.bench_digest else "",
-        filter="" if external else relied_on(options.filter), integral=box.integral, base_gains=box.base_gains,
-    )  # fmt: skip
 
 
 def of_filter(choice: Choice) -> list[str]:
