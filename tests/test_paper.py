@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -58,6 +59,24 @@ def test_a_piece_is_made_once_and_again_for_another_size(tmp_path: Path) -> None
     assert again["value"] == [None, 1.0]
     assert Store(tmp_path, FULL).kept("one") is None
     assert Store(tmp_path, replace(QUICK, seeds=3)).kept("one") is None
+
+
+def test_a_piece_that_another_one_needs_has_its_own_time(tmp_path: Path) -> None:
+    store = Store(tmp_path, QUICK)
+
+    def inner() -> dict[str, object]:
+        end = time.process_time() + 0.3
+        while time.process_time() < end:
+            pass
+        return {}
+
+    def outer() -> dict[str, object]:
+        store.piece("inner", inner)
+        return {}
+
+    assert store.piece("outer", outer)["cpu"] < 0.2
+    found = store.kept("inner")
+    assert found is not None and found["cpu"] >= 0.3
 
 
 def test_the_networks_slopes_are_its_differences(model: NetworkModel) -> None:
@@ -150,6 +169,7 @@ def test_a_page_shows_what_is_there_and_judges_it(tmp_path: Path) -> None:
         quick.piece(f"rmse-default-III-{seed}", lambda: {"rmse": [3.0, 6.0, 9.0, 12.0]})
         quick.piece(f"rmse-default-paper-I-{seed}", lambda: {"rmse": [4.0, 5.0, 8.0, float("nan")]})
     page = report.text(Store(tmp_path, FULL), quick)
-    assert "I beats fixed (90, 15) (each sine; paper: three of four) | not run yet | holds in part (4 of 8) |" in page
+    claim = "I beats fixed (90, 15) (each sine; paper: three of four)"
+    assert f"| {claim} | not run yet | holds in part (4 of 8) |  |" in page
     assert "| default | I, paper | 4.00 ± 0.00 | 5.00 ± 0.00 | 8.00 ± 0.00 | stopped 2/2 | 2 |" in page
     assert "| paper's | III | 3.27 | 6.31 | 9.73 | 12.97 |" in page

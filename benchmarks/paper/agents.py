@@ -4,16 +4,19 @@
 Authority *paper* (K_p to 90, K_i to 15) and *wide* (to 300, 100). II is `pretrain` on the shipped model; I goes on
 from it on the bench as `trainer` does, without a clock: the same samples to the bit. Bench *default* is the emulator's
 truth, *outside* is `foreign`. No filter, the bumpless integral, the mean action of the best policy of the run's own
-examinations, which for I include the one before its first episode. Sines of 300 N, one noise seed for each training
-seed.
+examinations, which for I include the one before its first episode. Sines of 300 N, each from rest: 2 s to settle, then
+at least four periods; one noise seed for each training seed.
 """
 
 from __future__ import annotations
 
+import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +31,7 @@ from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.initial_agent import Start, load_start
-from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
 from hydro_policy.sessions.training import TrainingSession
@@ -42,6 +45,8 @@ PLANTS: dict[str, Callable[[], Plant]] = {"default": lambda: TruthPlant(profile(
 EXAMS = 8
 """Examinations of I on the bench after the first."""
 CHATTER_EPISODES = 2
+EVALUATION = EvaluationSettings(periods=4)
+"""2 s to settle, at least four periods."""
 
 
 class Listening(OfflineGraph):
@@ -96,15 +101,23 @@ def _tables(store: Store, bench: str) -> None:
 
 def simulated(store: Store, authority: str, seed: int) -> Start:
     """II: the agent that `pretrain` makes, made or gone on with if it is not finished."""
-    folder = store.folder / f"II-{authority}-{seed}"
-    words = ["--resume", str(folder)] if folder.exists() else [
-        "--out", str(folder), "--configuration", authority, "--seed", str(seed), "--steps",
-        str(PRINTED["training_agent"]["steps"]),
-    ]  # fmt: skip
-    words += ["--episodes", str(store.size.simulated_episodes)]
-    command = [sys.executable, "-m", "hydro_policy.pretraining.pretrain", *words]
-    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    folder, episodes = store.folder / f"II-{authority}-{seed}", store.size.simulated_episodes
+    store.piece(f"II-{authority}-{seed}", lambda: _pretrained(folder, authority, seed, episodes))
     return load_start(folder)
+
+
+def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Result:
+    """A run of `pretrain`; what is there of a run of another length, or of one without a checkpoint, is begun anew."""
+    table, run = folder.with_suffix(".curve"), RunDirectory(folder)
+    words = ["--resume", str(folder)]
+    if not (run.latest.is_dir() and run.load_settings().episodes == episodes):
+        shutil.rmtree(folder, ignore_errors=True)
+        steps = str(PRINTED["training_agent"]["steps"])
+        words = ["--out", str(folder), "--configuration", authority, "--seed", str(seed), "--steps", steps]
+        words += ["--episodes", str(episodes)]
+    command = [sys.executable, "-m", "hydro_policy.pretraining.pretrain", *words, "--json", str(table)]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    return {"curve": json.loads(table.read_text(encoding="utf-8"))["rows"]}
 
 
 def _second(store: Store, bench: str, authority: str, seed: int) -> Result:
@@ -142,12 +155,15 @@ def _controller(start: Start, parameters: Any) -> PolicyController:
 
 
 def _rmse(bench: str, controller: Controller, seed: int) -> Result:
-    """Force RMSE [N] at the paper's sines; NaN: stopped by the box."""
+    """Force RMSE [N] at the paper's sines, each from rest, as `benchmarks.controllers` measures; NaN: stopped."""
     guard = GuardSettings(delta_kp_max=285.0, delta_ki_max=95.0)
-    graph = OfflineGraph(PLANTS[bench](), Bench.nominal(), guard=guard, seed=1000 + seed)
-    session = EvaluationSession(EvaluationSettings(), [controller], graph)
-    graph.run(session, 10.0 * session.seconds)
-    return {"rmse": [score.rmse for score in session.scores]}
+    plant, found = PLANTS[bench](), []
+    for frequency in PRINTED["rmse"]["frequencies"]:
+        graph = OfflineGraph(plant, Bench.nominal(), guard=guard, seed=1000 + seed)
+        session = EvaluationSession(replace(EVALUATION, frequencies=(float(frequency),)), [controller], graph)
+        graph.run(session, 10.0 * session.seconds)
+        found += [score.rmse for score in session.scores]
+    return {"rmse": found}
 
 
 def _chatter(store: Store, chosen: str, seed: int) -> Result:

@@ -33,6 +33,9 @@ TABLE = PRINTED["training_metric"]
 WINDOWS, HELD_OUT = 200, 5
 SETTLED = 300
 """Samples at a rollout's beginning that are not used: the gains fade in."""
+PLACES = torch.zeros(len(ROWS), STATES * STATES)
+"""1 where an entry of the network's output belongs in M's factor."""
+PLACES[torch.arange(len(ROWS)), torch.from_numpy(STATES * ROWS + COLUMNS)] = 1.0
 
 
 class Samples(NamedTuple):
@@ -51,24 +54,28 @@ class Samples(NamedTuple):
 
 
 def run(store: Store) -> None:
-    """Three epochs and many, for each seed; then what is ours."""
+    """The paper's metric of each seed, then what is ours."""
     for seed in range(store.size.seeds):
-        for epochs in (TABLE["epochs"], store.size.metric_epochs):
-            store.piece(f"metric-{epochs}-{seed}", lambda e=epochs, s=seed: _trained(store, e, s))  # type: ignore[misc]
+        train(store, seed)
     store.piece("metric-ours", _ours)
+
+
+def train(store: Store, seed: int) -> Result:
+    """A metric after three epochs and after many, one training, if it is not there yet."""
+    return store.piece(f"metric-{seed}", lambda: _trained(store, seed))
 
 
 def model_of(store: Store, seed: int) -> NetworkModel:
     """The network model of a seed, trained if it is not there; ValueError if its weights are gone."""
-    models.run(store)
+    models.train(store, "squared", seed)
     model = Learned.load(models.weights(store, "squared", seed)).model
     assert isinstance(model, NetworkModel)
     return model
 
 
 def load(store: Store, epochs: int, seed: int) -> NetworkMetric:
-    """A metric that was trained."""
-    run(store)
+    """A metric as it was after 3 or all epochs, trained if it is not there."""
+    train(store, seed)
     with np.load(_file(store, epochs, seed)) as found:
         layers = tuple(found[f"layer{n}"] for n in range(6))
         return NetworkMetric(layers, found["center"], found["scale"])
@@ -78,7 +85,7 @@ def _file(store: Store, epochs: int, seed: int) -> Path:
     return store.folder / f"metric-{epochs}-{seed}.npz"
 
 
-def _trained(store: Store, epochs: int, seed: int) -> Result:
+def _trained(store: Store, seed: int) -> Result:
     torch.manual_seed(seed)
     model = model_of(store, seed)
     training, held_out, labels = material(model, store.size.rollouts, seed)
@@ -88,16 +95,17 @@ def _trained(store: Store, epochs: int, seed: int) -> Result:
     ).double()  # fmt: skip
     optimizer = torch.optim.Adam(network.parameters(), lr=TABLE["learning_rate"])
     history = [judged(network, held_out)]
-    for _ in range(epochs):
+    for epoch in range(1, store.size.metric_epochs + 1):
         for batch in torch.randperm(len(training.z)).split(TABLE["batch"]):
             value = loss(network, Samples(*(part[batch] for part in training)))
             optimizer.zero_grad()
             value.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
         history.append(judged(network, held_out))
-    kept = {f"layer{n}": p.detach().numpy().T for n, p in enumerate(network.parameters())}
-    np.savez(_file(store, epochs, seed), center=model.center, scale=model.scale, **kept)
-    return {"epochs": epochs, "windows": len(training.z), "rollouts": labels, "history": history, **history[-1]}
+        if epoch in (TABLE["epochs"], store.size.metric_epochs):
+            kept = {f"layer{n}": p.detach().numpy().T for n, p in enumerate(network.parameters())}
+            np.savez(_file(store, epoch, seed), center=model.center, scale=model.scale, **kept)
+    return {"windows": len(training.z), "rollouts": labels, "history": history}
 
 
 def growth(network: torch.nn.Module, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:
@@ -124,10 +132,8 @@ def loss(network: torch.nn.Module, samples: Samples) -> torch.Tensor:
 
 
 def _lower(flat: torch.Tensor) -> torch.Tensor:
-    """The triangular matrix of entries by rows."""
-    factor = torch.zeros((*flat.shape[:-1], STATES, STATES), dtype=flat.dtype)
-    factor[..., ROWS, COLUMNS] = flat
-    return factor
+    """The triangular matrix of entries by rows: by a product, which is quicker than to write them one by one."""
+    return (flat @ PLACES.to(flat.dtype)).unflatten(-1, (STATES, STATES))
 
 
 @torch.no_grad()

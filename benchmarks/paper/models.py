@@ -43,9 +43,14 @@ def run(store: Store) -> None:
     """All networks and both other models."""
     for seed in range(store.size.seeds):
         for loss in LOSSES:
-            store.piece(f"model-{loss}-{seed}", lambda loss=loss, seed=seed: _trained(store, loss, seed))  # type: ignore[misc]
+            train(store, loss, seed)
     store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal())))
     store.piece("model-ours", lambda: judged(Learned.load().model))
+
+
+def train(store: Store, loss: str, seed: int) -> Result:
+    """One network, if it is not there yet."""
+    return store.piece(f"model-{loss}-{seed}", lambda: _trained(store, loss, seed))
 
 
 def _trained(store: Store, loss: str, seed: int) -> Result:

@@ -9,32 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.paper import claims
+from benchmarks.paper import captions, claims
 from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, PRINTED, TIMES, Result, Store
 from hydro_bridge.cli.console import Table
 from hydro_bridge.files.atomic import write_whole
-
-HEAD = """# The paper, row by row
-
-*This page is made by `make paper` from the pieces that were run; do not edit it.*
-
-The paper's own method on the emulated bench, beside the paper's numbers and ours. All figures but the paper's are the
-emulator's: orders and signs compare, Newtons do not. *quick*: `make paper ARGS=--quick`, sizes far below the paper's,
-which show that the method runs and nothing about what it comes to; *full*: `make paper`, hours. A row that is not
-there was not run yet. Cells: mean ± standard deviation over seeds, where there is more than one.
-"""
-
-OPEN = """
-## What the paper leaves open
-
-- *Normalized* errors: over each state's range here; over the standard deviation in the pieces' `over_std`.
-- The share in gamma_2 and gamma_4 is of violations here: "verified" in 0.14 % of the steps of a stable controller, as
-  the text has it, would be a certificate that never holds.
-- v has the sign of the erratum: with the printed one a correction pushes the force away from its reference.
-- A, B, K are exact slopes, where the paper takes differences; the metric's rollouts: K_p -40 to 200 1/s, without noise.
-- II is trained on the shipped model, not on the 2x32 network: the gap from simulation to bench is the smaller for it.
-- No filter stands in the runs of Table rmse.
-"""
 
 Rows = list[list[str]]
 
@@ -60,7 +38,7 @@ def write(full: Store, quick: Store, page: Path | None, json: Path | None) -> No
 
 def text(full: Store, quick: Store) -> str:
     """The whole page."""
-    parts = [HEAD, _claims(full, quick), OPEN]
+    parts = [captions.HEAD, _claims(full, quick), captions.OPEN]
     for store in (full, quick):
         parts.append(_sizes(store))
         if any(store.folder.glob("*.json")):
@@ -75,8 +53,8 @@ def _claims(full: Store, quick: Store) -> str:
         for store in (full, quick):
             words, right, count = claim.verdict(store)
             row.append(f"{words} ({right} of {count})" if count else words)
-        rows.append(row)
-    return "\n## Claims\n\n" + markdown(["claim", "full", "quick"], rows)
+        rows.append([*row, claim.reason(full) or claim.reason(quick)])
+    return "\n## Claims\n\n" + markdown(["claim", "full", "quick", "why"], rows)
 
 
 def _sizes(store: Store) -> str:
@@ -88,9 +66,7 @@ def _sizes(store: Store) -> str:
         f"{size.rollouts} rollouts;\nruns of {size.validation_seconds:g} s; II {size.simulated_episodes} and I "
         f"{size.bench_episodes} episodes of {PRINTED['training_agent']['steps']} steps.\n"
     )
-    return (
-        f"\n## Size {size.name}\n\n{told}{len(done)} pieces are there, {spent:.1f} min of CPU without II's training.\n"
-    )
+    return f"\n## Size {size.name}\n\n{told}{len(done)} pieces are there, {spent:.1f} min of CPU.\n"
 
 
 def _models(store: Store) -> str:
@@ -104,21 +80,17 @@ def _models(store: Store) -> str:
     for who in ("trained", "analytic"):
         rows.append([f"paper, {who}", *(f"{value:.4f}" for value in printed[who]), *[""] * len(TIMES)])
     head = ["", *printed["states"], *(f"f_l after {n} [N]" for n in TIMES)]
-    return "\n### Table rmse_model\n\n70-sample predictions, over the state's range.\n\n" + markdown(head, rows)
+    return captions.MODELS + "\n" + markdown(head, rows)
 
 
 def _metrics(store: Store) -> str:
-    rows = []
-    for epochs in (PRINTED["training_metric"]["epochs"], store.size.metric_epochs):
-        if found := _all(store, f"metric-{epochs}-{{}}"):
-            columns = [[row[key] for row in (one["history"][0], one["history"][-1])] for one in found
-                       for key in ("loss",)]  # fmt: skip
-            shares = [cell([100.0 * one[key] for one in found]) for key in ("stable_verified", "unstable_found")]
-            rows.append([str(epochs), *cells(columns, 3), *shares, cell([one["windows"] for one in found])])
-    head = ["epochs", "loss before", "loss after", "stable samples verified [%]", "unstable samples found [%]",
-            "windows"]  # fmt: skip
-    body = markdown(head, rows) if rows else "not run yet\n"
-    return "\n### Table training_metric\n\nOn rollouts not trained on.\n\n" + body
+    rows, found = [], _all(store, "metric-{}")
+    for epochs in (0, PRINTED["training_metric"]["epochs"], store.size.metric_epochs) if found else ():
+        after = [one["history"][epochs] for one in found]
+        shares = [cell([100.0 * one[key] for one in after]) for key in ("stable_verified", "unstable_found")]
+        rows.append([str(epochs), cell([one["loss"] for one in after], 3), *shares, str(len(found))])
+    head = ["epochs", "loss", "stable samples verified [%]", "unstable samples found [%]", "seeds"]
+    return captions.METRICS + "\n" + (markdown(head, rows) if rows else "not run yet\n")
 
 
 def _validation(store: Store) -> str:
@@ -126,16 +98,14 @@ def _validation(store: Store) -> str:
     for name in CASES:
         for chosen in FILTERS:
             if found := store.kept(f"validation-{name}-{chosen}"):
-                bounded = f"{found['bounded']}/{found['runs']}"
-                rows.append(
-                    [name, chosen, bounded, cell(found["rmse"]), cell(found["chatter"]), *cells(found["gammas"], 3)]
-                )
+                bounded = f"{sum(found['bounded'])}/{len(found['bounded'])}"
+                figures = [cell(found["rmse"]), cell(found["chatter"], 3), *cells(found["gammas"], 3)]
+                rows.append([name, chosen, bounded, *figures])
         if name in PRINTED["val_cont"]:
             rows.append([name, "printed", "", "", "", *(f"{value:g}" for value in PRINTED["val_cont"][name])])
     head = ["gains", "filter", "bounded", "RMSE [N]", "u' [A/s]", "gamma_1 [%]", "gamma_2 [%]", "gamma_3",
             "gamma_4 [%]", "gamma_5"]  # fmt: skip
-    told = "gamma_2 and gamma_4: M_c > 0. *none* is judged by our metric; gamma_3 and gamma_5 compare within a filter."
-    return f"\n### Table val_cont\n\n{told}\n\n" + markdown(head, rows)
+    return captions.VALIDATION + "\n" + (markdown(head, rows) if _any(rows) else "not run yet\n")
 
 
 def _rmse(store: Store) -> str:
@@ -148,7 +118,7 @@ def _rmse(store: Store) -> str:
                 rows.append([bench, who, *cells([one["rmse"] for one in found], 2), str(len(found))])
     rows += [["paper's", who, *(f"{value:.2f}" for value in PRINTED["rmse"][who]), ""] for who in ("I", "II", "III")]
     head = ["bench", "controller, authority", *(f"{f:g} Hz" for f in PRINTED["rmse"]["frequencies"]), "seeds"]
-    return "\n### Tables training_agent and rmse\n\nForce RMSE [N], sines of 300 N.\n\n" + markdown(head, rows)
+    return captions.RMSE + "\n" + markdown(head, rows)
 
 
 def _chatter(store: Store) -> str:
@@ -158,7 +128,12 @@ def _chatter(store: Store) -> str:
             trips = sum(one["trips"] for one in found)
             rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(len(found))])
     body = markdown(["filter", "u' RMS [A/s]", "trips", "seeds"], rows) if rows else "not run yet\n"
-    return "\n### Chattering in training\n\nOf I's first episodes, paper's authority, default bench.\n\n" + body
+    return captions.CHATTER + "\n" + body
+
+
+def _any(rows: Rows) -> bool:
+    """Whether there is more than printed numbers."""
+    return any(row[1] != "printed" for row in rows)
 
 
 def _all(store: Store, name: str) -> list[Result]:

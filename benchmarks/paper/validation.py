@@ -7,8 +7,6 @@ makes sense, which its text calls "verified". M_c of different metrics are diffe
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from benchmarks.paper import metric
@@ -49,13 +47,13 @@ def _cell(store: Store, name: str, chosen: str) -> Result:
         trial = Trial(bench=bench, reference=case.reference, gains=gains, seed=seed)
         done.append(run_trial(trial, plant, corrector(store, chosen, seed)))
     each = [gammas(one.results, bench.valve_current_max) for one in done]
-    settled: Callable[[Run], Run] = lambda one: one._replace(states=one.states[min(2000, len(one.states) // 2) :])  # noqa: E731
-    errors = [runs.error_of(settled(one).states) for one in done]
+    settled = [one.states[min(runs.SETTLING, len(one.states) // 2) :] for one in done]
+    errors = [runs.error_of(states) for states in settled]
     units = np.array([100.0, 100.0, 1.0, 100.0, 1.0])
     return {
-        "bounded": sum(one.bounded for one in done), "runs": len(done),
+        "bounded": [one.bounded for one in done],
         "seconds": [len(one.states) * SAMPLE_PERIOD for one in done],
         "rmse": [float(np.sqrt(np.mean(error**2))) for error in errors],
-        "chatter": [runs.chattering(settled(one).states) for one in done],
+        "chatter": [runs.chattering(states) for states in settled],
         "gammas": (units * np.array(each)).tolist(),
     }  # fmt: skip

@@ -25,7 +25,7 @@ SHORT = TrainingSettings(
     episodes=1,
     warmup_steps=50,
     replay_capacity=4000,
-    exam=ExamSettings(every=1, settle=0.5, measure=0.5),
+    exam=ExamSettings(every=1, settle=0.5, measure=0.5, repeats=1),
     sac=SacSettings(batch_size=32),
     task=TaskSettings(steps_per_episode=150),
 )

@@ -34,7 +34,7 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
 BENCH = replace(Bench.nominal(), load_cell_bandwidth=25.0)  # with which K_p beyond about 100 1/s is unstable
-EXAM = ExamSettings(every=1, settle=0.5, measure=0.5)
+EXAM = ExamSettings(every=1, settle=0.5, measure=0.5, repeats=1)
 
 
 def settings(*, episodes: int = 2, top: float = 75.0, **more: object) -> TrainingSettings:

@@ -7,6 +7,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.sac.policy import Policy
@@ -20,6 +22,9 @@ from hydro_policy.task.scoring import Score
 
 RETRIES = 2
 """Of a sine in which corrections came late: what it says is not the policy's doing."""
+
+SURE = 2.0
+"""Standard errors that a score must be better by; one in forty of those that only seem so."""
 
 EXAMINED = "policy"
 """Name of the policy in an examination's scores."""
@@ -40,9 +45,11 @@ class Verdict:
     """What came out; one number for each sine, in the order of the settings."""
 
     rmse: tuple[float, ...]
-    """N, of the policy."""
+    """N, of the policy, mean over the repeats."""
     reference: tuple[float, ...]
     """N, of the fixed gains."""
+    errors: tuple[float, ...] = ()
+    """N, standard errors of `rmse` by the scatter of the repeats; empty: there were none."""
 
     @property
     def ratios(self) -> tuple[float, ...]:
@@ -55,9 +62,28 @@ class Verdict:
         return math.fsum(self.ratios) / len(self.ratios)
 
     @property
+    def score_error(self) -> float:
+        """Standard error of the score; 0 without repeats. That of the reference is common to all scores of a run."""
+        return math.hypot(*(own / other for own, other in zip(self.errors, self.reference, strict=False))) / len(
+            self.rmse
+        )
+
+    @property
     def beaten(self) -> int:
         """Sines at which it beats them."""
         return sum(ratio < 1.0 for ratio in self.ratios)
+
+
+def surely_better(score: float, best: float, errors: Sequence[float]) -> bool:
+    """Whether a score is below the best one by more than the noise of both.
+
+    Parameters
+    ----------
+    errors
+        Standard errors of all scores of the run: two runs of a sine alone say too little of their scatter.
+    """
+    noise = math.hypot(*errors) / math.sqrt(len(errors)) if errors else 0.0
+    return score < best - SURE * math.sqrt(2.0) * noise
 
 
 def examination(
@@ -86,9 +112,20 @@ def failure(scores: Sequence[Score]) -> str:
 def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[float]:
     """N, of the fixed gains; those that had to be stopped are worth as much as no tracking at all."""
     nothing = settings.evaluation.amplitude / math.sqrt(2.0)
-    return [nothing if score.stopped else score.rmse for score in scores if score.controller != EXAMINED]
+    return [
+        float(np.mean([nothing if score.stopped else score.rmse for score in runs]))
+        for runs in _by_case([score for score in scores if score.controller != EXAMINED])
+    ]
 
 
 def verdict(scores: Sequence[Score], reference: Sequence[float]) -> Verdict:
     """Of an examination that the policy came through."""
-    return Verdict(tuple(score.rmse for score in scores if score.controller == EXAMINED), tuple(reference))
+    runs = [[score.rmse for score in one] for one in _by_case([s for s in scores if s.controller == EXAMINED])]
+    errors = tuple(float(np.std(one, ddof=1)) / math.sqrt(len(one)) for one in runs if len(one) > 1)
+    return Verdict(tuple(float(np.mean(one)) for one in runs), tuple(reference), errors)
+
+
+def _by_case(scores: Sequence[Score]) -> list[list[Score]]:
+    """The runs of each sine, sines in the order in which they first came."""
+    names = dict.fromkeys(score.case for score in scores)
+    return [[score for score in scores if score.case == name] for name in names]

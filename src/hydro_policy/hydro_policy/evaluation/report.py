@@ -17,18 +17,28 @@ from hydro_bridge.pages import Section
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
 from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import GainRange
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 
 def table(session: EvaluationSession) -> Table:
     """Force RMSE, one row for each controller, one column for each case; mean, and spread where runs repeat."""
     cases = [case.name for case in session.settings.cases]
-    columns = {"controller": "", **dict.fromkeys(cases, "")}
+    columns = {"controller": "", "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
     result = Table(columns, title=f"Force RMSE [N], sines of {session.settings.amplitude:g} N{spread}")
+    reaches = {controller.name: controller.reach for _, _, controller in session.plan}
     for name in dict.fromkeys(score.controller for score in session.scores):
-        result.add(controller=name, **{case: _cell(runs(session.scores, name, case)) for case in cases})
+        cells = {case: _cell(runs(session.scores, name, case)) for case in cases}
+        result.add(controller=name, authority=authority(reaches[name], session.override.base), **cells)
     return result
+
+
+def authority(reach: GainRange, base: tuple[float, float]) -> str:
+    """All that a controller may ask for on a box with these base gains: K_p [1/s], K_i [1/s^2]."""
+    changes = (reach.delta_kp_min, reach.delta_kp_max), (reach.delta_ki_min, reach.delta_ki_max)
+    ends = [(own + low, own + high) for own, (low, high) in zip(base, changes, strict=True)]
+    return ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ends)
 
 
 def runs(scores: list[Score], controller: str, case: str) -> list[Score]:

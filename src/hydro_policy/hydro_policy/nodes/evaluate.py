@@ -150,7 +150,7 @@ def evaluate(options: argparse.Namespace) -> int:
         )
         if results.finished:  # one that was stopped hands nothing over
             node.heir = options.hand_over or ""
-    notes = conditions(options, seed=options.seed)
+    notes = conditions(options, seed=options.seed, box=box.told, integral=box.integral or "not told")
     json, plot = (Path(name) if name else None for name in (options.json, options.plot))
     show_results(results, run, notes, json=json, plot=plot)
     if results.scores:

@@ -152,8 +152,9 @@ def _exam_line(result: dict[str, Any], session: TrainingSession) -> str:
     settings = session.settings.exam
     rmse = " ".join(f"{value:.1f}" for value in result["rmse"])
     fixed = f"({settings.reference_kp:g}, {settings.reference_ki:g})"
+    error = f" +- {result['error']:.3f}" if result.get("error") else ""
     return (
-        f"examined after episode {result['episode']}: RMSE {rmse} N, {result['score']:.3f} of fixed {fixed}, "
+        f"examined after episode {result['episode']}: RMSE {rmse} N, {result['score']:.3f}{error} of fixed {fixed}, "
         f"better at {result['beaten']} of {len(result['rmse'])} sines{'; the best so far' if result['best'] else ''}"
     )
 

@@ -65,7 +65,8 @@ def show_results(
     """Table on standard output; figures and plot into the run's folder, and to `json` and `plot`."""
     if not results.scores:
         return
-    print(f"\n{report.table(results).text()}")
+    under = ", ".join(f"{name} {value}" for name, value in notes.items())
+    print(f"\n{report.table(results).text()}\n{under}")
     for file in filter(None, (run.evaluation, json)):
         report.write_json(results, file, notes)
     report.plot(results, run.tracking_plot)

@@ -75,17 +75,21 @@ class RunState:
         return best
 
     def add_exam(self, scores: Sequence[Score]) -> bool:
-        """Enter an examination that the policy came through; True if it is the best so far."""
+        """Enter an examination that the policy came through; True if it is surely better than the best so far.
+
+        The first one is that of the policy that came: what the run hands back is that, or better by more than noise.
+        """
         progress, settings = self.progress, self._settings.exam
         progress.reference_rmse = progress.reference_rmse or policy_examination.reference_rmse(settings, scores)
         verdict = policy_examination.verdict(scores, progress.reference_rmse)
-        best = verdict.score < progress.best_score
+        errors = [*(exam.get("error", 0.0) for exam in progress.exams), verdict.score_error]
+        best = policy_examination.surely_better(verdict.score, progress.best_score, errors)
         self.keeper.accept(best)
-        progress.examined, progress.best_score = progress.episode, min(verdict.score, progress.best_score)
+        progress.examined, progress.best_score = progress.episode, verdict.score if best else progress.best_score
         if progress.passed_at < 0 and verdict.beaten == len(verdict.rmse):
             progress.passed_at = progress.episode
-        result = {"episode": progress.episode, "rmse": verdict.rmse, "score": verdict.score, "best": best}
-        progress.exams.append({**result, "rmse": list(verdict.rmse), "beaten": verdict.beaten})
+        result = {"episode": progress.episode, "rmse": list(verdict.rmse), "beaten": verdict.beaten}
+        progress.exams.append({**result, "score": verdict.score, "error": verdict.score_error, "best": best})
         self.record.add("exam", **progress.exams[-1], reference_rmse=progress.reference_rmse)
         return best
 

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which policy is the best by examinations that are noisy: better by more than their scatter, or the one that came."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydro_policy.evaluation.policy_examination import EXAMINED, reference_rmse, surely_better, verdict
+from hydro_policy.runs.record import RunRecord
+from hydro_policy.runs.run import TrainingSettings
+from hydro_policy.sac.algorithm import Sac
+from hydro_policy.sac.snapshot import actor_parameters, dump
+from hydro_policy.sessions.episode import Progress
+from hydro_policy.sessions.run_state import RunState
+from hydro_policy.task.cases import ExamSettings
+from hydro_policy.task.mdp import ACTIONS, OBSERVATIONS
+from hydro_policy.task.scoring import Score
+
+CASES = ("0.5 Hz", "1 Hz", "1.5 Hz", "2 Hz")
+FIXED = np.array([5.0, 12.0, 20.0, 40.0])
+
+
+def scores(runs: np.ndarray, controller: str = EXAMINED) -> list[Score]:
+    """Of runs, N, shape (repeats, cases)."""
+    return [
+        Score(controller=controller, case=case, frequency=1.0, repeat=repeat, rmse=float(value))
+        for repeat, row in enumerate(runs)
+        for case, value in zip(CASES, row, strict=True)
+    ]
+
+
+class Learner:
+    """Gives one state after another."""
+
+    entropy_coefficient, updates = 0.0, 0
+
+    def __init__(self) -> None:
+        self.states: list[bytes] = []
+        self.learn()
+
+    def learn(self) -> None:
+        """Another state."""
+        settings = replace(TrainingSettings().sac, seed=len(self.states))
+        self.states.append(dump(Sac(OBSERVATIONS, ACTIONS, settings)))
+
+    def snapshot(self) -> bytes:
+        return self.states[-1]
+
+    def keep(self, good: bytes) -> None:
+        pass
+
+
+def test_a_verdict_has_the_mean_of_the_repeats_and_its_standard_error() -> None:
+    found = verdict(scores(FIXED * np.array([[0.9], [1.1]])), FIXED)
+    np.testing.assert_allclose(found.rmse, FIXED)
+    assert found.score == pytest.approx(1.0)
+    # Each sine: standard deviation 0.1 sqrt(2), of a mean of two 0.1; of the mean of four independent sines half that.
+    assert found.score_error == pytest.approx(0.05)
+    assert verdict(scores(FIXED[np.newaxis]), FIXED).score_error == 0.0
+
+
+def test_fixed_gains_that_were_stopped_in_one_repeat_count_as_no_tracking_there() -> None:
+    runs = scores(np.array([FIXED, FIXED]), "fixed (90, 15)")
+    runs[0] = Score(controller="fixed (90, 15)", case=CASES[0], frequency=0.5, repeat=0, stopped="it cycled")
+    found = reference_rmse(ExamSettings(), runs)
+    np.testing.assert_allclose(found, [(5.0 + 300.0 / np.sqrt(2.0)) / 2.0, *FIXED[1:]])
+
+
+@pytest.mark.parametrize(
+    ("score", "errors", "better"),
+    [(0.9, [0.0, 0.0], True), (0.9, [0.05, 0.05], False), (0.9, [0.03, 0.03], True), (0.9, [0.0, 0.07], False)],
+)
+def test_better_is_better_by_more_than_the_noise(score: float, errors: list[float], better: bool) -> None:
+    assert surely_better(score, 1.0, errors) is better
+
+
+def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better() -> None:
+    learner, progress = Learner(), Progress(reference_rmse=FIXED.tolist())
+    state = RunState(TrainingSettings(), learner, progress, None, RunRecord())  # type: ignore[arg-type]
+    came = actor_parameters(learner.states[0])
+
+    def examined(share: float, scatter: float) -> bool:
+        state.keeper.propose()
+        return state.add_exam(scores(share * FIXED * np.array([[1.0 - scatter], [1.0 + scatter]])))
+
+    assert examined(0.5, 0.04)
+    learner.learn()
+    assert not examined(0.48, 0.04), "better by less than the scatter"
+    np.testing.assert_array_equal(state.keeper.best, came)
+    assert progress.best_score == pytest.approx(0.5)
+    assert examined(0.3, 0.04)
+    np.testing.assert_array_equal(state.keeper.best, actor_parameters(learner.states[1]))
+    assert np.any(state.keeper.best != came)
