@@ -20,7 +20,7 @@ from benchmarks.beyond_the_table.score import scored, summary
 from benchmarks.foreign_truth import plant as foreign
 from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.recordings import reference
-from hydro_sim.model.laws import LAWS
+from hydro_sim.model.grammar import LAWS
 
 ROOT = Path(__file__).resolve().parent.parent
 KIND = {kind.name: kind for kind in KINDS}

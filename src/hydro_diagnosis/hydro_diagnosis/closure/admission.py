@@ -120,5 +120,9 @@ def _report(claim: Claim, effect: Closure, bounds: Sequence[Interval], found: Ad
 
 def _expression(claim: Claim, effect: Closure) -> str:
     if isinstance(effect.law, Law):
-        return f"{claim.values['coefficient']:.4g} {effect.law.unit} * {effect.law.text}"
-    return f"f({effect.law.variable}), a sum of {len(effect.parameters)} cubic B-splines, constant beyond"
+        element = effect.law.element
+        over = f", {element.number} = {claim.values[element.number]:.4g} {element.unit}" if element else ""
+        return f"{claim.values['coefficient']:.4g} {effect.law.unit} * {effect.law.text}{over}"
+    factor = f"{effect.law.factor.text} " if effect.law.factor else ""
+    count = len(effect.parameters)
+    return f"{factor}f({effect.law.variable}), a sum of {count} cubic B-splines, constant beyond"

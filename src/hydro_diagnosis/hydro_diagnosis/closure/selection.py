@@ -21,8 +21,9 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import score
 from hydro_diagnosis.selection.verdict import Assessment
-from hydro_sim.model import laws
+from hydro_sim.model import grammar
 from hydro_sim.model.effects.catalogue import CLOSURES
+from hydro_sim.model.laws import Law
 
 TERMS = 3
 """Of a law at most."""
@@ -59,31 +60,30 @@ def closures(problem: Problem, assessment: Assessment) -> list[Closed]:
 
 
 def _laws(problem: Problem) -> list[Claim]:
-    return [
-        _nothing(closure(law, problem.bench)) for law in laws.LAWS if _visible(closure(law, problem.bench), problem)
-    ]
+    effects = [closure(law, problem.bench) for law in grammar.LAWS]
+    return [one for effect in effects if _visible(effect, problem) for one in _nothing(effect)]
 
 
 def _tables(problem: Problem) -> list[Claim]:
     tables = []
-    for table in laws.TABLES:
+    for table in grammar.TABLES:
         if not _visible(closure(table, problem.bench), problem):
             continue
         values = np.concatenate([variable_of(model, table.variable)[model.settle :] for model in problem.models])
         low, high = np.percentile(values, [INSIDE, 100.0 - INSIDE])
         if high > low:
-            tables.append(_nothing(closure(table, problem.bench, (float(low), float(high)))))
+            tables += _nothing(closure(table, problem.bench, (float(low), float(high))))
     return tables
 
 
 def _visible(effect: Closure, problem: Problem) -> bool:
     pressures = all({"pressure_a", "pressure_b"} <= set(model.channels) for model in problem.models)
-    text = effect.law.text if isinstance(effect.law, laws.Law) else ""
-    return bool(effect.touches & set(problem.blocks)) and (pressures or "p_" not in text)
+    text = effect.law.text if isinstance(effect.law, Law) else f"{effect.law.variable} {effect.law.form}"
+    return bool(effect.touches & set(problem.blocks)) and (pressures or not any(name in text for name in ("p_", "pressure")))
 
 
-def _nothing(effect: Closure) -> Claim:
-    return Claim(effect, {one.name: 0.0 for one in effect.parameters})
+def _nothing(effect: Closure) -> list[Claim]:
+    return [Claim(effect, values) for values in effect.nothing()]
 
 
 def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, float]:
@@ -100,8 +100,9 @@ def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, fl
         there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
         if before - after[best] < max(THRESHOLD, LEAST * there_is):
             break
-        chosen = candidates.pop(best)
-        columns.pop(best)
+        chosen = candidates[best]
+        others = [k for k, one in enumerate(candidates) if one.effect.label != chosen.effect.label]
+        candidates, columns = [candidates[k] for k in others], [columns[k] for k in others]
         better = fit(problem, (*current.claims, chosen))
         if score(problem, current) - score(problem, better) < THRESHOLD:
             continue
