@@ -20,7 +20,7 @@ from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import score
+from hydro_diagnosis.selection.outcome import SearchSettings, score
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model import grammar
 from hydro_sim.model.effects.catalogue import CLOSURES
@@ -32,6 +32,8 @@ THRESHOLD = 30.0
 """Held-out deviance that a term must gain, as a name must gain in evidence."""
 LEAST = 0.02
 """Share of what there is to gain that a term must bring: less is mimicry of another's form."""
+FORM_ERROR = SearchSettings().form_error
+"""Share of the signature of terms that stand already that their form may be off by: another must explain more."""
 CONDENSED = 0.05
 """Share of what a smooth function gains that a law may lack of it."""
 INSIDE = 0.1
@@ -81,7 +83,8 @@ def _tables(problem: Problem) -> list[Claim]:
 def _visible(effect: Closure, problem: Problem) -> bool:
     pressures = all({"pressure_a", "pressure_b"} <= set(model.channels) for model in problem.models)
     text = effect.law.text if isinstance(effect.law, Law) else f"{effect.law.variable} {effect.law.form}"
-    return bool(effect.touches & set(problem.blocks)) and (pressures or not any(name in text for name in ("p_", "pressure")))
+    needed = "p_" in text or "pressure" in text
+    return bool(effect.touches & set(problem.blocks)) and (pressures or not needed)
 
 
 def _nothing(effect: Closure) -> list[Claim]:
@@ -106,7 +109,7 @@ def _grown(problem: Problem, base: Fit, terms: Sequence[Claim], dropped: Sequenc
         others = [k for k, one in enumerate(candidates) if one.effect.label != chosen.effect.label]
         candidates, columns = [candidates[k] for k in others], [columns[k] for k in others]
         better = fit(problem, (*current.claims, chosen))
-        if score(problem, current) - score(problem, better) < THRESHOLD:
+        if score(problem, current) - score(problem, better) < THRESHOLD or _mimics(problem, current, better):
             continue
         gained += before - after[best]
         taken += 1
@@ -120,9 +123,22 @@ def _beside(problem: Problem, found: Fit, dropped: Sequence[Claim]) -> Fit:
     for claim in dropped:
         if claim.effect.label not in standing and noticeable(problem, found.residual):
             more = fit(problem, (*found.claims, claim))
-            found = more if score(problem, found) - score(problem, more) >= THRESHOLD else found
+            pays = score(problem, found) - score(problem, more) >= THRESHOLD
+            found = more if pays and not _mimics(problem, found, more) else found
     for claim in found.claims:
         if claim.effect.named:
             fewer = fit(problem, tuple(one for one in found.claims if one.effect is not claim.effect))
-            found = fewer if score(problem, fewer) - score(problem, found) < THRESHOLD else found
+            idle = score(problem, fewer) - score(problem, found) < THRESHOLD or _mimics(problem, fewer, found)
+            found = fewer if idle else found
     return found
+
+
+def _mimics(problem: Problem, before: Fit, after: Fit) -> bool:
+    """Whether what comes after explains no more, in any channel, than the terms before may be off by in their form."""
+    named = tuple(claim for claim in before.claims if not isinstance(claim.effect, Closure))
+    if len(named) == len(before.claims):
+        return False
+    channel = problem.layout.channel
+    signature = np.bincount(channel, np.square(problem.residual(named) - before.residual))
+    added = np.bincount(channel, np.square(before.residual) - np.square(after.residual))
+    return bool(np.all(added <= FORM_ERROR**2 * signature))
