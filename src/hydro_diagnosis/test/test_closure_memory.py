@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
-from hydro_diagnosis.closure.admission import reports
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects.path_memory import along
 from hydro_diagnosis.estimation.fit import fit

@@ -10,6 +10,7 @@ import numpy as np
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.laws import SIGN_VELOCITY, Element, Factor, Law, Signals, Table
 
+
 def _sign(velocity: Symbol) -> Symbol:
     return np.tanh(velocity / SIGN_VELOCITY)
 
