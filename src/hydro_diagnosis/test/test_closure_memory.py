@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws with a state are found with both of their numbers; names come back beside a closure."""
+"""Laws with a state are found with both of their numbers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.effects import LIBRARY
-from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.path_memory import along
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
@@ -61,20 +59,3 @@ def test_what_a_bench_remembers_is_found_with_both_numbers(
     amplitude, shape = intervals(problem, law.fit)
     assert amplitude.value == pytest.approx(coefficient, rel=0.05)
     assert shape.value == pytest.approx(value, rel=0.1)
-
-
-def test_names_that_were_dropped_come_back_beside_a_closure_and_those_that_mimicked_it_do_not(
-    record: Callable[..., StateArray],
-) -> None:
-    drag = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 600.0}}
-    coulomb = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
-    problem = _problem(record(replace(BENCH, closures=(drag,), effects=(coulomb,)), 3))
-    named = {effect.label: effect.adapted(BENCH) for effect in LIBRARY}
-    nothing = fit(problem, ())
-    claims = (Claim(named["friction_viscous"], {"coefficient": 90.0}), Claim(named["friction_coulomb"], {"force": 3.0}))
-    judged = replace(assess(problem, nothing, nothing), dropped=claims)
-    law = closures(problem, judged)[0]
-    values = {claim.effect.label: claim.values for claim in law.fit.claims}
-    assert set(values) == {"closure:motion:quadratic drag", "friction_coulomb"}
-    assert values["friction_coulomb"]["force"] == pytest.approx(8.0, rel=0.05)
-    assert values["closure:motion:quadratic drag"]["coefficient"] == pytest.approx(600.0, rel=0.02)

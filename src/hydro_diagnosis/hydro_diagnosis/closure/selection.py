@@ -2,8 +2,7 @@
 """Which terms close what remains: a law of few terms if one does nearly as well as a smooth function, else that.
 
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
-each, all numbers, those of the names too, are estimated anew, names that the judgement had dropped are taken back if
-they pay beside it, and names that no longer pay are dropped.
+each, all numbers, those of the names too, are estimated anew. Names that the judgement dropped stay dropped.
 """
 
 from __future__ import annotations
@@ -56,8 +55,7 @@ def closures(problem: Problem, assessment: Assessment) -> list[Closed]:
     if not assessment.remainder:
         return []
     base = assessment.fit
-    dropped = [claim for claim in assessment.dropped if claim.effect.named]
-    by_law, by_table = (_grown(problem, base, terms, dropped) for terms in (_laws(problem), _tables(problem)))
+    by_law, by_table = (_grown(problem, base, terms) for terms in (_laws(problem), _tables(problem)))
     found = [Closed(one, form, gain) for (one, gain), form in ((by_law, "law"), (by_table, "smooth")) if gain > 0.0]
     law_will_do = by_law[1] >= (1.0 - CONDENSED) * by_table[1] or not noticeable(problem, by_law[0].residual)
     return sorted(found, key=lambda one: (one.form == "law") != law_will_do)
@@ -91,7 +89,7 @@ def _nothing(effect: Closure) -> list[Claim]:
     return [Claim(effect, values) for values in effect.nothing()]
 
 
-def _grown(problem: Problem, base: Fit, terms: Sequence[Claim], dropped: Sequence[Claim]) -> tuple[Fit, float]:
+def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, float]:
     """The fit with the terms that pay, and the held-out deviance that they gain."""
     candidates = list(terms)
     columns: list[FloatArray] = [column(problem, base, one) for one in terms]
@@ -113,24 +111,8 @@ def _grown(problem: Problem, base: Fit, terms: Sequence[Claim], dropped: Sequenc
             continue
         gained += before - after[best]
         taken += 1
-        current = _beside(problem, better, dropped)
+        current = better
     return current, gained
-
-
-def _beside(problem: Problem, found: Fit, dropped: Sequence[Claim]) -> Fit:
-    """The fit with those names that pay beside its terms."""
-    standing = {claim.effect.label for claim in found.claims}
-    for claim in dropped:
-        if claim.effect.label not in standing and noticeable(problem, found.residual):
-            more = fit(problem, (*found.claims, claim))
-            pays = score(problem, found) - score(problem, more) >= THRESHOLD
-            found = more if pays and not _mimics(problem, found, more) else found
-    for claim in found.claims:
-        if claim.effect.named:
-            fewer = fit(problem, tuple(one for one in found.claims if one.effect is not claim.effect))
-            idle = score(problem, fewer) - score(problem, found) < THRESHOLD or _mimics(problem, fewer, found)
-            found = fewer if idle else found
-    return found
 
 
 def _mimics(problem: Problem, before: Fit, after: Fit) -> bool:
