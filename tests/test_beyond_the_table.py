@@ -20,7 +20,7 @@ from benchmarks.beyond_the_table.score import scored, summary
 from benchmarks.foreign_truth import plant as foreign
 from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.recordings import reference
-from hydro_sim.model.laws import LAWS
+from hydro_sim.model.grammar import LAWS
 
 ROOT = Path(__file__).resolve().parent.parent
 KIND = {kind.name: kind for kind in KINDS}
@@ -74,9 +74,25 @@ def test_right_form() -> None:
     assert not right_form(KIND["valve_hysteresis"], closure("actuation", "u |u|"))
 
 
+def test_laws_with_a_state_are_of_the_right_form() -> None:
+    loop = closure("actuation", "w, w' = (u' - |u'| w) / path, path = 0.0003 A")
+    assert right_form(KIND["valve_hysteresis"], loop)
+    assert not right_form(KIND["valve_curve"], loop)
+    assert not right_form(KIND["spring_hysteresis"], loop)
+
+
+def test_a_kind_that_the_table_names_after_all_is_of_the_right_form_by_that_name() -> None:
+    case, names = Case("leak_orifice_0", KIND["leak_orifice"]), ["leakage_internal"]
+    found = report(1.0, names, [])
+    assert not scored(case, {"report": found, "said": "", "cpu": 9.0})["form"]
+    found["effects"][0]["options"] = {"form": "orifice"}
+    row = scored(case, {"report": found, "said": "", "cpu": 9.0})
+    assert row["form"] and row["place"] and row["named"]
+
+
 def report(after: float, named: list[str], closures: list[dict[str, Any]]) -> dict[str, Any]:
     error = {"rmse_before": 10.0, "rmse_named": 10.0, "rmse_after": after, "noise_floor": 1.0}
-    return {"verdict": "modelled", "effects": [{"id": one} for one in named], "closures": closures,
+    return {"verdict": "modelled", "effects": [{"id": one, "options": {}} for one in named], "closures": closures,
             "fit": {"holdout": {"load_force": error}}, "remainder": None}  # fmt: skip
 
 

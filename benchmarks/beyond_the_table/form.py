@@ -21,8 +21,8 @@ class Form(NamedTuple):
     memory: bool = False
 
 
-def _form(variables: str, degree: float) -> Form:
-    return Form(frozenset(variables.split()), degree)
+def _form(variables: str, degree: float, *, memory: bool = False) -> Form:
+    return Form(frozenset(variables.split()), degree, memory)
 
 
 TEXTS = {
@@ -31,6 +31,7 @@ TEXTS = {
     "sign(v) sqrt(|v|)": _form("velocity", 0.5),
     "sign(v) (x/L - 1/2)": _form("position velocity", 1.0),
     "v (x/L - 1/2)": _form("position velocity", 2.0),
+    "v (x/L - 1/2)^2": _form("position velocity", 3.0),
     "sign(v) (p_a + p_b)/2": _form("pressure_a pressure_b velocity", 1.0),
     "sign(v) |p_a - p_b|": _form("pressure_a pressure_b velocity", 1.0),
     "(p_a - p_b) (x/L - 1/2)": _form("pressure_a pressure_b position", 2.0),
@@ -41,6 +42,12 @@ TEXTS = {
     "u^3": _form("current", 3.0),
     "(x - x_rest) |x - x_rest|": _form("position", 2.0),
     "|x - x_rest|": _form("position", 1.0),
+    "(p_a - w), w' = (p_a - w) / time": _form("pressure_a", 1.0, memory=True),
+    "(p_b - w), w' = (p_b - w) / time": _form("pressure_b", 1.0, memory=True),
+    "w, w' = (u' - |u'| w) / path": _form("current", 1.0, memory=True),
+    "w, w' = (v - |v| w) / path": _form("position velocity", 1.0, memory=True),
+    "(x - w), w' = (x - w) / time": _form("position", 1.0, memory=True),
+    "w, w' = (f_h - w) / time": _form("hydraulic_force", 1.0, memory=True),
 }
 """By the text of a law."""
 
@@ -49,7 +56,8 @@ def right_form(kind: Kind, closure: Mapping[str, Any]) -> bool:
     """Whether an entry of `closures` is a law that depends on what it should, with the right power, or with memory."""
     if closure["form"] != "law" or closure["equation"] not in places(kind):
         return False
-    form = TEXTS.get(closure["expression"].partition(" * ")[2])
+    text = closure["expression"].partition(" * ")[2]
+    form = next((form for known, form in TEXTS.items() if text in (known, f"{known},{text.rpartition(',')[2]}")), None)
     if form is None or form.variables != kind.variables or form.memory != kind.memory:
         return False
     return kind.degree is None or form.degree == kind.degree

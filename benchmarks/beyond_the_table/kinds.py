@@ -26,12 +26,14 @@ class Kind:
     """Whether a law of the right form has a state of its own."""
     degree: float | None = None
     """Total power of the signals in the law, where the form is a monomial; signs and thresholds count nothing."""
+    named: str = ""
+    """Cause of the table that is this kind after all, as `id form`: found only once `diagnose` had named it."""
 
 
 def _kind(name: str, half: str, equations: str, size: tuple[float, float], unit: str, shape: float, variables: str,
-          memory: bool = False, degree: float | None = None) -> Kind:  # fmt: skip
+          memory: bool = False, degree: float | None = None, named: str = "") -> Kind:  # fmt: skip
     return Kind(name=name, half=half, equations=tuple(equations.split()), size=size, unit=unit, shape=shape,
-                variables=frozenset(variables.split()), memory=memory, degree=degree)  # fmt: skip
+                variables=frozenset(variables.split()), memory=memory, degree=degree, named=named)  # fmt: skip
 
 
 _FLOW = "actuation pressure_a pressure_b"
@@ -47,7 +49,7 @@ KINDS: tuple[Kind, ...] = (
     _kind("valve_curve", "dev", _FLOW, (0.2, 0.5), "-", 0.05, "current", degree=2.0),
     # q = size sqrt(p_a - p_b), signed: a worn edge between the chambers
     _kind("leak_orifice", "dev", _CHAMBERS, (1.5e-10, 5e-10), "m3/s/sqrt(Pa)", 0.0, "pressure_a pressure_b",
-          degree=0.5),
+          degree=0.5, named="leakage_internal orifice"),
     # hose of chamber A: q = size (p_a - w) / shape, w' = (p_a - w) / shape
     _kind("hose_memory", "dev", "pressure_a", (1.5e-14, 5e-14), "m3/Pa", 0.15, "pressure_a", memory=True),
     # load += size w, w' = v / shape - |v| w / shape: the spring loads on one path and unloads on another

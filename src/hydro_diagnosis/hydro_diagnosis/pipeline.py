@@ -38,6 +38,7 @@ from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess
 from hydro_diagnosis.validation.equations import held_out
+from hydro_diagnosis.validation.heldout import Known
 from hydro_sim.model.bench import Bench
 
 Progress = Callable[[str], None]
@@ -123,14 +124,15 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.update_weights(assessment.fit.claims)
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
+    simulated: Known = {}
     proof, ahead = (
-        held_out(problem, unseen, assessment.fit.claims, models),
+        held_out(problem, unseen, assessment.fit.claims, models, simulated),
         next_recording(problem, outcome, assessment),
     )
     closing = []
     if assessment.remainder and not late:
         progress("modelling what has no name")
-        closed = admitted(problem, unseen, closures(problem, assessment), models, proof)
+        closed = admitted(problem, unseen, closures(problem, assessment), models, proof, simulated)
         within = intervals(problem, closed.closed.fit) if closed else []
         if closed and all_hold(closed.closed.fit.claims, within):
             assessment, proof, bounds = _closed(problem, assessment, closed), closed.held, within

@@ -18,7 +18,7 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
-from hydro_sim.model import laws
+from hydro_sim.model import grammar, laws
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law, Table
 from hydro_sim.model.plant import AnalyticPlant
@@ -29,13 +29,15 @@ LIMITS = {
     "position": (0.02, 0.06), "velocity": (-0.3, 0.3), "pressure_difference": (-5e6, 5e6), "current": (-0.02, 0.02),
 }  # fmt: skip
 BEGINS, LENGTH = np.arange(300, 1100, 100), 40
-TERMS = [pytest.param(law, id=f"{law.equation} {law.form}") for law in laws.ALL.values()]
+TERMS = [pytest.param(law, id=f"{law.equation} {law.form}") for law in grammar.ALL.values()]
 
 
 def claimed(law: Law | Table) -> Claim:
     """A term at its typical size; a table goes up and down."""
     effect = closure(law, BENCH, LIMITS[law.variable] if isinstance(law, Table) else (0.0, 1.0))
-    return Claim(effect, {one.name: one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(effect.parameters)})
+    amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
+    sizes = {one.name: one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
+    return Claim(effect, {**effect.nothing()[-2 if effect.element else 0], **sizes})
 
 
 def entry(claim: Claim) -> dict[str, object]:
@@ -76,7 +78,7 @@ def test_simulation_and_diagnosis_mean_the_same_term(law: Law | Table) -> None:
 
 
 def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> None:
-    claims = [claimed(laws.ALL["motion", "quadratic drag"]), claimed(laws.ALL["load", "table over position"])]
+    claims = [claimed(grammar.ALL["motion", "quadratic drag"]), claimed(grammar.ALL["load", "table over position"])]
     path = tmp_path / "corrected.yaml"
     path.write_text(yaml.safe_dump(corrected_bench(BENCH, claims).to_mapping()))
     back = claims_of(Bench.load(path))
@@ -97,19 +99,19 @@ def test_closures_survive_the_corrected_bench_and_its_file(tmp_path: Path) -> No
     ],
 )
 def test_a_table_that_cannot_be_evaluated_is_refused_in_one_sentence(change: dict[str, float], sentence: str) -> None:
-    made = entry(claimed(laws.ALL["load", "table over position"]))
+    made = entry(claimed(grammar.ALL["load", "table over position"]))
     with pytest.raises(ValueError, match=sentence):
         replace(BENCH, closures=({**made, "parameters": {**made["parameters"], **change}},))  # type: ignore[dict-item]
 
 
 def test_a_closure_is_no_effect() -> None:
-    made = entry(claimed(laws.ALL["motion", "quadratic drag"]))
+    made = entry(claimed(grammar.ALL["motion", "quadratic drag"]))
     with pytest.raises(ValueError, match="closures stand under 'closures'"):
         replace(BENCH, effects=({"id": "closure", **made},))
 
 
 def test_a_table_is_constant_beyond_what_was_seen() -> None:
-    table = laws.ALL["motion", "table over velocity"]
+    table = grammar.ALL["motion", "table over velocity"]
     numbers = [-0.1, 0.2, *np.arange(laws.KNOTS, dtype=float)]
     inside = table.value(laws.Signals(velocity=np.array([-0.1, 0.05, 0.2])), BENCH, numbers)
     beyond = table.value(laws.Signals(velocity=np.array([-9.0, 9.0])), BENCH, numbers)
@@ -126,7 +128,7 @@ def test_a_table_is_constant_beyond_what_was_seen() -> None:
             "effect 'closure equation=motion form=drag' is not",
         ),
         ([{"equation": "motion", "form": "quadratic drag", "parameters": {}}], "lacks its parameter coefficient"),
-        ([entry(claimed(laws.LAWS[0]))] * 7, "7 closures are more than the 6"),
+        ([entry(claimed(grammar.LAWS[0]))] * 7, "7 closures are more than the 6"),
     ],
 )
 def test_closures_that_cannot_be_simulated_are_refused(closures: object, sentence: str) -> None:

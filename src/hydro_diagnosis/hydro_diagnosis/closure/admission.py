@@ -15,6 +15,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import ClosureReport, ParameterEstimate
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.validation.equations import held_out
+from hydro_diagnosis.validation.heldout import Known
 from hydro_sim.model.laws import Law
 
 WORSE = 1.02
@@ -42,14 +43,16 @@ def admitted(
     candidates: Iterable[Closed],
     models: Sequence[SegmentModel],
     named: Mapping[str, Any],
+    known: Known | None = None,
 ) -> Admitted | None:
     """The first candidate that makes no held-out channel worse than the names alone do, or None.
 
-    `unseen`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone.
+    `unseen`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
+    what has been simulated already.
     """
     tried: list[tuple[Closed, dict[str, Any], float | None]] = []
     for closed in candidates:
-        held = held_out(problem, unseen, closed.fit.claims, models)
+        held = held_out(problem, unseen, closed.fit.claims, models, known)
         tried.append((closed, held, share_closed(named, held) if harmless(named, held) else None))
     errors = {closed.form: share for closed, _, share in tried}
     for closed, held, share in tried:
@@ -120,5 +123,9 @@ def _report(claim: Claim, effect: Closure, bounds: Sequence[Interval], found: Ad
 
 def _expression(claim: Claim, effect: Closure) -> str:
     if isinstance(effect.law, Law):
-        return f"{claim.values['coefficient']:.4g} {effect.law.unit} * {effect.law.text}"
-    return f"f({effect.law.variable}), a sum of {len(effect.parameters)} cubic B-splines, constant beyond"
+        element = effect.law.element
+        over = f", {element.number} = {claim.values[element.number]:.4g} {element.unit}" if element else ""
+        return f"{claim.values['coefficient']:.4g} {effect.law.unit} * {effect.law.text}{over}"
+    factor = f"{effect.law.factor.text} " if effect.law.factor else ""
+    count = len(effect.parameters)
+    return f"{factor}f({effect.law.variable}), a sum of {count} cubic B-splines, constant beyond"

@@ -68,10 +68,10 @@ class HeldOutBlocks:
 
 
 def column(problem: Problem, found: Fit, claim: Claim) -> FloatArray:
-    """Derivatives of the residual by a claim's numbers at nothing, one column each, in spans; shape (n, numbers)."""
+    """Derivatives of the residual by a claim's amplitudes at nothing, in spans; shape (n, amplitudes)."""
     slopes = []
-    neutral = {one.name: one.neutral for one in claim.effect.parameters}
     for one in claim.effect.parameters:
-        probe = Claim(claim.effect, {**neutral, one.name: one.neutral + one.span})
-        slopes.append(problem.residual((*found.claims, probe)) - found.residual)
-    return np.column_stack(slopes)
+        if one.smallest > 0.0:  # the others are shapes: without an amplitude they change nothing
+            probe = Claim(claim.effect, {**claim.values, one.name: one.neutral + one.span})
+            slopes.append(problem.residual((*found.claims, probe)) - found.residual)
+    return np.column_stack(slopes) if slopes else np.zeros((len(found.residual), 0))

@@ -189,7 +189,8 @@ class Effect:
         """Bulk modulus [Pa] at an absolute pressure [Pa]."""
         return modulus
 
-    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, values: Values) -> tuple[FloatArray, FloatArray]:
+    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
+                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         """Flow [m3/s] into chamber A and into chamber B, where it hangs on more than the pressures."""
         return flows
 

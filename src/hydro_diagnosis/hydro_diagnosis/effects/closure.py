@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws and tables of `hydro_sim.model.laws` as effects: fitted and simulated like named causes, never called one."""
+"""Laws and tables of `hydro_sim.model.grammar` as effects: fitted and simulated like named causes, never called one."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from hydro_diagnosis.effects.base import (
+    HYDRAULIC,
     LOAD,
     MOTION,
     PRESSURE,
@@ -21,11 +22,16 @@ from hydro_diagnosis.effects.base import (
     Oil,
     Values,
 )
-from hydro_sim.model import laws
+from hydro_diagnosis.effects.path_memory import along
+from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import Law, Signals, Table
+from hydro_sim.model.laws import Element, Law, Signals, Table
 
-_TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
+_TOUCHES = {
+    "motion": frozenset({MOTION}),
+    "load": frozenset({MOTION, LOAD}),
+    "sensor": frozenset({MOTION, HYDRAULIC}),
+}
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
 _REACH = 1e4
 """Times the typical size of a coefficient: how far it may go."""
@@ -35,7 +41,7 @@ _REACH = 1e4
 class Closure(Effect):
     """A term of one equation; `options` say which."""
 
-    law: Law | Table = laws.LAWS[0]
+    law: Law | Table = grammar.LAWS[0]
     limits: tuple[float, float] = (0.0, 1.0)
     """Of a table's variable, SI unit."""
     numbers: Bench | None = None
@@ -54,20 +60,32 @@ class Closure(Effect):
         return _EQUATIONS.get(self.law.equation, (self.law.equation,))
 
     @property
+    def element(self) -> Element | None:
+        """What the term remembers."""
+        return self.law.element if isinstance(self.law, Law) else None
+
+    @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         law, size = self.law, self.law.typical
-        unit = law.unit if isinstance(law, Law) else laws.UNITS[law.equation]
-        names = law.names if isinstance(law, Law) else law.names[2:]
+        names = ("coefficient",) if isinstance(law, Law) else law.names[2:]
         reach = _REACH * size
-        return tuple(
+        amplitudes = tuple(
             FitParameter(
-                name=name, unit=unit, low=-reach, high=reach, neutral=0.0, probes=(size,), smallest=1e-3 * size
+                name=name, unit=law.unit, low=-reach, high=reach, neutral=0.0, probes=(size,), smallest=1e-3 * size
             )
             for name in names
         )
+        return amplitudes if self.element is None else (*amplitudes, _follows(self.element))
 
     def adapted(self, bench: Bench) -> Effect:
         return replace(self, numbers=bench)
+
+    def nothing(self) -> list[dict[str, float]]:
+        """Values at which the term gives nothing: one set for each probe of what it remembers over."""
+        still = {one.name: 0.0 for one in self.parameters}
+        if self.element is None:
+            return [still]
+        return [{**still, self.element.number: probe} for probe in self.element.probes]
 
     def to_closure(self, values: Values) -> dict[str, Any]:
         """As it stands under `closures` in corrected.yaml."""
@@ -82,23 +100,42 @@ class Closure(Effect):
         pressures = motion.pressures or (nothing, nothing)
         return force + self._given(Signals(motion.position, motion.velocity, *pressures), values)
 
-    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, values: Values) -> tuple[FloatArray, FloatArray]:
+    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
+                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         if not self.law.equation.startswith("pressure"):
             return flows
         p_a, p_b = oil.pressures
-        out = self._given(Signals(oil.position, pressure_a=p_a, pressure_b=p_b), values)
+        at = Signals(oil.position, pressure_a=p_a, pressure_b=p_b)
+        out = self._given(self._remembering(at, memory, values), values)
         by_a, by_b = {"pressure": (-1.0, 1.0), "pressure_a": (-1.0, 0.0), "pressure_b": (0.0, -1.0)}[self.law.equation]
         return flows[0] + by_a * out, flows[1] + by_b * out
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         if self.law.equation != "load":
             return force
-        return force + self._given(Signals(motion.position), values, bench)
+        return force + self._given(self._remembering(Signals(motion.position), memory, values), values, bench)
+
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if self.law.equation != "sensor" or channel != "hydraulic_force":
+            return signal
+        return signal + self._given(self._remembering(Signals(force=signal), memory, values), values)
 
     def sentence(self, values: Values) -> str:
         if isinstance(self.law, Law):
             return self.law.sentence
-        return f"A smooth function of the {self.law.variable.replace('_', ' ')}, for which no law was found."
+        over, factor = self.law.variable.replace("_", " "), self.law.factor
+        what = f"A coefficient of the {factor.name} that follows" if factor else "A smooth function of"
+        return f"{what} the {over}, for which no law was found."
+
+    def _remembering(self, at: Signals, memory: Memory, values: Values) -> Signals:
+        element = self.element
+        if element is None:
+            return at
+        signal = getattr(at, element.signal)
+        over = values[element.number]
+        if element.kind == "lag":
+            return replace(at, memory=memory.lag(self.label, signal, over))
+        return replace(at, memory=memory.bristle(self.label, signal, 1.0 / over, np.ones_like(signal)))
 
     def _given(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
         bounds = self.limits if isinstance(self.law, Table) else ()
@@ -111,7 +148,21 @@ class ValveClosure(Closure):
     stage = 2
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
-        return spool + self._given(Signals(current=spool), values)
+        at = Signals(current=spool)
+        if self.element is not None:
+            path = np.ascontiguousarray(spool).ravel()
+            bent = along(path, 1.0 / values[self.element.number], np.ones_like(path))
+            at = replace(at, memory=bent.reshape(spool.shape))
+        return spool + self._given(at, values)
+
+
+def _follows(element: Element) -> FitParameter:
+    low, high = element.bounds
+    middle = element.probes[len(element.probes) // 2]
+    return FitParameter(
+        name=element.number, unit=element.unit, low=low, high=high, neutral=middle, probes=element.probes,
+        systematic=0.01,
+    )  # fmt: skip
 
 
 def closure(law: Law | Table, bench: Bench, limits: tuple[float, float] = (0.0, 1.0)) -> Closure:
@@ -122,7 +173,7 @@ def closure(law: Law | Table, bench: Bench, limits: tuple[float, float] = (0.0, 
 
 def from_mapping(entry: Mapping[str, Any], bench: Bench) -> tuple[Closure, dict[str, float]]:
     """An entry of `closures` in corrected.yaml, checked by `Bench`, as an effect with values."""
-    law = laws.ALL[entry["equation"], entry["form"]]
+    law = grammar.ALL[entry["equation"], entry["form"]]
     numbers = {name: float(entry["parameters"][name]) for name in law.names}
     limits = (numbers.pop("low"), numbers.pop("high")) if isinstance(law, Table) else (0.0, 1.0)
     return closure(law, bench, limits), numbers

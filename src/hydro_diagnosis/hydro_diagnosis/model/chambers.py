@@ -74,7 +74,7 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
     flows = into_a, into_b
     for claim in claims:
         flows = claim.effect.flows(flows, oil.pressures, tank, claim.values)
-        flows = claim.effect.inflows(flows, oil, claim.values)
+        flows = claim.effect.inflows(flows, oil, memory, claim.values)
     return flows
 
 

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_bridge.signals import FloatArray
+from hydro_diagnosis.effects.path_memory import along
 
 
 class RecordMemory:
@@ -51,7 +52,7 @@ class RecordMemory:
 
     def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """See `Memory.bristle`."""
-        self.traces[key] = _bristle(position, stiffness, np.ascontiguousarray(limit))
+        self.traces[key] = along(np.ascontiguousarray(position), stiffness, np.ascontiguousarray(limit))
         self.traces[key + ".x"] = position
         return self.traces[key]
 
@@ -109,18 +110,6 @@ def _play(position, half):
     for k in range(1, len(position)):
         dragged[k] = min(max(dragged[k - 1], position[k] - half), position[k] + half)
     return dragged
-
-
-@njit(cache=True)
-def _bristle(position, stiffness, limit):
-    """Dahl's bristle along a path: within a sample the solution of dF/dx = sigma (1 - F sign(dx)/limit) is exact."""
-    force = np.zeros(len(position))
-    for k in range(1, len(position)):
-        moved = position[k] - position[k - 1]
-        goal = limit[k] if moved > 0.0 else -limit[k]
-        fade = np.exp(-stiffness * abs(moved) / max(abs(limit[k]), 1e-6))
-        force[k] = goal + (force[k - 1] - goal) * fade
-    return force
 
 
 @lru_cache(maxsize=256)

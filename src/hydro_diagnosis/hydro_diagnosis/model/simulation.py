@@ -169,15 +169,20 @@ class Plant:
             "pressure_a": p_a,
             "pressure_b": p_b,
             "hydraulic_force": bench.piston_area * (p_a - bench.area_ratio * p_b),
-            "load_force": self._load(Kinematics(at * self.model.step, x, x)),
+            "load_force": self._load(at * self.model.step, x, samples),
         }
         return {name: self._shown(name, signal, at) for name, signal in true.items() if name in self.model.channels}
 
-    def _load(self, motion: Kinematics) -> FloatArray:
-        force = self.bench.spring_stiffness * (motion.position - self.bench.spring_rest_position)
-        for claim in self.claims:
-            memory = _ColumnMemory(self.model.step)
-            force = claim.effect.load(force, motion, self.bench, memory, claim.values)
+    def _load(self, time: FloatArray, position: FloatArray, samples: Indices) -> FloatArray:
+        force = self.bench.spring_stiffness * (position - self.bench.spring_rest_position)
+        acting = [claim for claim in self.claims if type(claim.effect).load is not Effect.load]
+        memory = StepMemory(self.model.step)
+        memory.begin({key: trace[samples] for key, trace in self.traces.items()})
+        for k in range(len(position) if acting else 0):
+            motion = Kinematics(time[k], position[k], position[k])
+            for claim in acting:
+                force[k] = claim.effect.load(force[k], motion, self.bench, memory, claim.values)
+            memory.tick()
         return force
 
     def _shown(self, name: str, signal: FloatArray, at: Indices) -> FloatArray:
@@ -219,6 +224,6 @@ class _ColumnMemory(RecordMemory):
         single = super().low_pass
         return np.apply_along_axis(lambda column: single(key, column, bandwidth, damping), 0, signal)
 
-    def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
-        single = super().play
-        return np.apply_along_axis(lambda column: single(key, np.ascontiguousarray(column), width), 0, position)
+    def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
+        single = super().lag
+        return np.apply_along_axis(lambda column: single(key, column, time_constant), 0, signal)

@@ -18,7 +18,7 @@ from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.findings import channel_errors
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.validation.heldout import FREE_RUN, HORIZON, WINDOWS, Comparison, compare
+from hydro_diagnosis.validation.heldout import FREE_RUN, HORIZON, WINDOWS, Comparison, Known, compare
 
 _SIMULATED = {"valve_current", "piston_position", "pressure_a", "pressure_b"}
 """Channels without which nothing can be simulated."""
@@ -39,19 +39,24 @@ class EquationError:
 
 
 def held_out(
-    problem: Problem, unseen: Problem, claims: Sequence[Claim], models: Sequence[SegmentModel]
+    problem: Problem,
+    unseen: Problem,
+    claims: Sequence[Claim],
+    models: Sequence[SegmentModel],
+    known: Known | None = None,
 ) -> dict[str, Any]:
     """Errors of the baseline and of the corrected model as they stand in report.json under `fit`.
 
-    `unseen` and `models` are the held-out recordings; noise and baseline are those of `problem`.
+    `unseen` and `models` are the held-out recordings; noise and baseline are those of `problem`. `known`:
+    what has been simulated of them already, added to.
     """
     equations = {name: asdict(error) for name, error in equation_errors(unseen, claims).items()}
     if not models or not all(model.channels.keys() >= _SIMULATED for model in models):
         why = "a forward simulation needs current, position and both pressures"
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
-    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True)
-    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False)
+    horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True, known=known)
+    free = compare(models, before, after, noise, seconds=FREE_RUN, windows=6, shooting=False, known=known)
     return {
         "holdout": channel_errors(horizon.channels),
         "horizon_s": HORIZON,

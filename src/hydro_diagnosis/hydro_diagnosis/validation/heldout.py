@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -49,12 +50,22 @@ class Comparison:
     """Windows that the second claim set cannot predict itself: not in `rmse_before` and `rmse_after`."""
 
 
+Simulated = tuple[FloatArray, dict[str, FloatArray]]
+"""States in which windows begin, shape (4, windows), and reading minus recording by channel, shape (rows, windows)."""
+Known = dict[tuple[Any, ...], Simulated]
+"""By recording, horizon and claims: what has been simulated already."""
+
+
 def errors(
     plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool
 ) -> dict[str, FloatArray]:
     """Reading minus recording, by channel, shape (recorded rows, windows)."""
+    return _simulated(plant, begins, length, noise, shooting=shooting)[1]
+
+
+def _simulated(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> Simulated:
     state = begun(plant, begins, length, noise, shooting=shooting)
-    return _apart(plant, plant.run(state, begins, length), begins)
+    return state, _apart(plant, plant.run(state, begins, length), begins)
 
 
 def begun(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *, shooting: bool) -> FloatArray:
@@ -122,22 +133,26 @@ class _Aim:
 
 def compare(
     models: Sequence[SegmentModel], before: Sequence[Claim], after: Sequence[Claim], noise: dict[str, float], *,
-    seconds: float, windows: int, shooting: bool,
+    seconds: float, windows: int, shooting: bool, known: Known | None = None,
 ) -> Comparison:  # fmt: skip
-    """Errors of both claim sets over the same windows of held-out recordings."""
+    """Errors of both claim sets over the same windows of held-out recordings; `known` is read and added to."""
     seen: list[_Seen] = []
+    known = {} if known is None else known
     each = max(windows // len(models), 1)
-    for model in models:
+    for number, model in enumerate(models):
         length = round(seconds / model.step)
         if len(model.segment) < model.settle + length + 50:
             continue
         begins = np.linspace(model.settle, len(model.segment) - length - 20, each).astype(np.int64)
         begins = np.unique(begins - (begins - model.segment.phase) % model.spacing)
         with np.errstate(all="ignore"):
-            old = errors(Plant.of(model, before), begins, length, noise, shooting=shooting)
-            plant = Plant.of(model, after)
-            state = begun(plant, begins, length, noise, shooting=shooting)
-            new = _apart(plant, plant.run(state, begins, length), begins)
+            found: list[Simulated] = []
+            for claims in (before, after):
+                plant, key = Plant.of(model, claims), (number, seconds, shooting, *_written(claims))
+                if key not in known:
+                    known[key] = _simulated(plant, begins, length, noise, shooting=shooting)
+                found.append(known[key])
+            (_, old), (state, new) = found
             none = np.zeros(len(begins), dtype=bool)
             left_out = unpredictable(plant, state, begins, length, noise, new) if shooting else none
         seen.append(_Seen(model, begins, old, new, left_out))
@@ -147,6 +162,10 @@ def compare(
     names = dict.fromkeys(name for one in seen for name in one.before)
     channels = {name: _channel(name, [one for one in seen if name in one.before], noise) for name in names}
     return Comparison(channels, count, tuple(window for one in seen for window in one.windows()))
+
+
+def _written(claims: Sequence[Claim]) -> tuple[Any, ...]:
+    return tuple((claim.effect.label, *claim.values.values()) for claim in claims)
 
 
 @dataclass(frozen=True)

@@ -263,7 +263,7 @@ def _sources_digest() -> str:
     import hashlib
 
     here = Path(__file__).parent
-    names = ["equations.py", "laws.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench.py"]
+    names = ["equations.py", "laws.py", "grammar.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench.py"]
     files = [here / name for name in names] + sorted(here.glob("*.c")) + sorted((here / "effects").glob("*.py"))
     others = f"{SAMPLE_PERIOD} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()

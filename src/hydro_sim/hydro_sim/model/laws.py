@@ -1,23 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws of physics that has no name in the table: terms of the bench's equations, written once for arrays and symbols.
+"""What a term without a name is: a law or a table in one equation, written once for arrays and symbols.
 
-A law is linear in its numbers. What it gives acts in one equation::
+Terms are linear in their amplitudes. What one gives acts in its equation::
 
     motion      force [N] against the motion
     pressure    flow [m3/s] out of chamber A into chamber B
     pressure_a  flow [m3/s] out of chamber A to the tank; pressure_b likewise
     actuation   spool position [A] that the edges see more than the current says
     load        force [N] of the load
+    sensor      what the load cell at the rod shows more than the hydraulic force [N]
 
-None hangs on time: such a law would grow for ever. A table is a law too: a cubic spline with equally spaced knots,
-constant beyond the range that was seen.
+None hangs on time: such a law would grow for ever. What a law remembers is one state `w` that follows a signal `s`, its
+second number the time or the path over which it does; a piston at rest or a still current moves no path::
+
+    lag   w' = (s - w) / T
+    path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -29,8 +33,6 @@ SIGN_VELOCITY = 1e-3
 """m/s, over which a force that follows the sign of the velocity turns round."""
 VARIABLES = {"position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A"}
 """What a table may be over, with units."""
-UNITS = {"motion": "N", "pressure": "m3/s", "pressure_a": "m3/s", "pressure_b": "m3/s", "actuation": "A", "load": "N"}
-"""Of what a law gives, by equation."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +45,38 @@ class Signals:
     pressure_b: Symbol = 0.0
     current: Symbol = 0.0
     """Of the spool."""
+    force: Symbol = 0.0
+    """f_h."""
+    memory: Symbol = 0.0
+    """State `w` of the law."""
 
     @property
     def pressure_difference(self) -> Symbol:
         """p_a - p_b."""
         return self.pressure_a - self.pressure_b
+
+
+@dataclass(frozen=True)
+class Element:
+    """What a law remembers: a state that follows one of `Signals`."""
+
+    kind: Literal["lag", "path"]
+    signal: str
+    number: str
+    """Name of the time [s] or the path [unit of the signal] over which it follows."""
+    unit: str
+    probes: tuple[float, ...]
+    """Where a search looks first, ascending."""
+
+    @property
+    def bounds(self) -> tuple[float, float]:
+        """Of its number."""
+        return 0.1 * self.probes[0], 10.0 * self.probes[-1]
+
+    @property
+    def signal_unit(self) -> str:
+        """Of what it follows."""
+        return {"position": "m", "current": "A", "force": "N"}.get(self.signal, "Pa")
 
 
 @dataclass(frozen=True)
@@ -66,15 +95,25 @@ class Law:
     """A coefficient at which it is seen."""
     shape: Callable[[Signals, Any], Symbol]
     """Of signals and the bench's numbers."""
+    element: Element | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of its numbers."""
-        return ("coefficient",)
+        return ("coefficient",) if self.element is None else ("coefficient", self.element.number)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """What it gives, in the unit of its equation."""
         return numbers[0] * self.shape(at, n)
+
+
+@dataclass(frozen=True)
+class Factor:
+    """What a table may be multiplied by: its function is then a coefficient that varies (Hastie, Tibshirani 1993)."""
+
+    name: str
+    text: str
+    shape: Callable[[Signals], Symbol]
 
 
 @dataclass(frozen=True)
@@ -83,13 +122,16 @@ class Table:
 
     equation: str
     variable: str
+    unit: str
+    """Of its values."""
     typical: float
     """A value at which it is seen."""
+    factor: Factor | None = None
 
     @property
     def form(self) -> str:
         """As laws are called."""
-        return f"table over {self.variable}"
+        return f"{self.factor.name} times table over {self.variable}" if self.factor else f"table over {self.variable}"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -103,85 +145,10 @@ class Table:
         total: Symbol = 0.0
         for k, value in enumerate(values):
             total = total + value * _cubic(np.abs(along - k))
-        return total
+        return total * self.factor.shape(at) if self.factor else total
 
 
 def _cubic(distance: Symbol) -> Symbol:
     """The cubic B-spline at so many knots from its peak."""
     outer, inner = np.fmax(2.0 - distance, 0.0), np.fmax(1.0 - distance, 0.0)
     return (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
-
-
-def _sign(velocity: Symbol) -> Symbol:
-    return np.tanh(velocity / SIGN_VELOCITY)
-
-
-def _middle(at: Signals, n: Any) -> Symbol:
-    """Position from the middle of the stroke, in strokes."""
-    return at.position / n.stroke - 0.5
-
-
-def _deflection(at: Signals, n: Any) -> Symbol:
-    return at.position - n.spring_rest_position
-
-
-_LAMINAR = "a gap whose width changes along the stroke: a bore that is worn or a tube that widens"
-LAWS: tuple[Law, ...] = (
-    Law("motion", "quadratic drag", "N s2/m2", "v |v|",
-        "Force against motion that grows with the square of speed: typical of oil forced through a port.",
-        100.0, lambda at, n: at.velocity * np.abs(at.velocity)),
-    Law("motion", "cubic drag", "N s3/m3", "v^3",
-        "Force against motion that grows with the cube of speed: typical of a choked port.",
-        1000.0, lambda at, n: at.velocity * at.velocity * at.velocity),
-    Law("motion", "root drag", "N sqrt(s/m)", "sign(v) sqrt(|v|)",
-        "Force against motion that levels off with speed: typical of seals whose oil film grows.",
-        10.0, lambda at, n: at.velocity / np.sqrt(np.abs(at.velocity) + SIGN_VELOCITY)),
-    Law("motion", "friction along the stroke", "N", "sign(v) (x/L - 1/2)",
-        "Dry friction that changes along the stroke: typical of a rod that is bent or a bore that is worn.",
-        20.0, lambda at, n: _sign(at.velocity) * _middle(at, n)),
-    Law("motion", "drag along the stroke", "N s/m", "v (x/L - 1/2)",
-        "Viscous friction that changes along the stroke: typical of a gap that is not even.",
-        100.0, lambda at, n: at.velocity * _middle(at, n)),
-    Law("motion", "friction by pressure", "N/Pa", "sign(v) (p_a + p_b)/2",
-        "Dry friction that grows with pressure: typical of seals that pressure presses on.",
-        1e-6, lambda at, n: _sign(at.velocity) * 0.5 * (at.pressure_a + at.pressure_b)),
-    Law("motion", "friction by pressure difference", "N/Pa", "sign(v) |p_a - p_b|",
-        "Dry friction that grows with the pressure across the piston: typical of a piston seal.",
-        1e-6, lambda at, n: _sign(at.velocity) * np.abs(at.pressure_difference)),
-    Law("pressure", "leak along the stroke", "m3/s/Pa", "(p_a - p_b) (x/L - 1/2)",
-        f"A leak between the chambers that changes along the stroke: typical of {_LAMINAR}.",
-        1e-13, lambda at, n: at.pressure_difference * _middle(at, n)),
-    Law("pressure", "quadratic leak", "m3/s/Pa2", "(p_a - p_b) |p_a - p_b|",
-        "A leak between the chambers that grows faster than the pressure: typical of a seal lip that lifts.",
-        1e-20, lambda at, n: at.pressure_difference * np.abs(at.pressure_difference)),
-    Law("pressure_a", "quadratic leak", "m3/s/Pa2", "p_a^2",
-        "A leak of chamber A that grows faster than the pressure: typical of a seal lip that lifts.",
-        1e-20, lambda at, n: at.pressure_a * at.pressure_a),
-    Law("pressure_b", "quadratic leak", "m3/s/Pa2", "p_b^2",
-        "A leak of chamber B that grows faster than the pressure: typical of a seal lip that lifts.",
-        1e-20, lambda at, n: at.pressure_b * at.pressure_b),
-    Law("actuation", "quadratic gain", "1/A", "u |u|",
-        "Flow that is not proportional to the current: typical of edges with round ports.",
-        1.0, lambda at, n: at.current * np.abs(at.current)),
-    Law("actuation", "cubic gain", "1/A2", "u^3",
-        "Flow that saturates or grows with the current: typical of a torque motor near its limit.",
-        100.0, lambda at, n: at.current * at.current * at.current),
-    Law("load", "quadratic spring", "N/m2", "(x - x_rest) |x - x_rest|",
-        "Load whose stiffness changes with its deflection: typical of a contact that grows.",
-        1e5, lambda at, n: _deflection(at, n) * np.abs(_deflection(at, n))),
-    Law("load", "lopsided spring", "N/m", "|x - x_rest|",
-        "Load that is stiffer on one side of its rest: typical of a second spring or a preload that opens.",
-        100.0, lambda at, n: np.abs(_deflection(at, n))),
-)  # fmt: skip
-"""Terms that are tried."""
-
-TABLES: tuple[Table, ...] = (
-    Table("motion", "velocity", 5.0), Table("motion", "position", 5.0), Table("load", "position", 5.0),
-    Table("pressure", "pressure_difference", 1e-7), Table("pressure", "position", 1e-7),
-    Table("actuation", "current", 1e-4),
-)  # fmt: skip
-"""Smooth functions that are tried where no law is found."""
-
-_EVERY: tuple[Law | Table, ...] = (*LAWS, *TABLES)
-ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
-"""By equation and form."""
