@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from hydro_filter.metric.design import rest_loop
+from hydro_filter.model.bench_loop import still
 from hydro_filter.model.loop import loop_of
 from hydro_sim.learned.any_model import model_of
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.structured.model import StructuredModel
 
 LAG = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
@@ -44,6 +46,23 @@ def test_bounded_disturbances_are_no_part_of_the_linearized_loop(bench: Bench, d
         rest_loop(loop_of(of(LAG, disturbance), bench), 60.0), rest_loop(loop_of(of(LAG), bench), 60.0), strict=True
     ):
         assert np.array_equal(with_it, without)
+
+
+def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(bench: Bench) -> None:
+    """The design point is the still bench as these sensors show it, its valve closed by the current that this takes."""
+    shift = {"id": "valve_offset", "parameters": {"current": 1e-3}}
+    off = [
+        {"id": "load_cell_bias", "cell": "load_force", "parameters": {"force": 40.0}},
+        {"id": "load_cell_bias", "cell": "hydraulic_force", "parameters": {"force": -30.0}},
+        {"id": "pressure_sensor_bias", "chamber": "a", "parameters": {"pressure": 2e5}},
+        {"id": "pressure_sensor_bias", "chamber": "b", "parameters": {"pressure": -2e5}},
+    ]
+    plain, shown = loop_of(of(LAG, LEAK), bench), loop_of(of(shift, LAG, LEAK, *off), bench)
+    x = still(shown.model)
+    _, _, readings = (model := BenchModel(of(shift, LAG, LEAK, *off))).begin(model.values)
+    assert x[[0, 2, 4, 5, 6]] == pytest.approx(readings)
+    for ours, theirs in zip(rest_loop(shown, 60.0)[:2], rest_loop(plain, 60.0)[:2], strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
 
 
 def test_a_dead_time_is_refused_in_a_sentence(bench: Bench) -> None:

@@ -48,7 +48,7 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
     assert ratio.value == pytest.approx(1.6, rel=2e-3) and ratio.seen
     assert half_width.value == pytest.approx(3e-4, rel=5e-3) and half_width.low < 3.01e-4 and half_width.high > 2.99e-4
     assert drag.low < 30.0 and drag.high > -30.0
-    assert result.over_noise < 1.2
+    assert result.quality.over_noise < 1.2
     assert result.bench.effects[0]["parameters"]["ratio"] == pytest.approx(ratio.value, rel=1e-6)
     assert result.bench.closures[0]["form"] == "quadratic drag" and "id" not in result.bench.closures[0]
     assert learn_bench.stated(result).unfit == ""

@@ -19,7 +19,7 @@ from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.network import ENTRIES
-from hydro_filter.model.bench_loop import BenchLoop
+from hydro_filter.model.bench_loop import BenchLoop, still
 from hydro_filter.model.loop import Loop, linearize, memories, settle, step_of
 from hydro_filter.model.loop_model import LOOP
 from hydro_sim.model.hydraulics import rest_state
@@ -56,12 +56,14 @@ class Table(NamedTuple):
 
 
 def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """F, G, K of the still bench, about no current."""
-    x, step, memory = np.zeros(8), step_of(loop), memories(loop)[0]
-    x[4:7] = loop.model.rest[:3] if isinstance(loop, BenchLoop) else rest_state(loop.bench[0])[:3]
+    """F, G, K of the still bench, about a closed valve; of a bench file as its sensors show that."""
+    x, step, memory, closing = np.zeros(8), step_of(loop), memories(loop)[0], 0.0
     if isinstance(loop, BenchLoop):
-        settle(loop, memory, x, 0.0, 0.0)
-    linearize(loop, memory["hidden"], x, 1e-9, 0.0, float(proportional_gain), step)
+        x, closing = still(loop.model), -(loop.model.before + loop.model.after)
+        settle(loop, memory, x, closing, 0.0)
+    else:
+        x[4:7] = rest_state(loop.bench[0])[:3]
+    linearize(loop, memory["hidden"], x, 1e-9, closing, float(proportional_gain), step)
     return step.transition.copy(), step.push.copy(), step.feedback.copy()
 
 

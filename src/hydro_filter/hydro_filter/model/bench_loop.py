@@ -27,7 +27,7 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_filter.model.loop_model import LOOP, loop_scale
-from hydro_filter.model.state import STATES
+from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model import rates
 from hydro_sim.model.bench import Bench
@@ -158,6 +158,15 @@ def bench_step(loop: BenchLoop) -> BenchStep:
         (n, n + 1), (len(RAW_FIELDS), n + 1), (n + 1, LOOP), (n, LOOP),
     )  # fmt: skip
     return BenchStep(*(np.zeros(shape) for shape in shapes))
+
+
+def still(model: BenchParts) -> FloatArray:
+    """What the sensors show of the still bench, gains and biases with it: x, shape (8,)."""
+    y, x = model.rest, np.zeros(STATES)
+    force = model.area * (y[0] - model.ratio * y[1])
+    true = np.array([force, y[model.cell], *y[:3]])
+    x[[HYDRAULIC_FORCE, LOAD_FORCE, PRESSURE_A, PRESSURE_B, POSITION]] = model.gain * true + model.bias
+    return x
 
 
 def parts(truth: Bench) -> BenchParts:

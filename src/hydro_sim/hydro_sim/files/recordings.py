@@ -22,6 +22,9 @@ BOX_TOPIC, BENCH_FILE = "/hydro/box", "bench.yaml"
 SHORTEST = 2000
 """Samples; a shorter run is left out."""
 
+VALIDATION = 1000
+"""Samples of a run that validate, at least: room for a few predictions after what an observer needs to settle."""
+
 READING_COLUMNS = (0, 2, 4, 5, 6)
 """Columns of x that sensors give; the others the box makes of them."""
 
@@ -115,16 +118,16 @@ def _believed(path: str | Path) -> str:
 
 
 def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:
-    """Training and validation runs.
+    """Training and validation runs, which share no sample.
 
-    With three recordings or more the last one validates. With fewer, the last `share` of each run's time does, `gap`
-    samples
-    after where training ends. What a model is judged by in the end is another recording: `validate`.
+    With three recordings or more the last one validates. With fewer, the last `share` of each run's time does, at least
+    `VALIDATION` samples, `gap` samples after where training ends; a run that is too short for that is trained on whole.
+    What a model is judged by in the end is another recording: `validate`.
 
     Raises
     ------
     DataError
-        If no run is long enough.
+        If no run is long enough to be trained on, or none to hold a part back.
     """
     digests = {name: digest(states) for name, states in recordings.items()}
     found = {name: runs(name, states) for name, states in recordings.items()}
@@ -136,7 +139,16 @@ def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 
         return Data(training=training, validation=found[names[-1]], digests=digests)
     training, validation = [], []
     for run in (run for name in names for run in found[name]):
-        end = round((1.0 - share) * len(run))
-        training.append(run.part(0, end))
-        validation.append(run.part(min(end + gap, len(run) - SHORTEST // 2), len(run)))
+        end = min(round((1.0 - share) * len(run)), len(run) - gap - VALIDATION)
+        if end < SHORTEST:
+            training.append(run)
+        else:
+            training.append(run.part(0, end))
+            validation.append(run.part(end + gap, len(run)))
+    if not validation:
+        longest, needed = max(map(len, training)), SHORTEST + gap + VALIDATION
+        raise DataError(
+            f"the longest unbroken run has {longest} samples, too few to hold some back for validation: name three "
+            f"recordings, or one with {needed} samples in a row"
+        )
     return Data(training=training, validation=validation, digests=digests)

@@ -23,12 +23,11 @@ from hydro_sim.identification.objectives import SETTLED, Indices
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel
 from hydro_sim.model.effects import catalogue, valve
+from hydro_sim.model.quality import HORIZON, Quality
 from hydro_sim.model.sensitivities import Sensitivities
 
 SUBSTEPS = 10
 """Integration steps per sample: 100 us, a 110th of a period of the 90 Hz mass-on-oil mode."""
-HORIZON = 70
-"""Samples of a prediction."""
 TRUSTS = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
 """How much the filter thinks that the model misses, round by round."""
 ITERATIONS = 5
@@ -71,9 +70,9 @@ class Result:
     """RMSE of 70-sample predictions of the validation runs against the readings, shape (5,)."""
 
     @property
-    def over_noise(self) -> float:
-        """What predictions leave, over the noise, geometric mean of the five readings; 1: nothing but noise."""
-        return float(np.exp(np.mean(np.log(self.left / self.noise))))
+    def quality(self) -> Quality:
+        """How good it is."""
+        return Quality.of(self.left / self.noise)
 
 
 def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: Report = lambda text: None) -> Result:

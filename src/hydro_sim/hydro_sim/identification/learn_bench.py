@@ -9,15 +9,12 @@ from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import yaml
 
 from hydro_bridge.cli.console import Table, UserError
-from hydro_bridge.signals import PLANT_FIELDS
 from hydro_sim.files import recordings
-from hydro_sim.files.recordings import READING_COLUMNS
 from hydro_sim.identification import bench_learning
-from hydro_sim.identification.bench_learning import HORIZON, Result
+from hydro_sim.identification.bench_learning import Result
 from hydro_sim.learned.any_model import BENCH_FILES, is_bench
 from hydro_sim.model.bench import Bench
 
@@ -26,9 +23,6 @@ STRUCTURE = "bench"
 
 FITTING = ("bags", "out", "structure", "bench", "windows", "seed", "json")
 """Options that mean something here."""
-
-GOOD = 1.3
-"""Times the noise, to which predictions may leave it without a word."""
 
 COLUMNS = {
     "parameter": "",
@@ -68,28 +62,14 @@ def run(options: argparse.Namespace, said: Collection[str]) -> None:
         bench, data, count=options.windows, seed=options.seed, report=lambda text: print(text, file=sys.stderr)
     )
     _table(result).show(options.json)
-    judgement = judged(result)
+    judgement = result.quality.told()
     _write(result, Path(options.out), judgement, data.digests)
     print(f"{options.out}: {judgement}")
 
 
-def judged(result: Result) -> str:
-    """How good it is, in a sentence."""
-    ratios = result.left / result.noise
-    names = (PLANT_FIELDS[column] for column in READING_COLUMNS)
-    each = ", ".join(f"{name} {ratio:.2f}" for name, ratio in zip(names, ratios, strict=True))
-    told = f"{HORIZON}-sample predictions leave {result.over_noise:.2f} times the noise ({each})"
-    if unfit := stated(result).unfit:
-        return f"{told}; NOT fit for the filter: {unfit}"
-    if np.max(ratios) > GOOD:
-        return f"{told}; more than {GOOD:g} times where it is more hints at an effect that the file does not name"
-    return told
-
-
 def stated(result: Result) -> Bench:
     """The learnt bench, with what is known of it."""
-    known = {"bench": result.bench.digest, "samples": HORIZON, "over_noise": round(result.over_noise, 4)}
-    return replace(result.bench, learned=known)
+    return replace(result.bench, learned={"bench": result.bench.digest, **result.quality.to_mapping()})
 
 
 def _table(result: Result) -> Table:

@@ -20,9 +20,7 @@ import yaml
 
 from hydro_bridge.files import bench_file
 from hydro_sim.model.effects import catalogue
-
-UNFIT = 3.0
-"""Times the noise that 70-sample predictions may leave, geometric mean of the readings, of what is relied on."""
+from hydro_sim.model.quality import Quality
 
 
 def _quantity(unit: str, low: float, high: float) -> Any:
@@ -78,7 +76,7 @@ class Bench:
     closures: tuple[Mapping[str, Any], ...] = ()
     """What a diagnosis modelled without a name, as read: equation, form, parameters (`hydro_sim.model.laws`)."""
     learned: Mapping[str, Any] | None = None
-    """What `learn` says of its file: the `bench` that it was (a digest) and what predictions leave, `over_noise`."""
+    """What `learn` says of its file: the `bench` that it was (a digest), and how good it is (`Quality`)."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -108,13 +106,9 @@ class Bench:
 
         What `learn` found of it holds as long as no number was changed since.
         """
-        known = self.learned or {}
-        if known.get("bench") != self.digest or float(known.get("over_noise", 0.0)) <= UNFIT:
+        if self.learned is None or self.learned.get("bench") != self.digest:
             return ""
-        return (
-            f"predictions of this bench file leave {float(known['over_noise']):.3g} times the noise, more than "
-            f"{UNFIT:g}: it lacks an effect that the bench has (`diagnose` names candidates)"
-        )
+        return Quality.from_mapping(self.learned).unfit
 
     @classmethod
     def nominal(cls) -> Bench:
@@ -159,10 +153,8 @@ class Bench:
             raise ValueError(f"key {missing[0]!r} is missing")
         values = {key: _number(key, value) for key, value in content.items() if key not in _NOT_NUMBERS}
         learned = content.get("learned")
-        if learned is not None and not isinstance(learned, Mapping):
-            raise ValueError("'learned' is a mapping, as `learn` writes it")
-        if learned is not None and not isinstance(learned.get("over_noise"), int | float):
-            raise ValueError("'learned' needs the number 'over_noise', as `learn` writes it")
+        if learned is not None:
+            Quality.from_mapping(learned)
         closures = _listed("closures", content.get("closures"), ("equation", "form", "parameters"))
         return cls(
             **values, effects=_listed("effects", content.get("effects"), ("id",)), closures=closures, learned=learned

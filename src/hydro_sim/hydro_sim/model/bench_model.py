@@ -244,10 +244,16 @@ def _say(structure: Structure) -> None:
 def _assembled(structure: Structure) -> Functions:
     from hydro_sim.model.assembly import Assembly  # only what is not compiled yet waits for CasADi
 
-    limits = {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in fields(Bench) if entry.metadata}
     effects = [catalogue.KINDS[label].make() for label in structure.labels]
-    made = Assembly(limits, effects, ideal_cell=structure.ideal_cell, past=structure.past, substeps=structure.substeps)
+    made = Assembly(
+        _limits(), effects, ideal_cell=structure.ideal_cell, past=structure.past, substeps=structure.substeps
+    )
     return made.functions()
+
+
+def _limits() -> dict[str, tuple[float, float]]:
+    """Names of a bench's numbers, with the range of each."""
+    return {entry.name: (entry.metadata["low"], entry.metadata["high"]) for entry in fields(Bench) if entry.metadata}
 
 
 def _source(structure: Structure, part: Part) -> str:
@@ -263,9 +269,9 @@ def _sources_digest() -> str:
     import hashlib
 
     here = Path(__file__).parent
-    names = ["equations.py", "laws.py", "grammar.py", "motion.py", "rates.py", "assembly.py", "source.py", "bench.py"]
+    names = ["equations.py", "laws.py", "grammar.py", "motion.py", "rates.py", "assembly.py", "source.py"]
     files = [here / name for name in names] + sorted(here.glob("*.c")) + sorted((here / "effects").glob("*.py"))
-    others = f"{SAMPLE_PERIOD} casadi {version('casadi')}".encode()
+    others = f"{SAMPLE_PERIOD} {_limits()} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 
 

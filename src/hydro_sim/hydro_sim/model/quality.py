@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How good a bench file's predictions are, and whether anything may rely on them.
+
+Where the noise is all that predictions leave, a model cannot be better. The mean over the readings tells models apart;
+the worst reading tells what a mean hides: four readings at the noise and one at 240 times have a mean of 3.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import exp, log
+from typing import Any
+
+from hydro_bridge.signals import PLANT_FIELDS
+
+HORIZON = 70
+"""Samples of a prediction."""
+
+READINGS = tuple(PLANT_FIELDS[column] for column in (0, 2, 4, 5, 6))
+"""What sensors give, in the order of a model's readings."""
+
+UNFIT = 3.0
+"""Times the noise that predictions may leave, geometric mean of the readings, of what is relied on."""
+
+UNFIT_WORST = 10.0
+"""Times its noise that they may leave of the worst reading. More than for the mean, for noise does not say what an
+error does: ten times are 6 N of a load cell, and 3 um of an encoder."""
+
+GOOD = 1.3
+"""Times the noise, to which predictions may leave a reading without a word."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quality:
+    """Of a bench file. RMSE of predictions against the readings, over the readings' noise."""
+
+    over_noise: float
+    """Geometric mean of the five readings; 1: nothing but noise."""
+    worst: float
+    """The largest of the five."""
+    worst_reading: str
+    """Which one that is."""
+
+    @classmethod
+    def of(cls, ratios: Sequence[float]) -> Quality:
+        """From the ratios of the readings, in the order of `READINGS`; one that is no number is the worst."""
+        worst, name = max(zip(ratios, READINGS, strict=True), key=lambda one: one[0] if one[0] >= 0.0 else float("inf"))
+        mean = exp(sum(log(ratio) for ratio in ratios) / len(ratios))
+        return cls(over_noise=float(mean), worst=float(worst), worst_reading=name)
+
+    @classmethod
+    def from_mapping(cls, content: Any) -> Quality:
+        """What `learn` wrote into a bench file.
+
+        Raises
+        ------
+        ValueError
+            It is not what `learn` writes.
+        """
+        if not isinstance(content, Mapping):
+            raise ValueError("'learned' is a mapping, as `learn` writes it")
+        for name, kind, what in (("over_noise", int | float, "number"), ("worst", int | float, "number"),
+                                 ("worst_reading", str, "name")):  # fmt: skip
+            if not isinstance(content.get(name), kind):
+                raise ValueError(f"'learned' needs the {what} {name!r}, as `learn` writes it: learn the file anew")
+        over_noise, worst = float(content["over_noise"]), float(content["worst"])
+        return cls(over_noise=over_noise, worst=worst, worst_reading=content["worst_reading"])
+
+    def to_mapping(self) -> dict[str, Any]:
+        """For a bench file."""
+        left = {"over_noise": round(self.over_noise, 4), "worst": round(self.worst, 4)}
+        return {"samples": HORIZON, **left, "worst_reading": self.worst_reading}
+
+    @property
+    def unfit(self) -> str:
+        """Why nothing may rely on it, in a sentence; empty where it may."""
+        if not self.over_noise <= UNFIT:
+            left = f"{self.over_noise:.3g} times the noise, more than {UNFIT:g}"
+        elif not self.worst <= UNFIT_WORST:
+            left = f"{self.worst:.3g} times the noise of {self.worst_reading}, more than {UNFIT_WORST:g}"
+        else:
+            return ""
+        return (
+            f"predictions of this bench file leave {left}: it lacks an effect that the bench has (`diagnose` names "
+            "candidates)"
+        )
+
+    def told(self) -> str:
+        """What is left, and what that means, in a sentence."""
+        left = f"{self.over_noise:.2f} times the noise, {self.worst:.2f} times of {self.worst_reading}"
+        told = f"{HORIZON}-sample predictions leave {left}"
+        if self.unfit:
+            return f"{told}; NOT fit for the filter: {self.unfit}"
+        if self.worst > GOOD:
+            return f"{told}; more than {GOOD:g} times hints at an effect that the file does not name"
+        return told

@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is trained on and what validates share no sample."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_DTYPE, StateArray
+from hydro_sim.files import recordings
+from hydro_sim.files.recordings import DataError, Run
+
+
+def recording(samples: int) -> StateArray:
+    states = np.zeros(samples, STATE_DTYPE)
+    states["sequence"] = np.arange(samples)
+    return states
+
+
+def span(run: Run) -> tuple[int, int]:
+    return run.first, run.first + len(run)
+
+
+@pytest.mark.parametrize("samples", [4000, 4500, 6500, 7000, 13_000, 20_000, 62_000])
+def test_validation_begins_a_second_after_training_ends(samples: int) -> None:
+    data = recordings.split({"one": recording(samples)})
+    (training,), (validation,) = data.training, data.validation
+    assert span(training)[0] == 0 and span(validation)[1] == samples
+    assert span(validation)[0] - span(training)[1] == 1000
+    assert len(training) >= 2000 and len(validation) >= 1000
+
+
+def test_a_recording_too_short_to_share_is_refused_in_a_sentence() -> None:
+    with pytest.raises(DataError, match=r"3999 samples, too few to hold some back .* one with 4000 samples in a row"):
+        recordings.split({"one": recording(3999)})
+
+
+def test_a_short_recording_beside_a_long_one_is_trained_on_whole() -> None:
+    data = recordings.split({"short": recording(3000), "long": recording(20_000)})
+    assert [len(run) for run in data.training] == [3000, 17_000]
+    assert [run.name for run in data.validation] == ["long"]
+
+
+def test_of_three_recordings_the_last_one_validates_however_short() -> None:
+    data = recordings.split({name: recording(2500) for name in ("one", "two", "three")})
+    assert [run.name for run in data.validation] == ["three"] and len(data.training) == 2
