@@ -57,7 +57,8 @@ class Table(NamedTuple):
 
 def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """F, G, K of the still bench, about a closed valve; of a bench file as its sensors show that."""
-    x, step, memory, closing = np.zeros(8), step_of(loop), memories(loop)[0], 0.0
+    x: FloatArray = np.zeros(8)
+    step, memory, closing = step_of(loop), memories(loop)[0], 0.0
     if isinstance(loop, BenchLoop):
         x, closing = still(loop.model), -(loop.model.before + loop.model.after)
         settle(loop, memory, x, closing, 0.0)

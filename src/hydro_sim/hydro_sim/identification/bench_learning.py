@@ -72,7 +72,7 @@ class Result:
     @property
     def quality(self) -> Quality:
         """How good it is."""
-        return Quality.of(self.left / self.noise)
+        return Quality.of((self.left / self.noise).tolist())
 
 
 def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: Report = lambda text: None) -> Result:
