@@ -22,9 +22,10 @@ from benchmarks._truth_fleet import TruthPlant
 from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_bridge.signals import FloatArray
 from hydro_policy.envs import vector_runs
+from hydro_policy.envs.filter_kinds import FILTERS
 from hydro_policy.envs.randomisation import Randomisation, draw
 from hydro_policy.envs.vector_env import VectorBench
-from hydro_policy.envs.vector_filter import FILTERS, fleet_filter
+from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser, fixed
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.task.cases import EvaluationSettings

@@ -34,8 +34,9 @@ from hydro_bridge.signals import (
     StateArray,
 )
 from hydro_policy.envs import vector_runs
+from hydro_policy.envs.filter_kinds import FILTERS
 from hydro_policy.envs.vector_env import VectorBench, records
-from hydro_policy.envs.vector_filter import FILTERS, fleet_filter
+from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.supervision.monitor import SafetyMonitor

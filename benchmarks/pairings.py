@@ -128,12 +128,12 @@ WRONG = (
     ),
     *_wrong(
         "hydro_policy", "evaluate",
-        ("--plant sim --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
-        ("--plant sim --policy @own", f"the policy own {FOREIGN}"),
-        ("--plant emulator --policy @unmarked", UNMARKED),
-        (f"--plant sim --bench @own.yaml {CONSTANT} --policy @shipped", f"the policy shipped {FOREIGN}"),
-        ("--plant sim --base-gains 30 8 --policy @shipped", "was made for a box with base K_p 15, this one has 30"),
-        ("--plant sim --filter=--metric=@unmarked_metric.safetensors", UNMARKED),
+        ("--runs @new --plant sim --bench @own.yaml", f"the model default_weights.safetensors {FOREIGN}"),
+        ("--runs @new --plant sim --policy @own", f"the policy own {FOREIGN}"),
+        ("--runs @new --plant emulator --policy @unmarked", UNMARKED),
+        (f"--runs @new --plant sim --bench @own.yaml {CONSTANT} --policy @shipped", f"the policy shipped {FOREIGN}"),
+        ("--runs @new --plant sim --base-gains 30 8 --policy @shipped", "was made for a box with base K_p 15"),
+        ("--runs @new --plant sim --filter=--metric=@unmarked_metric.safetensors", UNMARKED),
     ),
 )  # fmt: skip
 """Every command that pairs anything, with what does not belong together."""

@@ -42,7 +42,7 @@ COMMANDS = (
     "hydro_filter validate --seeds 1 --seconds 1 --jobs 1 --cases stable",
     "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20",
     "hydro_policy trainer --help",
-    "hydro_policy evaluate --plant sim --fixed 60 10 --frequencies 2 --settle 0.5",
+    "hydro_policy evaluate --plant sim --runs {out}/runs --fixed 60 10 --frequencies 2 --settle 0.5",
     "hydro_diagnosis diagnose {bag} --out {out}/diagnosis",
 )
 

@@ -50,13 +50,14 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> None:
     words = f"hydro_policy trainer --plant {plant} --configuration wide --episodes 1 --runs {{out}}/runs"
     assert run(words, tmp_path, *SHORT) == set()
-    assert run(f"hydro_policy evaluate --plant {plant} --fixed 60 10 --frequencies 2 --settle 0.5", tmp_path) == set()
+    words = f"hydro_policy evaluate --plant {plant} --runs {{out}}/runs --fixed 60 10 --frequencies 2 --settle 0.5"
+    assert run(words, tmp_path) == set()
 
 
 @pytest.mark.graph
 def test_a_filter_with_the_constant_metric_and_an_analytic_plant_compile_nothing(tmp_path: Path) -> None:
-    words = "hydro_policy evaluate --plant sim --fixed 60 10 --frequencies 2 --settle 0.5 --filter=--metric=constant"
-    assert run(words, tmp_path) == set()
+    words = "hydro_policy evaluate --plant sim --runs {out}/runs --fixed 60 10 --frequencies 2 --settle 0.5"
+    assert run(words, tmp_path, "--filter=--metric=constant") == set()
 
 
 @pytest.mark.slow

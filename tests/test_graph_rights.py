@@ -114,7 +114,7 @@ def test_a_training_on_the_emulator(looker: Looker, running: ExitStack, tmp_path
 
 
 def test_a_recorded_evaluation_on_the_simulation(looker: Looker, running: ExitStack, tmp_path: Path) -> None:
-    words = ["--plant", "sim", "--fixed", "90", "15", "--record", str(tmp_path / "run")]
+    words = ["--plant", "sim", "--fixed", "90", "15", "--runs", str(tmp_path)]
     running.enter_context(Companion("hydro_policy", "evaluate", words))
     clock = {"filter": CLOCK, "sim": CLOCK}
     check(looker, table("evaluate", "sim", "filter", "recorder", without=clock), 120.0)

@@ -17,9 +17,6 @@ COMMANDS = [
     for setup in sorted(ROOT.glob("src/hydro_*/setup.py"))
     for _, module in ENTRY.findall(setup.read_text(encoding="utf-8"))
 ]
-WITH_TORCH = {"hydro_policy.pretraining.pretrain", "hydro_filter.training.learn_metric"}
-"""Parser and work are one module there."""
-
 PROBE = """
 import sys
 from hydro_bridge.process.start import MainOf
@@ -32,7 +29,7 @@ print("torch" in sys.modules)
 """
 
 
-@pytest.mark.parametrize("module", sorted(set(COMMANDS) - WITH_TORCH))
+@pytest.mark.parametrize("module", sorted(COMMANDS))
 def test_help_of_a_command_imports_no_torch(module: str) -> None:
     probe = [sys.executable, "-c", PROBE % module]
     ended = subprocess.run(probe, capture_output=True, text=True, timeout=240, check=True)

@@ -8,9 +8,22 @@ Stages: `formats`, `io`, `preprocessing`, `wiring`, `dataset` (recordings); `eff
 
 from __future__ import annotations
 
-from hydro_diagnosis.findings import Report
-from hydro_diagnosis.io.table import InputError
-from hydro_diagnosis.pipeline import diagnose
-from hydro_diagnosis.report.diagnosis import Diagnosis
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.findings import Report
+    from hydro_diagnosis.io.table import InputError
+    from hydro_diagnosis.pipeline import diagnose
+    from hydro_diagnosis.report.diagnosis import Diagnosis
 
 __all__ = ["Diagnosis", "InputError", "Report", "diagnose"]
+
+_HOMES = {"Diagnosis": "report.diagnosis", "InputError": "recording", "Report": "findings", "diagnose": "pipeline"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import what is asked for when it is: a command that diagnoses nothing, or is only asked for help, starts soon."""
+    if name in _HOMES:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -7,16 +7,16 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydro_bridge.cli.console import command, writable_folder
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_diagnosis.findings import DiagnosisInterrupted
-from hydro_diagnosis.formats.importers import SUFFIXES
-from hydro_diagnosis.io.table import InputError
-from hydro_diagnosis.pipeline import diagnose
-from hydro_diagnosis.report.corrected_bench import write_corrected
-from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.report.page import write_page
+from hydro_diagnosis.formats.suffixes import SUFFIXES
+from hydro_diagnosis.recording import InputError
+
+if TYPE_CHECKING:
+    from hydro_diagnosis.report.diagnosis import Diagnosis
 
 RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".join(SUFFIXES)
 
@@ -58,6 +58,10 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 130 after Ctrl-C, with what was finished by then."""
     chosen = parser().parse_args(arguments)
+    from hydro_diagnosis.pipeline import diagnose  # late, as the next two: not for --help or a slip
+    from hydro_diagnosis.report.corrected_bench import write_corrected
+    from hydro_diagnosis.report.page import write_page
+
     quiet = chosen.quiet or not sys.stderr.isatty()
     try:
         found = diagnose(

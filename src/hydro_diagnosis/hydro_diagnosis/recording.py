@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 
 MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """What sensors give; the rates are computed by the box and not used."""

@@ -8,7 +8,7 @@ import pytest
 
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis.effects import LIBRARY, Claim, Effect
-from hydro_diagnosis.effects.base import Parameter
+from hydro_diagnosis.effects.base import FitParameter
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
@@ -22,7 +22,7 @@ BENCH = Bench.nominal()
 ADAPTED = [effect.adapted(BENCH) for effect in LIBRARY]
 
 
-def amplitudes(effect: Effect) -> list[Parameter]:
+def amplitudes(effect: Effect) -> list[FitParameter]:
     return [one for one in effect.parameters if one.smallest > 0.0]
 
 

@@ -27,10 +27,10 @@ from hydro_filter.training.data import (
     roll_out,
     windows_of,
 )
-from hydro_filter.training.learn_metric import arguments, correction
 from hydro_filter.training.lmi_refinement import polish
 from hydro_filter.training.loss import Samples
-from hydro_filter.training.options import begun
+from hydro_filter.training.metric_learning import correction
+from hydro_filter.training.options import arguments, begun
 from hydro_filter.training.training import TrainingSettings, judge, network_of, questions, train
 from hydro_filter.validation import validate
 from hydro_sim.learned.model import Learned

@@ -113,13 +113,22 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     Policy(32).save(policy, GainRange(), made=made)  # all zero: the middle of the range, K_p = 52.5, K_i = 10
     words = ["--plant", "sim", "--policy", str(policy), "--fixed", "52.5", "10", "--fixed", "100", "15"]
     figures, plot = tmp_path / "evaluation.json", tmp_path / "tracking.png"
-    done = run("evaluate", *words, "--frequencies", "2", "--json", str(figures), "--plot", str(plot))
+    files = ("--json", str(figures), "--plot", str(plot), "--runs", str(tmp_path / "runs"), "--name", "a")
+    done = run("evaluate", *words, "--frequencies", "2", *files)
     assert done.returncode == 0, done.stderr
     scores = {score["controller"]: score for score in json.loads(figures.read_text())["runs"]}
     assert list(scores) == ["policy policy", "fixed (52.5, 10)", "fixed (100, 15)"]
     assert scores["policy policy"]["rmse"] == pytest.approx(scores["fixed (52.5, 10)"]["rmse"], rel=0.15)
     assert scores["fixed (100, 15)"]["proportional_gain"] > 95, "the guard was opened for it"
     assert "2 Hz" in done.stdout and plot.stat().st_size > 10_000
+    folder = RunDirectory(tmp_path / "runs" / "a")
+    assert folder.evaluation.read_text() == figures.read_text() and str(folder.page) in done.stderr
+    assert (
+        "fixed (100, 15)" in folder.page.read_text() and "a/report.html" in (tmp_path / "runs/index.html").read_text()
+    )
+    assert read_bag(folder.bag).state["flags"].any(), "it records unless told otherwise"
+    again = run("evaluate", "--plant", "sim", "--runs", str(tmp_path / "runs"), "--name", "a")
+    assert again.returncode == 2 and "choose another --name" in again.stderr.splitlines()[-1]
 
 
 @pytest.mark.parametrize(
@@ -148,6 +157,7 @@ def test_what_the_user_can_put_right_is_one_sentence_and_status_2(
         (("--fixed", "nan", "5"), "fixed gains are two finite numbers, not nan and 5"),
         (("--repeats", "0"), "repeats must be within [1, 1000], not 0"),
         (("--json", "/dev/null/figures.json"), "/dev/null is no folder: choose another place"),
+        (("--runs", "/dev/null"), "/dev/null"),
     ],
 )
 def test_evaluate_says_at_once_what_it_cannot_use(words: tuple[str, ...], sentence: str) -> None:
@@ -367,12 +377,13 @@ def test_on_a_plant_that_runs_policies_of_another_box_are_refused_and_fixed_gain
     refused = run("trainer", "--runs", str(tmp_path / "runs"))
     assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
     assert not (tmp_path / "runs").exists()
-    refused = run("evaluate", "--policy", shipped)
+    here = ("--runs", str(tmp_path / "runs"))
+    refused = run("evaluate", *here, "--policy", shipped)
     assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
-    figures = str(tmp_path / "figures.json")
-    done = run("evaluate", "--rearm", "auto", "--fixed", "70", "20", "--frequencies", "2", "--json", figures)
+    assert not (tmp_path / "runs").exists()
+    done = run("evaluate", *here, "--name", "a", "--rearm", "auto", "--fixed", "70", "20", "--frequencies", "2")
     assert done.returncode == 0, done.stderr
-    (score,) = json.loads(Path(figures).read_text())["runs"]
+    (score,) = json.loads((tmp_path / "runs" / "a" / "evaluation.json").read_text())["runs"]
     assert score["proportional_gain"] == pytest.approx(70.0, abs=0.5)
 
 
@@ -401,7 +412,7 @@ def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything
         with pytest.raises((CompanionError, NotReadyError), match=sentence):
             node.meet()
         node.destroy_timer(ticking)
-        assert node.response.count == 0
+        assert node.timing.response.count == 0
     finally:
         node.destroy_node()
         other.destroy_node()

@@ -22,7 +22,8 @@ from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_runs import fixed
 from hydro_policy.pretraining.examination import REFERENCE_GAINS, TRIPPED, Examination
-from hydro_policy.pretraining.pretrain import parser, resumed, training_settings
+from hydro_policy.pretraining.options import parser
+from hydro_policy.pretraining.run import resumed, training_settings
 from hydro_policy.pretraining.source import source_of
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint

@@ -10,16 +10,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
 from cycler import cycler
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from hydro_bridge.signals import Flag, FloatArray, StateArray
+
+if TYPE_CHECKING:  # matplotlib is imported with the first figure: commands that draw nothing start sooner
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GRAY = (
     "#0072b2",
@@ -94,6 +94,10 @@ def figure(
     layout
         Passed on to `Figure.subplots`.
     """
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
     with mpl.rc_context(STYLE):
         drawing = Figure(figsize=size)
         FigureCanvasAgg(drawing)

@@ -33,6 +33,7 @@ from websockets.http11 import Request, Response
 
 from hydro_bridge.dashboard.commands import SIZE_MAX
 from hydro_bridge.errors import UserError
+from hydro_bridge.pages import environment
 
 PORT = 8765
 """Where nobody names a port; where that is taken, any free one."""
@@ -44,8 +45,7 @@ ANSWER_WITHIN = 3.0
 """s, of whoever carries out a command."""
 
 _PENDING = 20  # commands of one viewer that wait for their answers
-_PAGE = {
-    "/": ("index.html", "text/html; charset=utf-8"),
+_FILES = {
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
     "/plots.js": ("plots.js", "text/javascript; charset=utf-8"),
@@ -76,7 +76,8 @@ class PageServer:
 
     def __init__(self, act: Callable[[Message], Future[str]], host: str = "127.0.0.1", port: int | None = None) -> None:
         self._act, self._host = act, host
-        self._files = {path: (_file(name), kind) for path, (name, kind) in _PAGE.items()}
+        self._files = {path: (_file(name), kind) for path, (name, kind) in _FILES.items()}
+        self._files["/"] = (_page().encode(), "text/html; charset=utf-8")
         self._viewers: set[ServerConnection] = set()
         self._new: set[ServerConnection] = set()
         self._lock = threading.Lock()
@@ -192,6 +193,10 @@ class PageServer:
         reading = [viewer for viewer in self._viewers if viewer.transport.get_write_buffer_size() < BEHIND]
         for message in frames:
             broadcast(reading, message)
+
+
+def _page() -> str:
+    return environment("hydro_bridge", "dashboard/page").get_template("index.html").render(title="hydro")
 
 
 def _file(name: str) -> bytes:

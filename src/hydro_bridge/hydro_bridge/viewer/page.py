@@ -31,6 +31,7 @@ def rendered(recorded: Recorded) -> str:
     styles = ("dashboard/page/uPlot.min.css", "dashboard/page/page.css", "viewer/page/view.css")
     return environment("hydro_bridge", "viewer/page").get_template("view.html").render(
         policy=_POLICY,
+        title=f"{_name(recorded)} - hydro",
         name=_name(recorded),
         begin=datetime.fromtimestamp(recorded.begin, timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC"),
         styles=[_text(name) for name in styles],

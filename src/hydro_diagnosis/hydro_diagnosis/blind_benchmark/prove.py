@@ -22,13 +22,9 @@ import yaml
 
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
 from hydro_bridge.viewer.runs import refresh_index
-from hydro_diagnosis.blind_benchmark import page, pictures, seal
-from hydro_diagnosis.blind_benchmark.bench_graph import record_by_graph
-from hydro_diagnosis.blind_benchmark.blind import ANSWER
+from hydro_diagnosis.blind_benchmark import page, seal
 from hydro_diagnosis.blind_benchmark.cases import PARTS, Case, draw, draw_parts
 from hydro_diagnosis.blind_benchmark.facts import Result
-from hydro_diagnosis.blind_benchmark.oracle_fit import rule
-from hydro_diagnosis.blind_benchmark.recording import record
 from hydro_diagnosis.blind_benchmark.standards import confusion, failures, standards
 from hydro_sim.model.bench import Bench
 
@@ -61,6 +57,8 @@ def parser() -> argparse.ArgumentParser:
 def run(arguments: Sequence[str]) -> int:
     """Prove; 0 when cases are scored, 3 when time was up before."""
     chosen = parser().parse_args(arguments)
+    from hydro_diagnosis.blind_benchmark.blind import ANSWER  # late, as others below: not for --help or a slip
+
     cases = _drawn(chosen)
     _check(chosen, len(cases))
     until = time.monotonic() + 60.0 * chosen.minutes
@@ -117,6 +115,9 @@ def _check(chosen: argparse.Namespace, count: int) -> None:
 
 def _record(cases: Sequence[Case], folder: Path, chosen: argparse.Namespace, until: float) -> bool:
     """Record all cases; False if time was up."""
+    from hydro_diagnosis.blind_benchmark.bench_graph import record_by_graph
+    from hydro_diagnosis.blind_benchmark.recording import record
+
     folder.mkdir(parents=True, exist_ok=True)
     if not (folder / "bench.yaml").exists():
         believed = yaml.safe_dump(Bench.nominal().to_mapping(), sort_keys=False)
@@ -141,6 +142,9 @@ def _asked(result: Result, kinds: Sequence[str] | None) -> bool:
 
 
 def _results(cases: Sequence[Case], folder: Path, workers: int) -> list[Result]:
+    from hydro_diagnosis.blind_benchmark.blind import ANSWER
+    from hydro_diagnosis.blind_benchmark.oracle_fit import rule
+
     results = [
         Result(case=case, answer=json.loads((folder / BLIND / case.name / ANSWER).read_text())) for case in cases
     ]
@@ -149,6 +153,8 @@ def _results(cases: Sequence[Case], folder: Path, workers: int) -> list[Result]:
 
 def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
     """Print the table; write proof.json, the pictures and proof.html."""
+    from hydro_diagnosis.blind_benchmark import pictures
+
     engines = sorted({str(result.answer["engine"]) for result in results})
     about = {**about, "engine": ", ".join(engines)}
     table, failed = standards(results), failures(results)

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench

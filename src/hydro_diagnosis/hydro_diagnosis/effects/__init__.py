@@ -19,7 +19,7 @@ from hydro_diagnosis.effects import (
     valve,
     valve_dynamics,
 )
-from hydro_diagnosis.effects.base import Claim, Effect, Parameter
+from hydro_diagnosis.effects.base import Claim, Effect, FitParameter
 
 _MODULES = (friction, direction, leakage, valve, valve_dynamics, supply, fluid, sensors, load, bench_values)
 
@@ -29,4 +29,4 @@ LIBRARY: tuple[Effect, ...] = tuple(effect for module in _MODULES for effect in 
 CANDIDATES = (*LIBRARY, *unnamed.EFFECTS)
 """All that a search tries."""
 
-__all__ = ["CANDIDATES", "LIBRARY", "Claim", "Effect", "Parameter"]
+__all__ = ["CANDIDATES", "LIBRARY", "Claim", "Effect", "FitParameter"]

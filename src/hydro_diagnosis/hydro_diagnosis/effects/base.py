@@ -37,7 +37,7 @@ def changed(bench: Bench, **values: float | None) -> Bench:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Parameter:
+class FitParameter:
     """One number of an effect: where it may lie, where it does nothing, and from where on it matters."""
 
     name: str
@@ -130,7 +130,7 @@ class Effect:
     equations: ClassVar[tuple[str, ...]] = ()
     """Where it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
     touches: ClassVar[frozenset[str]] = frozenset()
-    parameters: ClassVar[tuple[Parameter, ...]] = ()
+    parameters: ClassVar[tuple[FitParameter, ...]] = ()
     stage: ClassVar[int] = 1
     """Order in the command's path: 0 before the spool, 1 the spool's motion, 2 what the edges make of its position."""
     family: ClassVar[str] = ""

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hydro_diagnosis.effects.base import HYDRAULIC, PRESSURE, Effect, Parameter, Values, changed
+from hydro_diagnosis.effects.base import HYDRAULIC, PRESSURE, Effect, FitParameter, Values, changed
 from hydro_sim.model.bench import Bench
 
-_RATIO = Parameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
+_RATIO = FitParameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
 
 
 class SupplyPressure(Effect):
@@ -84,10 +84,10 @@ class TankPressure(Effect):
     touches = frozenset({PRESSURE})
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         probe = self.reference + 2e5
         return (
-            Parameter(
+            FitParameter(
                 name="pressure", unit="Pa", low=0.0, high=5e6, neutral=self.reference, probes=(probe,), smallest=1e4
             ),
         )

@@ -14,11 +14,11 @@ from hydro_diagnosis.effects.base import (
     MOTION,
     PRESSURE,
     Effect,
+    FitParameter,
     FloatArray,
     Kinematics,
     Memory,
     Oil,
-    Parameter,
     Values,
 )
 from hydro_sim.model import laws
@@ -54,13 +54,15 @@ class Closure(Effect):
         return _EQUATIONS.get(self.law.equation, (self.law.equation,))
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         law, size = self.law, self.law.typical
         unit = law.unit if isinstance(law, Law) else laws.UNITS[law.equation]
         names = law.names if isinstance(law, Law) else law.names[2:]
         reach = _REACH * size
         return tuple(
-            Parameter(name=name, unit=unit, low=-reach, high=reach, neutral=0.0, probes=(size,), smallest=1e-3 * size)
+            FitParameter(
+                name=name, unit=unit, low=-reach, high=reach, neutral=0.0, probes=(size,), smallest=1e-3 * size
+            )
             for name in names
         )
 

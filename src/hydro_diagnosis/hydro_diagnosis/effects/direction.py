@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import MOTION, Effect, FloatArray, Kinematics, Memory, Parameter, Values
+from hydro_diagnosis.effects.base import MOTION, Effect, FitParameter, FloatArray, Kinematics, Memory, Values
 from hydro_diagnosis.effects.friction import down_to_nothing
 from hydro_sim.model.bench import Bench
 
-_COEFFICIENT = Parameter(
+_COEFFICIENT = FitParameter(
     name="coefficient_positive", unit="N s/m", low=-1e4, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5
 )
 
@@ -25,7 +25,7 @@ class FrictionViscousDirectional(Effect):
     touches = frozenset({MOTION})
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         low = down_to_nothing(self.reference, -_COEFFICIENT.low)
         other = -15.0 if low < -30.0 else 15.0
         extending = replace(_COEFFICIENT, low=low)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Parameter, Values, changed
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Values, changed
 from hydro_sim.model.bench import Bench
 
 ATMOSPHERE = 101325.0
@@ -19,7 +19,7 @@ class BulkModulus(Effect):
     equations = ("pressure_a", "pressure_b")
     family = "oil"
     touches = frozenset({PRESSURE})
-    parameters = (Parameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
+    parameters = (FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
 
     def stiffness(self, modulus: FloatArray, pressure: FloatArray, values: Values) -> FloatArray:
         return modulus * values["ratio"]
@@ -43,7 +43,7 @@ class EntrainedAir(Effect):
     family = "oil"
     touches = frozenset({PRESSURE})
     parameters = (
-        Parameter(
+        FitParameter(
             name="volume_fraction", unit="-", low=0.0, high=0.3, neutral=0.0, probes=(0.003, 0.02), smallest=1e-4
         ),
     )

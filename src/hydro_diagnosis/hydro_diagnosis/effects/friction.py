@@ -11,10 +11,10 @@ import numpy as np
 from hydro_diagnosis.effects.base import (
     MOTION,
     Effect,
+    FitParameter,
     FloatArray,
     Kinematics,
     Memory,
-    Parameter,
     Values,
     changed,
 )
@@ -26,8 +26,8 @@ SLIP_VELOCITY = 3e-4
 """m/s, over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
 
 
-def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> Parameter:
-    return Parameter(name=name, unit="N", low=low, high=500.0, neutral=0.0, probes=probes, smallest=smallest)
+def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> FitParameter:
+    return FitParameter(name=name, unit="N", low=low, high=500.0, neutral=0.0, probes=probes, smallest=smallest)
 
 
 def down_to_nothing(of_bench: float, otherwise: float) -> float:
@@ -79,10 +79,12 @@ class FrictionViscous(Effect):
     touches = frozenset({MOTION})
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         low = down_to_nothing(self.reference, 1e4)
         return (
-            Parameter(name="coefficient", unit="N s/m", low=low, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5),
+            FitParameter(
+                name="coefficient", unit="N s/m", low=low, high=1e4, neutral=0.0, probes=(30.0,), smallest=1.5
+            ),
         )
 
     def adapted(self, bench: Bench) -> Effect:
@@ -105,7 +107,7 @@ class FrictionStribeck(Effect):
     touches = frozenset({MOTION})
     parameters = (
         _force("breakaway_force", smallest=0.5),
-        Parameter(name="velocity", unit="m/s", low=2e-3, high=0.06, neutral=0.01, probes=(0.006, 0.02)),
+        FitParameter(name="velocity", unit="m/s", low=2e-3, high=0.06, neutral=0.01, probes=(0.006, 0.02)),
     )
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -127,7 +129,7 @@ class FrictionPresliding(Effect):
     touches = frozenset({MOTION})
     needs = ("friction_coulomb",)
     bristles = True
-    parameters = (Parameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),)
+    parameters = (FitParameter(name="stiffness", unit="N/m", low=3e3, high=3e6, neutral=3e6, probes=(3e4, 3e5)),)
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -172,8 +174,8 @@ class EndCushion(Effect):
         return force + values["stiffness"] * depth * rise
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
-        stiffness = Parameter(
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
+        stiffness = FitParameter(
             name="stiffness", unit="N/m", low=0.0, high=1e7, neutral=0.0, probes=(1e4,), smallest=200.0
         )
         # on its own half of the stroke: beyond, it would be an offset and a softer spring over the whole range
@@ -182,7 +184,7 @@ class EndCushion(Effect):
         low, high, at = (middle, stroke, tuple(share * stroke for share in shares))
         if self.options["form"].startswith("start"):
             low, high, at = (0.0, middle, tuple((1.0 - share) * stroke for share in shares))
-        return (stiffness, Parameter(name="position", unit="m", low=low, high=high, neutral=middle, probes=at))
+        return (stiffness, FitParameter(name="position", unit="m", low=low, high=high, neutral=middle, probes=at))
 
     def adapted(self, bench: Bench) -> Effect:
         return replace(self, reference=bench.stroke)
@@ -203,9 +205,9 @@ class MovingMass(Effect):
     touches = frozenset({MOTION})
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         low = 0.95 * down_to_nothing(self.reference, 1e3)
-        return (Parameter(name="mass", unit="kg", low=low, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.05),)
+        return (FitParameter(name="mass", unit="kg", low=low, high=1e3, neutral=0.0, probes=(0.3,), smallest=0.05),)
 
     def adapted(self, bench: Bench) -> Effect:
         return replace(self, reference=bench.moving_mass)

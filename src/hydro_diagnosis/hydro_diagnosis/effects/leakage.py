@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Parameter, Values
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Values
 
-_COEFFICIENT = Parameter(
+_COEFFICIENT = FitParameter(
     name="coefficient", unit="m3/s/Pa", low=0.0, high=1e-10, neutral=0.0, probes=(1e-13,), smallest=1e-15
 )
 

@@ -11,10 +11,10 @@ from hydro_diagnosis.effects.base import (
     LOAD,
     MOTION,
     Effect,
+    FitParameter,
     FloatArray,
     Kinematics,
     Memory,
-    Parameter,
     Values,
     changed,
 )
@@ -31,7 +31,9 @@ class SpringStiffness(_Load):
     """k_s times a ratio."""
 
     id = "spring_stiffness"
-    parameters = (Parameter(name="ratio", unit="-", low=0.05, high=20.0, neutral=1.0, probes=(0.95,), smallest=0.002),)
+    parameters = (
+        FitParameter(name="ratio", unit="-", low=0.05, high=20.0, neutral=1.0, probes=(0.95,), smallest=0.002),
+    )
 
     def bench(self, bench: Bench, values: Values) -> Bench:
         return changed(bench, spring_stiffness=bench.spring_stiffness * values["ratio"])
@@ -45,7 +47,7 @@ class SpringHardening(_Load):
 
     id = "spring_hardening"
     parameters = (
-        Parameter(name="coefficient", unit="N/m3", low=-1e10, high=1e10, neutral=0.0, probes=(5e6,), smallest=1e5),
+        FitParameter(name="coefficient", unit="N/m3", low=-1e10, high=1e10, neutral=0.0, probes=(5e6,), smallest=1e5),
     )
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory,
@@ -63,7 +65,7 @@ class Backlash(_Load):
 
     id = "backlash"
     parameters = (
-        Parameter(name="width", unit="m", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4, 2e-3), smallest=1e-5),
+        FitParameter(name="width", unit="m", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4, 2e-3), smallest=1e-5),
     )
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory,
@@ -93,10 +95,10 @@ class SpringRest(_Load):
     id = "spring_rest"
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         probe = self.reference + 1e-3
         return (
-            Parameter(
+            FitParameter(
                 name="position", unit="m", low=-5.0, high=5.0, neutral=self.reference, probes=(probe,), smallest=2e-5
             ),
         )

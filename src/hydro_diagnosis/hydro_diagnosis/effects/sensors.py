@@ -11,9 +11,9 @@ from hydro_diagnosis.effects.base import (
     MOTION,
     PRESSURE,
     Effect,
+    FitParameter,
     FloatArray,
     Memory,
-    Parameter,
     Values,
     changed,
 )
@@ -56,7 +56,7 @@ class LoadCellGain(_Sensor):
     """Reading = ratio times force."""
 
     id = "load_cell_gain"
-    parameters = (Parameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.95,), smallest=0.002),)
+    parameters = (FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.95,), smallest=0.002),)
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return signal * values["ratio"] if channel == self.channel else signal
@@ -72,7 +72,9 @@ class LoadCellBias(_Sensor):
     """Reading = force + bias."""
 
     id = "load_cell_bias"
-    parameters = (Parameter(name="force", unit="N", low=-500.0, high=500.0, neutral=0.0, probes=(5.0,), smallest=0.3),)
+    parameters = (
+        FitParameter(name="force", unit="N", low=-500.0, high=500.0, neutral=0.0, probes=(5.0,), smallest=0.3),
+    )
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         return signal + values["force"] if channel == self.channel else signal
@@ -89,7 +91,7 @@ class PressureSensorBias(_Sensor):
 
     id = "pressure_sensor_bias"
     parameters = (
-        Parameter(name="pressure", unit="Pa", low=-3e6, high=3e6, neutral=0.0, probes=(5e4,), smallest=2.5e3),
+        FitParameter(name="pressure", unit="Pa", low=-3e6, high=3e6, neutral=0.0, probes=(5e4,), smallest=2.5e3),
     )
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
@@ -108,13 +110,13 @@ class SensorLag(_Sensor):
     id = "sensor_lag"
 
     @property
-    def parameters(self) -> tuple[Parameter, ...]:  # type: ignore[override]
+    def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         """Of a pressure sensor, bandwidth and damping trade off against each other: only 2 D/w is known better."""
         share = 0.03 if self.channel.startswith("pressure") else 0.01
         return (
-            Parameter(name="bandwidth", unit="Hz", low=2.0, high=400.0, neutral=400.0, probes=(15.0, 40.0, 120.0),
+            FitParameter(name="bandwidth", unit="Hz", low=2.0, high=400.0, neutral=400.0, probes=(15.0, 40.0, 120.0),
                       systematic=share),
-            Parameter(name="damping", unit="-", low=0.3, high=1.5, neutral=0.7071, probes=(0.7071,), reported=False),
+            FitParameter(name="damping", unit="-", low=0.3, high=1.5, neutral=0.7071, probes=(0.7071,), reported=False),
         )  # fmt: skip
 
     @property

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Memory, Parameter, Values
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Memory, Values
 
 
 class SupplyDroop(Effect):
@@ -13,8 +13,8 @@ class SupplyDroop(Effect):
     equations = ("actuation",)
     touches = frozenset({PRESSURE})
     parameters = (
-        Parameter(name="resistance", unit="Pa s/m3", low=0.0, high=1e12, neutral=0.0, probes=(3e10,), smallest=1e9),
-        Parameter(name="time_constant", unit="s", low=1e-3, high=3.0, neutral=0.05, probes=(0.01, 0.05, 0.3)),
+        FitParameter(name="resistance", unit="Pa s/m3", low=0.0, high=1e12, neutral=0.0, probes=(3e10,), smallest=1e9),
+        FitParameter(name="time_constant", unit="s", low=1e-3, high=3.0, neutral=0.05, probes=(0.01, 0.05, 0.3)),
     )
 
     def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: Values) -> FloatArray:

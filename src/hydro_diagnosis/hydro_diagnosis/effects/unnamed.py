@@ -6,7 +6,7 @@ Where one of them explains the recordings best, the verdict is that something un
 
 from __future__ import annotations
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, Parameter, Values, changed
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, Values, changed
 from hydro_sim.model.bench import Bench
 
 _LEVEL = 5e6
@@ -26,7 +26,9 @@ class WideningHoses(Effect):
     family = "oil"
     touches = frozenset({PRESSURE})
     parameters = (
-        Parameter(name="compliance", unit="m3/Pa", low=0.0, high=1e-12, neutral=0.0, probes=(1e-14,), smallest=6e-16),
+        FitParameter(
+            name="compliance", unit="m3/Pa", low=0.0, high=1e-12, neutral=0.0, probes=(1e-14,), smallest=6e-16
+        ),
     )
 
     def bench(self, bench: Bench, values: Values) -> Bench:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Openings, Parameter, Values, changed
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Openings, Values, changed
 from hydro_sim.model.bench import Bench
 
 
@@ -27,7 +27,7 @@ class ValveDeadband(_Valve):
 
     id = "valve_deadband"
     parameters = (
-        Parameter(
+        FitParameter(
             name="half_width", unit="A", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4, 2e-3), smallest=5e-6
         ),
     )
@@ -45,7 +45,7 @@ class ValveDeadbandLopsided(_Valve):
 
     id = "valve_deadband"
     parameters = tuple(
-        Parameter(name=name, unit="A", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4), smallest=5e-6)
+        FitParameter(name=name, unit="A", low=0.0, high=0.02, neutral=0.0, probes=(1e-4, 5e-4), smallest=5e-6)
         for name in ("half_width", "half_width_negative")
     )
 
@@ -64,8 +64,8 @@ class ValveDeadbandSoft(_Valve):
 
     id = "valve_deadband"
     parameters = (
-        Parameter(name="half_width", unit="A", low=0.0, high=0.02, neutral=0.0, probes=(2e-4, 1e-3), smallest=5e-6),
-        Parameter(name="softness", unit="A", low=5e-6, high=5e-3, neutral=1e-4, probes=(5e-5, 2e-4), reported=False),
+        FitParameter(name="half_width", unit="A", low=0.0, high=0.02, neutral=0.0, probes=(2e-4, 1e-3), smallest=5e-6),
+        FitParameter(name="softness", unit="A", low=5e-6, high=5e-3, neutral=1e-4, probes=(5e-5, 2e-4), reported=False),
     )
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
@@ -85,7 +85,7 @@ class ValveOffset(_Valve):
     id = "valve_offset"
     stage = 1
     parameters = (
-        Parameter(name="current", unit="A", low=-0.02, high=0.02, neutral=0.0, probes=(2e-4,), smallest=4e-6),
+        FitParameter(name="current", unit="A", low=-0.02, high=0.02, neutral=0.0, probes=(2e-4,), smallest=4e-6),
     )
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
@@ -99,7 +99,7 @@ class ValveGain(_Valve):
     """K_v times a ratio."""
 
     id = "valve_gain"
-    parameters = (Parameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
+    parameters = (FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         return _scaled(edges, values["ratio"], values["ratio"])
@@ -115,7 +115,7 @@ class ValveGainAsymmetry(_Valve):
     """K_v times a ratio on the negative side alone."""
 
     id = "valve_gain_asymmetry"
-    parameters = (Parameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
+    parameters = (FitParameter(name="ratio", unit="-", low=0.2, high=5.0, neutral=1.0, probes=(0.9,), smallest=0.004),)
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         return _scaled(edges, 1.0, values["ratio"])
@@ -128,7 +128,9 @@ class ValveGainDrift(_Valve):
     """K_v (1 + r t), t from the start of a recording."""
 
     id = "valve_gain_drift"
-    parameters = (Parameter(name="rate", unit="1/s", low=-0.2, high=0.2, neutral=0.0, probes=(-0.005,), smallest=3e-4),)
+    parameters = (
+        FitParameter(name="rate", unit="1/s", low=-0.2, high=0.2, neutral=0.0, probes=(-0.005,), smallest=3e-4),
+    )
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         ratio = 1.0 + values["rate"] * time
@@ -143,7 +145,7 @@ class ValveNullLeakage(_Valve):
 
     id = "valve_null_leakage"
     parameters = (
-        Parameter(
+        FitParameter(
             name="coefficient",
             unit="m3/s/sqrt(Pa)",
             low=0.0,
@@ -152,7 +154,9 @@ class ValveNullLeakage(_Valve):
             probes=(3e-10,),
             smallest=2e-12,
         ),
-        Parameter(name="width", unit="A", low=2e-5, high=2e-2, neutral=5e-4, probes=(2e-4, 1e-3, 4e-3), reported=False),
+        FitParameter(
+            name="width", unit="A", low=2e-5, high=2e-2, neutral=5e-4, probes=(2e-4, 1e-3, 4e-3), reported=False
+        ),
     )
 
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import expm
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import PRESSURE, Effect, FloatArray, Parameter, Values
+from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Values
 
 
 class TransportDelay(Effect):
@@ -21,7 +21,7 @@ class TransportDelay(Effect):
     family = "valve"
     touches = frozenset({PRESSURE})
     parameters = (
-        Parameter(name="time", unit="s", low=0.0, high=0.03, neutral=0.0, probes=(5e-4, 2e-3, 5e-3), smallest=2e-5),
+        FitParameter(name="time", unit="s", low=0.0, high=0.03, neutral=0.0, probes=(5e-4, 2e-3, 5e-3), smallest=2e-5),
     )
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
@@ -48,8 +48,8 @@ class ValveLag(Effect):
     family = "valve"
     touches = frozenset({PRESSURE})
     parameters = (
-        Parameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
-        Parameter(name="damping", unit="-", low=0.2, high=3.0, neutral=0.8, probes=(0.8,)),
+        FitParameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
+        FitParameter(name="damping", unit="-", low=0.2, high=3.0, neutral=0.8, probes=(0.8,)),
     )
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
@@ -75,7 +75,7 @@ class ValveLagFirstOrder(Effect):
     touches = frozenset({PRESSURE})
 
     parameters = (
-        Parameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
+        FitParameter(name="bandwidth", unit="Hz", low=8.0, high=600.0, neutral=600.0, probes=(40.0, 120.0, 250.0)),
     )
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Parameter
+from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 
 
@@ -23,7 +23,7 @@ class Fit:
     claims: tuple[Claim, ...]
     residual: FloatArray
     jacobian: FloatArray
-    """Columns: derivative of the residual by each parameter, in `Parameter.span`s; shape (n, k)."""
+    """Columns: derivative of the residual by each parameter, in `FitParameter.span`s; shape (n, k)."""
     deviance: float
     """-2 log likelihood up to a constant."""
 
@@ -48,7 +48,7 @@ def deviance(problem: Problem, residual: FloatArray) -> float:
     return float(np.sum(layout.count() * np.log(variance) + squares / variance))
 
 
-def pack(claims: Sequence[Claim]) -> tuple[list[Parameter], FloatArray]:
+def pack(claims: Sequence[Claim]) -> tuple[list[FitParameter], FloatArray]:
     """Parameters and their values, claim after claim."""
     parameters = [parameter for claim in claims for parameter in claim.effect.parameters]
     values = [claim.values[parameter.name] for claim in claims for parameter in claim.effect.parameters]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit, deviance, spreads
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.responses import UNIT_SIZE, Responses

@@ -18,14 +18,14 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Parameter
+from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, fit, pack, spreads, unpack
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unrecorded_rows import shifts
 
 QUANTILE = 1.96
 SYSTEMATIC = 0.03
-"""Of a parameter's smallest size worth claiming; shapes say theirs themselves: `Parameter.systematic`."""
+"""Of a parameter's smallest size worth claiming; shapes say theirs themselves: `FitParameter.systematic`."""
 _BLOCK = 0.25
 
 
@@ -100,7 +100,7 @@ def _uncertainty(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray]:
 
 
 def _interval(
-    problem: Problem, found: Fit, index: int, parameter: Parameter, value: float, deviation: float, inflation: float,
+    problem: Problem, found: Fit, index: int, parameter: FitParameter, value: float, deviation: float, inflation: float,
     attenuation: float,
 ) -> Interval:  # fmt: skip
     reach = QUANTILE * deviation * inflation

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.formats.file_columns import Columns, named_like_time, runs_forward, unique
 from hydro_diagnosis.formats.text_header import Header, header_of, numeric_cells
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 
 _TIME = re.compile(
     r"^(.*[./\\ _-])?(time|t|zeit|timestamp|timestamps|time_?s|x-?axis|xaxis|elapsed)([ _.]*[\[(].*[\])])?(\.\d+)?$",

@@ -66,7 +66,3 @@ _READERS: dict[str, Callable[[Path], Columns]] = {
     ".mdf": mdf_columns,
     ".tdms": tdms_columns,
 }
-SUFFIXES = tuple(_READERS)
-"""What can be read here."""
-
-__all__ = ["SUFFIXES", "Columns", "read_columns"]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.formats.file_columns import Columns, unique
 from hydro_diagnosis.formats.units import known
 from hydro_diagnosis.recording import InputError

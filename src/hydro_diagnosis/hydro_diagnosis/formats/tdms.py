@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from nptdms import TdmsFile
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.formats.file_columns import Columns, named_like_time, runs_forward, unique
 from hydro_diagnosis.formats.units import known
 

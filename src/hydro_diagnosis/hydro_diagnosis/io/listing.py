@@ -11,13 +11,12 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.cli.console import Table, add_json_argument, command, writable
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.formats.file_columns import Columns, named_like_time, runs_forward
 from hydro_diagnosis.formats.units import UNITS
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.proposal import as_yaml, proposed
 from hydro_diagnosis.io.sparkline import sparkline
-from hydro_diagnosis.io.table import columns_of
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 
@@ -42,6 +41,8 @@ def listed(path: Path, columns: ColumnMap | None, table: Table, bench: Bench) ->
     InputError
         If the file cannot be read.
     """
+    from hydro_diagnosis.io.table import columns_of  # late: pandas and scipy are not for --help or a slip
+
     found = columns_of(path)
     chosen = proposed(found, bench) if columns is None else columns.completed(found.series)
     becomes = {source.column: field for field, source in chosen.sources.items()}

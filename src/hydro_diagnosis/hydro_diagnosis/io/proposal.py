@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import yaml
 
-from hydro_bridge.signals import STATE_FIELDS
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.formats.file_columns import Columns, named_like_time, runs_forward
 from hydro_diagnosis.formats.units import QUANTITY, UNITS, in_name
 from hydro_diagnosis.io.column_map import TARGETS, ColumnMap

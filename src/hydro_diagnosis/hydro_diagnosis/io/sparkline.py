@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 
 LEVELS = "▁▂▃▄▅▆▇█"
 WIDTH = 24

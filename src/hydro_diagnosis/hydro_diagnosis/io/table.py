@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.bags.recording import RecordingError, read_bag
-from hydro_bridge.signals import STATE_FIELDS
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.formats.file_columns import Columns
-from hydro_diagnosis.formats.importers import SUFFIXES, read_columns
+from hydro_diagnosis.formats.importers import read_columns
+from hydro_diagnosis.formats.suffixes import SUFFIXES
 from hydro_diagnosis.formats.topics import has_states, topic_columns
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.timebase import fields_of
@@ -40,7 +40,7 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     Parameters
     ----------
     path
-        A rosbag2 folder or .mcap, or a file of one of `importers.SUFFIXES`.
+        A rosbag2 folder or .mcap, or a file of one of `formats.suffixes`.
     columns
         Which of its columns is what. None: it holds a `time` column [s] and any of the BenchState field names as
         columns. A bag with /hydro/state needs none; of other bags `topics` makes the columns.

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.formats.file_columns import Columns
 from hydro_diagnosis.formats.units import UNITS
 from hydro_diagnosis.io.column_map import ColumnMap

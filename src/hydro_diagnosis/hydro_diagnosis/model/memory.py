@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 
 
 class RecordMemory:

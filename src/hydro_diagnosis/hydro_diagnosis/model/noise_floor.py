@@ -8,7 +8,7 @@ from math import hypot
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.segment_record import BLOCK
 from hydro_diagnosis.preprocessing.smoothing import ACCELERATION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN

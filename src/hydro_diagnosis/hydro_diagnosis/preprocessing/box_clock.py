@@ -14,8 +14,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.interpolate import CubicSpline
 
-from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.recording import MEASURED, Segment
 
 Mask = npt.NDArray[np.bool_]

@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
 from hydro_diagnosis.preprocessing.sensor_faults import Mask, frozen_encoder, repeats

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.preprocessing.white_noise import white_noise
 from hydro_sim.model.bench import Bench
 

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.ndimage import correlate1d
 from scipy.signal import oaconvolve
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 
 KINEMATIC_WIDTH = 1.0
 """Recorded rows, of the Gaussian behind position, velocity and acceleration."""

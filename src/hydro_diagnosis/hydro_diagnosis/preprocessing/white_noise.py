@@ -8,7 +8,7 @@ from math import comb
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 
 _ORDER = 6
 _GAIN = sum(comb(_ORDER, k) ** 2 for k in range(_ORDER + 1)) ** 0.5

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.estimation.problem import CHANNELS
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report.plots import svg

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.free_form import variable_of, variables
 from hydro_diagnosis.estimation.problem import Problem

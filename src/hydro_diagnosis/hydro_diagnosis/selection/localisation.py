@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.free_form import FreeForm, variable_of
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem

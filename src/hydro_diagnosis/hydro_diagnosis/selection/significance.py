@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Parameter
+from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unrecorded_rows import shifts
@@ -51,7 +51,7 @@ def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
     return not least or any(abs(claim.values[one.name] - one.neutral) >= least for one in claim.effect.parameters)
 
 
-def _at_its_end(parameter: Parameter, value: float) -> bool:
+def _at_its_end(parameter: FitParameter, value: float) -> bool:
     """Whether a value stands at a bound that is not its neutral value."""
     near = 1e-3 * parameter.smallest
     return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))

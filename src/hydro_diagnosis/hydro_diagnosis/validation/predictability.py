@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.model.simulation import Indices, Plant
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 

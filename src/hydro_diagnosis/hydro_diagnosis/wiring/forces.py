@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.wiring.complaint import AGAINST, SIZE, TOGETHER, VELOCITY, Complaint, stands
 from hydro_diagnosis.wiring.repairs import Channels, Exchange, Rename, Repair, in_unit, reversed_sign
 from hydro_diagnosis.wiring.signals import correlation, slope, slow

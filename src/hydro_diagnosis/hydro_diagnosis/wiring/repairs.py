@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.formats.units import QUANTITY, UNITS
 from hydro_diagnosis.io.column_map import ColumnMap
 

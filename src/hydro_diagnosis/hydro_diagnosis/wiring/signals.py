@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 
 MEAN = 0.01
 """s, over which signs and sizes are averaged."""

@@ -13,7 +13,7 @@ from itertools import chain, islice
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import FloatArray
+from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.recording import MEASURED, InputError

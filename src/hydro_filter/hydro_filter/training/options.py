@@ -12,7 +12,6 @@ from typing import Any
 
 from hydro_bridge.cli.console import add_json_argument, writable
 from hydro_bridge.cli.resuming import refuse_changes
-from hydro_filter.training.training import begun_with
 
 RESUME_HELP = (
     "go on from METRIC's checkpoint, if there is one, with what it was begun with; --epochs, --patience and --threads "
@@ -68,6 +67,8 @@ def arguments(words: Sequence[str]) -> argparse.Namespace:
     if not checkpoint.exists():
         print(f"there is no {checkpoint}: the training begins at its beginning", file=sys.stderr)
         return asked
+    from hydro_filter.training.training import begun_with  # with torch: not for --help or a slip
+
     before = begun_with(checkpoint)
     refuse_changes(parser(), words, str(checkpoint), before)
     return argparse.Namespace(**{**vars(asked), **before})

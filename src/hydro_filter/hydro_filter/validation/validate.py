@@ -10,12 +10,16 @@ from __future__ import annotations
 import argparse
 import sys
 from collections import defaultdict
+from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
 from joblib import Parallel, delayed
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable_folder
+from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable, writable_folder
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import Section, results_page
 from hydro_filter.controller.factory import LEARNED, Choice
 from hydro_filter.validation.cases import CASES
 from hydro_filter.validation.plants import PLANTS
@@ -46,8 +50,9 @@ def main() -> None:
                 table.write_json(options.json)  # what is done stays, whatever comes
     table.show(options.json)
     print("\n" + "\n".join(f"{name}: {CASES[name].about}" for name in options.cases))
-    if options.plots:
-        _draw(options)
+    drawn = _draw(options) if options.plots else []
+    if options.html:
+        _write_page(options, table, drawn)
 
 
 def task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: int) -> Task:
@@ -65,15 +70,33 @@ def _choice(options: argparse.Namespace) -> Choice:
     return Choice(bench=bench, bench_file=file, metric=options.metric or LEARNED, model=model)
 
 
-def _draw(options: argparse.Namespace) -> None:
-    """The tracking figure of the first seed of every case that was run with and without the filter."""
+def _draw(options: argparse.Namespace) -> list[tuple[str, Path]]:
+    """The tracking figure of the first seed of every case that was run with and without the filter: title, file."""
     chosen = next((name for name in options.filters if name != "none"), None)
     if chosen is None:
         raise UserError("--plots compares a filter with none: name one in --filters")
+    drawn = []
     for plant, case in product(options.plants, options.cases):
         without, filtered = (perform(task(options, plant, case, name, 0))[0] for name in ("none", chosen))
         path = Path(options.plots) / f"{plant}_{case}.png".replace(" ", "_").replace("/", "-")
         draw_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
+        drawn.append((f"{plant}: {case}", path))
+    return drawn
+
+
+def _write_page(options: argparse.Namespace, table: Table, drawn: Sequence[tuple[str, Path]]) -> None:
+    """The table and what was drawn, as one page."""
+    about = {
+        "metric": options.metric or "the shipped one",
+        "model": options.model or "the shipped one",
+        "bench": options.bench or "the nominal one",
+        "runs of each line": f"{options.seeds} of {options.seconds:g} s",
+        "code_version": code_version(),
+    }
+    told = " ".join(f"{name}: {CASES[name].about}." for name in options.cases)
+    pictures = [Section(heading=title, picture=path) for title, path in drawn]
+    sections = [Section(heading=table.title, text=told, table=table), *pictures]
+    write_whole(Path(options.html), results_page("Validation of the filter", about, sections).encode())
 
 
 def arguments(given: list[str]) -> argparse.Namespace:
@@ -100,6 +123,7 @@ def arguments(given: list[str]) -> argparse.Namespace:
     parser.add_argument("--contraction-rate", type=float, help="lambda [1/s] of the certified range; default 0.1")
     parser.add_argument("--jobs", type=int, default=-1, help="processes at once; -1: one a core")
     parser.add_argument("--plots", type=writable_folder, metavar="DIR", help="draw the tracking figures into DIR")
+    parser.add_argument("--html", type=writable, metavar="FILE", help="write table and figures as one page")
     add_json_argument(parser)
     asked = parser.parse_args(given)
     if asked.seeds < 1 or not asked.seconds >= 1.0 or asked.jobs == 0:

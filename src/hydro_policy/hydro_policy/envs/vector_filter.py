@@ -6,7 +6,7 @@ A kind is a NamedTuple and a compiled `correct` on it, found by its type: none, 
 
 from __future__ import annotations
 
-from typing import Any, Literal, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,11 +19,8 @@ from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_decision import LoopParts, Space
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.displacement import MEMORY_DTYPE
+from hydro_policy.envs.filter_kinds import FILTERS
 from hydro_sim.model.bench import Bench
-
-FilterName = Literal["none", "constant", "learned"]
-FILTERS: tuple[FilterName, ...] = get_args(FilterName)
-"""Kinds, by name."""
 
 _ARMED = np.uint32(Flag.ARMED)
 

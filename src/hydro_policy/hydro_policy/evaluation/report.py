@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.cli.console import Table
+from hydro_bridge.pages import Section
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
 from hydro_policy.task.cases import EvaluationSettings
@@ -73,6 +74,13 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+
+
+def sections(session: EvaluationSession, picture: Path) -> list[Section]:
+    """Sections of a page; `picture` is that of `plot`."""
+    shown = table(session)
+    found = [Section(heading=shown.title, text=" ".join(session.warnings), table=shown)]
+    return [*found, Section(heading="Tracking at the fastest sine", picture=picture)] if picture.is_file() else found
 
 
 def plot(session: EvaluationSession, path: Path) -> None:

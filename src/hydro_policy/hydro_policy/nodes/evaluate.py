@@ -18,7 +18,6 @@ from tempfile import TemporaryDirectory
 
 import rclpy
 
-from hydro_bridge.bags.recording_run import code_version
 from hydro_bridge.cli.console import command, writable, writable_folder
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros import (
@@ -40,6 +39,8 @@ from hydro_policy.nodes.guarding import guard_range, uncovered
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.planned import planned, refuse_policy, surprise
 from hydro_policy.nodes.progress import EvaluationProgress
+from hydro_policy.nodes.results import conditions, new_evaluation, show_results, taken_back, write_page
+from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task.mdp import BASE, GainRange
@@ -83,13 +84,18 @@ def parser() -> argparse.ArgumentParser:
     what.add_argument("--repeats", type=int, metavar="N", help="runs of each at each frequency (default 1)")
     what.add_argument("--seed", type=int, default=0, metavar="N", help="of the noise of simulation or emulator")
     files = result.add_argument_group("files")
-    files.add_argument("--json", type=writable, metavar="FILE", help="write every run's figures")
-    files.add_argument("--plot", type=writable, metavar="FILE", help="plot tracking and gains at the fastest sine")
-    files.add_argument("--record", type=writable_folder, metavar="DIR", help="record the graph (companions only)")
+    files.add_argument(
+        "--runs", type=writable_folder, default="runs", metavar="DIR", help="folder of all runs (default: runs)"
+    )
+    files.add_argument("--name", help="of this one's folder: figures, plot, page, recording (default: date and time)")
+    files.add_argument("--json", type=writable, metavar="FILE", help="write every run's figures to FILE, too")
+    files.add_argument("--plot", type=writable, metavar="FILE", help="draw the fastest sine to FILE, too")
+    files.add_argument("--record", type=writable_folder, metavar="DIR", help="record there instead (companions only)")
+    files.add_argument("--no-record", dest="recorded", action="store_false", help="make no recording")
     return result
 
 
-@command(ValueError, CompanionError, NotReadyError)
+@command(ValueError, FileExistsError, CompanionError, NotReadyError)
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
@@ -103,6 +109,7 @@ def main() -> int:
 
 def evaluate(options: argparse.Namespace) -> int:
     """Start what is asked for, run the plan, show the results."""
+    run = new_evaluation(Path(options.runs), options.name)
     box = planned(options)
     settings = evaluation_settings(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
@@ -112,8 +119,9 @@ def evaluate(options: argparse.Namespace) -> int:
         stack.callback(node.destroy_node)
         settings = declare_parameters(node, settings)
         refuse_unknown_parameters(node)
+        stack.enter_context(taken_back(run, node))
         if options.plant != "external":
-            start_plant(stack, node, options, box, wanted)
+            start_plant(stack, node, options, box, wanted, run)
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())
         if not node.meet() or node.box is None:
@@ -142,8 +150,12 @@ def evaluate(options: argparse.Namespace) -> int:
         )
         if results.finished:  # one that was stopped hands nothing over
             node.heir = options.hand_over or ""
+    notes = conditions(options, seed=options.seed)
     json, plot = (Path(name) if name else None for name in (options.json, options.plot))
-    show_results(results, json, plot, {"plant": options.plant, "seed": options.seed})
+    show_results(results, run, notes, json=json, plot=plot)
+    if results.scores:
+        write_page(run, f"Evaluation {run.path.name}", notes, report.sections(results, run.tracking_plot))
+        print(f"page: {run.page}", file=sys.stderr)
     return 0 if results.finished else 130
 
 
@@ -165,17 +177,18 @@ def compared(options: argparse.Namespace, box: Believed) -> list[Controller]:
 
 
 def start_plant(
-    stack: ExitStack, node: GraphNode, options: argparse.Namespace, box: Believed, wanted: GainRange
+    stack: ExitStack, node: GraphNode, options: argparse.Namespace, box: Believed, wanted: GainRange, run: RunDirectory
 ) -> None:
     """Start the plant and what runs beside it; PairingError, and nothing runs, if its filter is not this box's."""
     start_page(stack, node, wanted=options.dashboard, keep=node.sayings.keep)
     folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
     policies = tuple(map(policy_file, options.policy))
-    plant = plant_options(options, recording=options.record, seed=options.seed, policies=policies)
+    recording = Path(options.record) if options.record else run.bag if options.recorded else None
+    plant = plant_options(options, recording=recording, seed=options.seed, policies=policies)
     if sentence := uncovered(wanted, plant.filter, plant.bench):
         node.say(sentence, warning=True)
     node.unfit = partial(surprise, box)
-    node.follow(start_companions(stack, plant, wanted, folder, node.sayings.keep), options.record)
+    node.follow(start_companions(stack, plant, wanted, folder, node.sayings.keep), recording)
 
 
 def evaluation_settings(options: argparse.Namespace) -> EvaluationSettings:
@@ -233,19 +246,6 @@ def evaluate_on(
     finally:
         bar.close()
     return session
-
-
-def show_results(results: EvaluationSession, json: Path | None, plot: Path | None, notes: dict[str, object]) -> None:
-    """Table on standard output, JSON and plot to their files."""
-    if not results.scores:
-        return
-    print(f"\n{report.table(results).text()}")
-    if json is not None:
-        report.write_json(results, json, {**notes, "code_version": code_version()})
-        print(f"figures of every run: {json}", file=sys.stderr)
-    if plot is not None:
-        report.plot(results, plot)
-        print(f"plot: {plot}", file=sys.stderr)
 
 
 def reach(

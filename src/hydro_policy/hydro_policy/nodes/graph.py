@@ -16,15 +16,12 @@ import numpy as np
 from rclpy.clock import Clock, ClockType
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
-from rclpy.service import Service
 from rclpy.task import Future
 
 from hydro_bridge.process import endings
-from hydro_bridge.process.latency import Latency
 from hydro_bridge.ros import (
     CORRECTION,
     CORRECTION_QOS,
-    OVERRIDE_SERVICE,
     STATE,
     STATE_QOS,
     Commander,
@@ -33,7 +30,6 @@ from hydro_bridge.ros import (
     RecorderWatch,
     drop_realtime,
     listen_to_box,
-    publisher_conflicts,
     request_realtime,
     seconds,
     spin,
@@ -43,8 +39,10 @@ from hydro_bridge.safety.box_info import KnownBox, told
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import BenchState, Correction, Gains
-from hydro_msgs.srv import OverrideGains
+from hydro_policy.nodes.authority_wait import ALONE_WITHIN, AuthorityWait
 from hydro_policy.nodes.companions import CompanionWatch
+from hydro_policy.nodes.gain_timing import GainTiming
+from hydro_policy.nodes.override_service import OverrideService
 from hydro_policy.nodes.sayings import Sayings
 from hydro_policy.sessions.session import Session
 from hydro_policy.supervision import requirements
@@ -54,10 +52,6 @@ TICK = 0.05  # s
 PRIORITY = 10
 """Of SCHED_FIFO: below bridge and filter, which have a millisecond where gains have ten."""
 DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
-_PERIOD = 0.01  # s, of a policy step
-_ANSWER_WITHIN = 30.0  # s, of the plant
-UNANSWERED = "the plant does not say who may command it (/hydro/claim)"
-_ALONE_WITHIN = 600.0  # s that a newcomer waits for who commands the plant
 
 
 class GraphNode(Node):
@@ -81,10 +75,8 @@ class GraphNode(Node):
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
         """What must be there before a session of this node arms, besides what every session needs."""
-        self.response = Latency()  # state taken -> gains published, in this process
-        self.age = Latency()  # state's stamp -> gains published, the whole way
-        self.jitter = Latency()  # |interval between gains - 10 ms|
-        self.override = GainOverride(say=lambda sentence: self.say(sentence, warning=True))
+        self.timing = GainTiming()
+        self.override = GainOverride(say=self.warn)
         self.box: KnownBox | None = None
         """What the plant says of its box, once it was met."""
         self.heir = ""
@@ -97,13 +89,12 @@ class GraphNode(Node):
         self._failure: Exception | None = None  # in a callback; raised there rclpy would print it, too
         self._each_tick: Callable[[], None] = lambda: None
         self._unarmed_since = math.inf  # since when the plant refuses to be armed, s
-        self._waiting_since = math.inf  # for whoever has the authority over the plant, s
-        self._two_plants, self._crowd, self._refusal = False, "", ""  # seen since the last tick; what was told of it
         self._done = Future()
-        self._gains_out = self._published = 0.0
+        self._gains_out = 0.0
         self._gains = Gains()
         self._commander = Commander(self, self._on_authority, endings.ask)
-        self._override_service: Service | None = None  # while this node commands the plant
+        self._wait = AuthorityWait(self, self._commander, self.warn)
+        self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
         listen_to_box(self, self._on_box)
@@ -129,7 +120,7 @@ class GraphNode(Node):
             No plant came within its time, or nobody says what it is.
         """
         needed = (requirements.plant(lambda: self._sampled < math.inf), told(lambda: self.box is not None))
-        self._meeting, self._done = Readiness(needed, lambda sentence: self.say(sentence, warning=True)), Future()
+        self._meeting, self._done = Readiness(needed, self.warn), Future()
         if self.box is not None:
             self._on_box(self.box)
         try:
@@ -176,7 +167,7 @@ class GraphNode(Node):
         executor.remove_node(self)
         executor.shutdown()
         if not answer.done() or not answer.result().success:
-            self.say("the plant did not confirm that it is disarmed; its own watchdog remains", warning=True)
+            self.warn("the plant did not confirm that it is disarmed; its own watchdog remains")
 
     def listen_to_corrections(self) -> None:
         """From now on the session hears what the filter says, a thousand times a second."""
@@ -206,6 +197,10 @@ class GraphNode(Node):
         """See `hydro_policy.supervision.outputs.Outputs`."""
         self.sayings.say(sentence, warning)
 
+    def warn(self, sentence: str) -> None:
+        """Say that something is wrong."""
+        self.say(sentence, warning=True)
+
     @property
     def refused(self) -> str:
         """Why this run cannot be on this plant: a companion cannot use what it was given, or the box is another one."""
@@ -227,7 +222,7 @@ class GraphNode(Node):
     def _on_state(self, message: BenchState) -> None:
         begin = time.monotonic()
         if self._states.get_publisher_count() > 1:
-            self._two_plants = True  # which of them is the plant's?
+            self._wait.note_two_plants()  # which of them is the plant's?
             return
         self._sampled = min(self._sampled, begin)
         if self._session is None or not self._commander.held:
@@ -235,7 +230,8 @@ class GraphNode(Node):
         sample = np.array(state_from_message(message))
         try:
             if self._session.on_sample(message.sequence, sample, message.flags, begin):
-                self._measure(begin, message)
+                age = seconds(self._gains.header.stamp) - seconds(message.header.stamp)
+                self.timing.add(begin, self._gains_out, age)
         except Exception as error:
             self._fail(error)
         if self._session.finished:
@@ -244,24 +240,6 @@ class GraphNode(Node):
     def _on_correction(self, message: Correction) -> None:
         if self._session is not None:
             self._session.on_correction(message.certificate_after, message.status)
-
-    def _on_override(self, request: OverrideGains.Request, answer: OverrideGains.Response) -> OverrideGains.Response:
-        try:
-            if request.whom not in ("", self.get_name()):
-                raise ValueError(f"{self.get_name()} chooses the gains here, not {request.whom}")
-            if request.active:
-                gains = (request.proportional_gain, request.integral_gain)
-                answer.message = self.override.hold(*gains, request.seconds, time.monotonic())
-            else:
-                answer.message = self.override.release()
-            answer.success = True
-        except ValueError as error:
-            answer.success, answer.message = False, str(error)
-            self.say(f"override refused: {error}", warning=True)
-        except OSError as error:  # the run's record cannot be written
-            answer.success, answer.message = False, str(error)
-            self._fail(error)
-        return answer
 
     def _on_tick(self) -> None:
         try:
@@ -273,7 +251,7 @@ class GraphNode(Node):
         if self._session is None and self._meeting is None:
             return
         for sentence in self.companions.ended():
-            self.say(sentence, warning=True)
+            self.warn(sentence)
         if self.refused or self.companions.lost:
             self._finish()
         elif self._session is not None:
@@ -283,7 +261,7 @@ class GraphNode(Node):
 
     def _carry_on(self, session: Session, now: float) -> None:
         self._commander.seek(now)
-        self._wait_for_authority(now)
+        self._wait.look(now, self._sampled < math.inf)
         with suppress(queue.Empty):
             self._keys.get_nowait()
             session.watch.arm_now(now)
@@ -293,33 +271,12 @@ class GraphNode(Node):
         if session.finished:
             self._finish()
 
-    def _wait_for_authority(self, now: float) -> None:
-        """Say what the samples and the plant's answers do not let it do; the end of waiting is NotReadyError."""
-        crowd = publisher_conflicts(self, STATE) if self._two_plants else ""
-        if crowd and not self._crowd:
-            self.say(f"{crowd}; until then no sample is believed", warning=True)
-        self._two_plants, self._crowd = False, crowd
-        if self._commander.held or self._sampled == math.inf:
-            self._waiting_since, self._refusal = math.inf, ""
-            return
-        self._waiting_since = min(self._waiting_since, now)
-        refusal, within = self._commander.refusal or UNANSWERED, _ALONE_WITHIN
-        if not self._commander.refusal:
-            within = _ANSWER_WITHIN
-        elif refusal != self._refusal:
-            self.say(f"{refusal}; {self.get_name()} waits, {within:g} s at most", warning=True)
-        self._refusal = refusal
-        if now - self._waiting_since > within:
-            raise NotReadyError(f"{refusal}, still after {within:g} s")
-
     def _on_authority(self, lost: str) -> None:
         if lost:
-            self.say(f"the authority over the plant is lost: {lost}", warning=True)
-            if self._override_service is not None:
-                self.destroy_service(self._override_service)
-            self._override_service = None
-        elif self._override_service is None:
-            self._override_service = self.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_override)
+            self.warn(f"the authority over the plant is lost: {lost}")
+            self._override_service.close()
+        else:
+            self._override_service.open()
 
     def _fail(self, error: Exception) -> None:
         self._failure = self._failure or error
@@ -329,23 +286,15 @@ class GraphNode(Node):
         if not self._done.done():
             self._done.set_result(None)
 
-    def _measure(self, begin: float, message: BenchState) -> None:
-        out = self._gains_out
-        self.response.add(out - begin)
-        self.age.add(seconds(self._gains.header.stamp) - seconds(message.header.stamp))
-        if out - self._published < 5 * _PERIOD:
-            self.jitter.add(abs(out - self._published - _PERIOD))
-        self._published = out
-
     def _on_arm_answer(self, answer: Future) -> None:
         response = answer.result()
         if response is None or response.success:
             self._unarmed_since = math.inf
             return
         self._unarmed_since = min(self._unarmed_since, now := time.monotonic())
-        self.say(f"arming: {response.message}", warning=True)
-        if now - self._unarmed_since > _ALONE_WITHIN:
-            self._fail(NotReadyError(f"the plant was not armed for {_ALONE_WITHIN:g} s: {response.message}"))
+        self.warn(f"arming: {response.message}")
+        if now - self._unarmed_since > ALONE_WITHIN:
+            self._fail(NotReadyError(f"the plant was not armed for {ALONE_WITHIN:g} s: {response.message}"))
 
     def _read_keys(self) -> None:
         with suppress(OSError, ValueError):  # the terminal has gone

@@ -6,11 +6,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hydro_bridge.safety.guard import GuardSettings
-from hydro_filter.controller.factory import DEFAULT, Choice, Settings
-from hydro_filter.nodes.options import arguments
 from hydro_policy.task.mdp import GainRange
+
+if TYPE_CHECKING:  # the filter's compiled code is not for --help or a slip
+    from hydro_filter.controller.factory import Choice, Settings
 
 
 def asked_filter(words: Sequence[str], bench: Path | None = None) -> tuple[Choice, Settings]:
@@ -21,6 +23,8 @@ def asked_filter(words: Sequence[str], bench: Path | None = None) -> tuple[Choic
     PairingError
         Its metric and model are not this bench's: nothing is started, and no guard is opened on its word.
     """
+    from hydro_filter.nodes.options import arguments
+
     choice, settings, _ = arguments([*(["--bench", str(bench)] if bench else []), *words])
     return choice, settings
 
@@ -49,6 +53,8 @@ def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
 
 def relied_on(words: Sequence[str]) -> str:
     """The filter's command line, its metric named also where that is the default."""
+    from hydro_filter.controller.factory import DEFAULT
+
     named = any(word.split("=")[0] == "--metric" for word in words)
     return " ".join(words if named else (f"--metric {DEFAULT}", *words))
 

@@ -88,7 +88,7 @@ class TrainingProgress:
         held = f"OVERRIDDEN {self._session.override.description}, " if self._session.override.active else ""
         return (
             f"{held}return {now.episode_return:.0f}, RMSE {rmse:.1f} N, alpha {self._learner.entropy_coefficient:.4f}, "
-            f"{learner}, latency p99 {1e3 * self._node.age.percentile(99):.1f} ms"
+            f"{learner}, latency p99 {1e3 * self._node.timing.age.percentile(99):.1f} ms"
         )
 
     def _status(self) -> Status:
@@ -112,9 +112,9 @@ class TrainingProgress:
             "updates": learner.updates,
             "transitions": learner.replay.produced,
             "inference": session.explorer.inference.sentence(),
-            "response": node.response.sentence(),
-            "state to gains": node.age.sentence(),
-            "jitter": node.jitter.sentence(),
+            "response": node.timing.response.sentence(),
+            "state to gains": node.timing.age.sentence(),
+            "jitter": node.timing.jitter.sentence(),
         }
         message = f"{phase.name.lower()}, plant {session.watch.standing}"
         message += "" if learner.alive else ", learner down"

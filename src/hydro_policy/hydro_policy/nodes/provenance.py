@@ -7,9 +7,12 @@ from collections.abc import Iterable
 from hashlib import sha256
 from importlib import resources
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from hydro_filter.controller.factory import Choice
 from hydro_sim.files.weights import shipped
+
+if TYPE_CHECKING:
+    from hydro_filter.controller.factory import Choice
 
 
 def bench_file(given: Path | None) -> Path:

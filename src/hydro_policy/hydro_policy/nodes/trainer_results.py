@@ -4,11 +4,19 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
+from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.nodes.results import write_page
+from hydro_policy.runs import report as training
 from hydro_policy.runs.initial_agent import AGENT, Start
+from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
@@ -33,8 +41,22 @@ def compared(session: TrainingSession, start: Start | None) -> list[Controller]:
 
 def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:
     """Percentiles [s] that results.md promises something about."""
-    measured = {"jitter": node.jitter, "inference": session.explorer.inference, "response": node.response}
+    measured = {"jitter": node.timing.jitter, "inference": session.explorer.inference, "response": node.timing.response}
     return {f"{name}_p99": latency.percentile(99) for name, latency in measured.items()}
+
+
+def leave_page(
+    run: RunDirectory, record: RunRecord, results: EvaluationSession | None, notes: Mapping[str, Any]
+) -> None:
+    """learning.png and report.html in the run's folder; a disk that refuses them ends nothing."""
+    found = evaluation.sections(results, run.tracking_plot) if results is not None and results.scores else []
+    try:
+        training.draw_curve(record.events, run.learning_curve)
+        write_page(
+            run, f"Training {run.path.name}", notes, found + training.sections(record.events, run.learning_curve)
+        )
+    except OSError as error:
+        print(f"no page of the run: {error.strerror or error}", file=sys.stderr)
 
 
 def tell_files(
@@ -49,6 +71,7 @@ def tell_files(
         ("recording", recording),
         ("evaluation", run.evaluation),
         ("tracking plot", run.tracking_plot),
+        ("page of the run", run.page),
         ("log", run.log),
     ]
     print(f"\n{'Done' if finished else 'Ended early'} after {seconds:.0f} s. Files:")

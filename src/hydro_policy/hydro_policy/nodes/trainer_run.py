@@ -12,14 +12,14 @@ import torch
 
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.safety.readiness import Readiness
-from hydro_bridge.viewer.runs import refresh_index
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
-from hydro_policy.nodes.evaluate import evaluate_on, show_results
+from hydro_policy.nodes.evaluate import evaluate_on
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import rearms
 from hydro_policy.nodes.progress import TrainingProgress
-from hydro_policy.nodes.trainer_results import compared, tell_files, timing
+from hydro_policy.nodes.results import conditions, show_results
+from hydro_policy.nodes.trainer_results import compared, leave_page, tell_files, timing
 from hydro_policy.nodes.trainer_start import (
     Prepared,
     begin_record,
@@ -59,10 +59,11 @@ def train(options: argparse.Namespace) -> int:
         if finished:  # a run that was stopped hands nothing over
             node.heir = options.hand_over or ""
         record.add("end", session.gave_up, **timing(node, session), complete=finished)
+        notes = conditions(options, run=str(run.path), seed=settings.seed)
         if results is not None:
-            show_results(results, run.evaluation, run.tracking_plot, {"run": str(run.path), "plant": options.plant})
+            show_results(results, run, notes)
     record.flush()
-    refresh_index(run.path)
+    leave_page(run, record, results, notes)
     tell_files(run, recording, finished, options, time.monotonic() - began)
     if session.gave_up:
         print(f"Training was given up: {session.gave_up}; {run.record} has what happened.", file=sys.stderr)
@@ -107,7 +108,7 @@ def drive(
     finally:
         bar.close()
     inference = session.explorer.inference.sentence()
-    node.say(f"gains at 100 Hz: jitter {node.jitter.sentence()}; of which inference {inference}")
+    node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; of which inference {inference}")
     if not finished or session.gave_up or not options.evaluate:
         return finished and not session.gave_up, None
     wait_for(learner, node)  # a finished run that was resumed: nobody has yet

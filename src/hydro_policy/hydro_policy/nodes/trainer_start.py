@@ -70,7 +70,7 @@ def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
         yield
     except CompanionError:
         lost = node.companions.lost and not node.refused  # by itself: the run may go on with --resume
-        if prepared.made and not lost and node.response.count == 0:  # no gains have ever gone out
+        if prepared.made and not lost and node.timing.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(prepared.run.path, ignore_errors=True)  # whoever took it away was faster
         raise
 

@@ -4,17 +4,31 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hydro_bridge.cli.console import Table
+from hydro_bridge.pages import Section, results_page
 from hydro_bridge.signals import FloatArray
 from hydro_policy.pretraining.examination import REFERENCE_GAINS
 from hydro_policy.task.cases import Case
 from hydro_sim.plotting import BLUE, figure, legend
+
+CURVE = "curve.png"
+"""Of the learning curve in a pretraining's folder."""
+
+
+def curve_page(
+    folder: Path, history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray,
+    about: Mapping[str, Any],
+) -> str:  # fmt: skip
+    """The page of a pretraining in `folder`, with its `CURVE`."""
+    table = Section(heading="Rounds", table=curve_table(history, cases, reference))
+    sections = [Section(heading="Learning curve", picture=folder / CURVE), table]
+    return results_page(f"Pretraining {folder.name}", about, sections)
 
 
 def curve_table(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray) -> Table:

@@ -15,8 +15,8 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.settings import SettingsError
 from hydro_filter.controller.factory import Choice
+from hydro_policy.envs.filter_kinds import FilterName
 from hydro_policy.envs.randomisation import Randomisation
-from hydro_policy.envs.vector_filter import FilterName
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run import TrainingSettings
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains

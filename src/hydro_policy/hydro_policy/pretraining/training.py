@@ -25,9 +25,10 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import ReferenceSignal
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.environment import Environment, Transitions
+from hydro_policy.envs.filter_kinds import FilterName
 from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
 from hydro_policy.envs.vector_env import VectorBench
-from hydro_policy.envs.vector_filter import FilterName, fleet_filter
+from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.pretraining.examination import Examination
 from hydro_policy.runs.checkpoint import Checkpoint
 from hydro_policy.runs.run import TrainingSettings

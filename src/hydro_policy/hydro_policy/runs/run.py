@@ -79,6 +79,8 @@ class RunDirectory:
     bag = property(lambda self: self.path / "bag")
     evaluation = property(lambda self: self.path / "evaluation.json")
     tracking_plot = property(lambda self: self.path / "tracking.png")
+    learning_curve = property(lambda self: self.path / "learning.png")
+    page = property(lambda self: self.path / "report.html")
     log = property(lambda self: self.path / "log.txt")
 
     def create(self) -> RunDirectory:

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Samples and corrections as the dashboard hears them: the series of its plots, and what is counted.
+
+They wait serialized in the middleware's queue until the next frame takes them all: nothing of ours runs at 1 kHz.
+The queue is bounded and best-effort: whatever happens to this process, who publishes does not notice.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from math import inf
+
+import numpy as np
+from rclpy.node import Node
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.subscription import Subscription
+
+from hydro_bridge.dashboard import series, words
+from hydro_bridge.dashboard.thinning import Thinner
+from hydro_bridge.ros import CORRECTION, GRAPH, STATE
+
+QUEUE = 500
+"""Messages per topic that wait for the next frame: half a second."""
+
+_NO_SERVICES = Parameter("start_type_description_service", value=False)
+
+
+class Samples:
+    """Takes what has come since the last frame, by a node of its own that is never spun."""
+
+    def __init__(self) -> None:
+        self._listener = Node(
+            "dashboard_samples",
+            use_global_arguments=False,
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[_NO_SERVICES],
+        )
+        self._states, self._corrections = self._queued(STATE), self._queued(CORRECTION)
+        self._decode_states = series.Decoder(series.STATE_TYPE)
+        self._decode_corrections = series.Decoder(series.CORRECTION_TYPE)
+        self._sequence = -1
+        self.series = (
+            Thinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA)),
+            Thinner(len(series.CORRECTION_COLUMNS)),
+        )
+        """Of the samples and of the corrections."""
+        self.decided = words.FilterCounts()
+        self.taken_at = -inf
+        """s, monotonic: when the last sample was taken."""
+        self.flags = 0
+        """Of the last sample."""
+        self.count = 0
+        self.lost = 0
+        """Samples that are missing in the sequence."""
+
+    @property
+    def contested(self) -> bool:
+        """Whether more than one plant publishes samples."""
+        return bool(self._states.get_publisher_count() > 1)
+
+    def take(self, now: float) -> None:
+        """Take all that waits at `now` [s, monotonic]."""
+        self._take_states(now)
+        self._take_corrections()
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._listener.destroy_node()
+
+    def _queued(self, topic: str) -> Subscription:
+        qos = QoSProfile(depth=QUEUE, reliability=ReliabilityPolicy.BEST_EFFORT)
+        return self._listener.create_subscription(GRAPH[topic][0], topic, _never, qos, raw=True)
+
+    def _take_states(self, now: float) -> None:
+        messages = _all(self._states)
+        if not messages:
+            return
+        try:
+            table = self._decode_states.table(messages)
+        except ValueError:  # another plant's version: no sample that we know
+            return
+        sequence = table["sequence"].astype(np.int64)
+        gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
+        self.lost += int(gaps[(gaps > 0) & (gaps < 2**31)].sum())
+        self.count += len(table)
+        self.taken_at, self._sequence, self.flags = now, int(sequence[-1]), int(table["flags"][-1])
+        self.series[0].add(table["time"], series.state_values(table))
+
+    def _take_corrections(self) -> None:
+        messages = _all(self._corrections)
+        if not messages:
+            return
+        try:
+            table = self._decode_corrections.table(messages)
+        except ValueError:
+            return
+        self.decided.add(Counter(table["status"].tolist()))
+        self.series[1].add(table["time"], series.correction_values(table))
+
+
+def _all(subscription: Subscription) -> list[bytes]:
+    """What waits, at most one queue of it."""
+    messages: list[bytes] = []
+    with subscription.handle:
+        while len(messages) < QUEUE and (taken := subscription.handle.take_message(subscription.msg_type, True)):
+            messages.append(taken[0])
+    return messages
+
+
+def _never(_: object) -> None:
+    """Nobody spins the node of the samples."""

@@ -1,0 +1,179 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What `learn_metric` does: rolls out, labels, solves a metric for each gain, trains the network on top, and judges."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections import Counter
+from dataclasses import asdict, dataclass, replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from tqdm import tqdm
+
+from hydro_bridge.cli.console import progress
+from hydro_bridge.settings import check
+from hydro_bridge.signals import FloatArray
+from hydro_filter.metric.design import MetricDesign, correcting_feedback, rest_loop
+from hydro_filter.metric.learned import LearnedMetric, Thresholds
+from hydro_filter.model.loop import Loop, loop_of
+from hydro_filter.model.loop_model import Q_SPOOL_RATE
+from hydro_filter.training.certificate import certificate_table
+from hydro_filter.training.curves import draw_metric_curves
+from hydro_filter.training.data import (
+    NEITHER,
+    STABLE,
+    UNSTABLE,
+    DataSettings,
+    Rollout,
+    Windows,
+    certified_range,
+    collect,
+    joined,
+)
+from hydro_filter.training.levels import integral_allowance, noise_sizes
+from hydro_filter.training.lmi_refinement import polished_rows
+from hydro_filter.training.loss import LossSettings, Samples
+from hydro_filter.training.options import begun
+from hydro_filter.training.training import Progress, TrainingSettings, corrected, questions, train
+from hydro_sim.files import weights
+from hydro_sim.files.pairing import Believed, MadeFor
+from hydro_sim.learned.any_model import digest, model_of, plant_of, refuse_unfit
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import Plant
+from hydro_sim.structured.model import StructuredModel
+
+HELD_OUT = 5
+"""Every fifth rollout is not trained on."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Material:
+    """What the rollouts gave."""
+
+    training: Windows
+    held_out: Windows
+    rollouts: list[Rollout]
+
+
+def learn(options: argparse.Namespace) -> None:
+    """Make the metric that the command line asks for, and write it."""
+    data, settings = _settings(options)
+    torch.set_num_threads(options.threads or torch.get_num_threads())
+    out, began = Path(options.out), time.monotonic()
+    model = model_of(options.model)
+    bench, path = Bench.load(options.bench) if options.bench else Bench.nominal(), options.model or weights.shipped()
+    remedy = "name the bench.yaml of its box by --bench, or learn a model from this box's recordings (hydro_sim learn)"
+    refuse_unfit(options.model, Believed.of_file(options.bench), remedy)
+    made = MadeFor(box=bench.digest, model=digest(path))  # either form of the integral: decision 31
+    loop = loop_of(model, bench)
+    plant, clean = plant_of(options.model), plant_of(options.model, noise=0.0)
+    material = gather(plant, bench, loop, data)
+    low, high = certified_range(material.rollouts)
+    _say(f"{_told(material.rollouts)}; certified range: K_p {low:.0f} to {high:.0f} 1/s")
+    design = replace(MetricDesign(), gain_low=round(low), gain_high=round(high))
+    metric = _polished(LearnedMetric.designed(loop, bench, design, seed=options.seed), material, loop, design, settings)
+    correcting, push = correction(loop, design)
+    how = settings.loss
+    samples = questions(material.training, metric, correcting, push, how)
+    held_out = questions(material.held_out, metric, correcting, push, how)
+    last, best = _train(metric, samples, held_out, data.horizon, settings, options)
+    sizes = noise_sizes(best, loop, plant, clean)
+    allowance = integral_allowance(loop, plant, bench)
+    facts = {
+        "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "settings": asdict(settings),
+        "design": asdict(design), "model": _digest(model), "epochs": last.epoch, "best_epoch": last.best_epoch,
+        "validation_loss": last.best_loss, "seconds": round(time.monotonic() - began, 1),
+        "history": [list(row) for row in last.history],
+    }  # fmt: skip
+    levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
+    replace(best, thresholds=levels, training=facts, made=made).save(out)
+    draw_metric_curves(np.array(last.history), out.with_suffix(".png"))
+    out.with_suffix(".checkpoint").unlink(missing_ok=True)
+    still = LearnedMetric.designed(loop, bench, design)
+    stages = {"still": still, "solved": metric, "learned": best}
+    certificate_table(stages, lambda one: questions(material.held_out, one, correcting, push, how), how).show(
+        options.json
+    )
+    told = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
+    print(f"{out}: best of {last.epoch} epochs is {last.best_epoch}; {told}")
+
+
+def gather(plant: Plant, bench: Bench, loop: Loop, data: DataSettings) -> Material:
+    """All rollouts, every fifth held out."""
+    kept: list[Windows] = []
+    held_out: list[Windows] = []
+    rollouts: list[Rollout] = []
+    bar = progress(collect(plant, bench, loop, data), total=data.rollouts, label="rollouts", unit="run", every=10.0)
+    for index, (rollout, windows) in enumerate(bar):
+        rollouts.append(rollout)
+        if windows is not None and rollout.label != NEITHER:
+            (held_out if index % HELD_OUT == HELD_OUT - 1 else kept).append(windows)
+    return Material(training=joined(kept), held_out=joined(held_out), rollouts=rollouts)
+
+
+def correction(loop: Loop, design: MetricDesign) -> tuple[FloatArray, float]:
+    """K [A] of the best correction about the still bench, and G's entry of the spool's rate there."""
+    return correcting_feedback(loop, design), float(rest_loop(loop, design.gain_low)[1][Q_SPOOL_RATE])
+
+
+def _polished(
+    metric: LearnedMetric, material: Material, loop: Loop, design: MetricDesign, settings: TrainingSettings
+) -> LearnedMetric:
+    """The table made to hold on samples of the rollouts, and the range of states that they show."""
+    windows, how = material.training, settings.loss
+    best = corrected(windows, *correction(loop, design))
+    foreign = windows.transition + windows.push[..., np.newaxis] * best[..., np.newaxis, :]
+    seen = {"low": windows.x.min(axis=(0, 1)), "high": windows.x.max(axis=(0, 1))}
+    rates = how.rate + 2.0 * how.margin, how.foreign_rate + 2.0 * how.margin
+    rows = polished_rows(metric, windows, foreign, rates, settings.seed)
+    table = list(progress(rows, total=len(metric.table), label="solving", unit="metric", every=10.0))
+    return replace(metric, table=np.array(table), **seen)
+
+
+def _train(
+    metric: LearnedMetric, samples: Samples, held_out: Samples, horizon: int, settings: TrainingSettings,
+    options: argparse.Namespace,
+) -> tuple[Progress, LearnedMetric]:  # fmt: skip
+    checkpoint, resume = Path(options.out).with_suffix(".checkpoint"), options.resume
+    bar: tqdm[Any] = progress(total=settings.epochs, label="training", unit="epoch", every=10.0)
+    for last in train(metric, samples, held_out, horizon, settings, checkpoint, resume=resume, begun=begun(options)):
+        state, row = last[0], last[0].history[-1]
+        bar.update(state.epoch - bar.n)
+        bar.set_postfix_str(f"loss {row[1]:.4g}, held out {row[2]:.4g}, violated {100 * row[3]:.2f} %")
+    bar.close()
+    return last
+
+
+def _told(rollouts: list[Rollout]) -> str:
+    counts = Counter(rollout.label for rollout in rollouts)
+    return f"{counts[STABLE]} rollouts are stable, {counts[UNSTABLE]} unstable, {counts[NEITHER]} neither"
+
+
+def _digest(model: StructuredModel | Bench) -> str:
+    """SHA-256 of the learned bench's constants and network, or a bench file's digest."""
+    if isinstance(model, Bench):
+        return model.digest
+    return sha256(np.concatenate((model.theta, model.flat)).tobytes()).hexdigest()
+
+
+def _say(sentence: str) -> None:
+    print(sentence, file=sys.stderr)
+
+
+def _settings(options: argparse.Namespace) -> tuple[DataSettings, TrainingSettings]:
+    """Settings of the words; refuses before the work what cannot work."""
+    data = DataSettings(rollouts=options.rollouts, seed=options.seed)
+    loss = LossSettings(rate=options.contraction_rate, unstable_weight=options.unstable_weight)
+    training = TrainingSettings(
+        epochs=options.epochs, batch=options.batch, learning_rate=options.learning_rate, patience=options.patience,
+        seed=options.seed, loss=loss,
+    )  # fmt: skip
+    for each in (data, loss, training):
+        check(each)
+    return data, training

@@ -1,0 +1,10 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which filters a simulated bench can have between policy and box. `vector_filter` makes them."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+FilterName = Literal["none", "constant", "learned"]
+FILTERS: tuple[FilterName, ...] = get_args(FilterName)
+"""Kinds, by name."""

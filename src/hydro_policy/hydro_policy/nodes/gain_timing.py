@@ -1,0 +1,30 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How fast gains follow the samples that they were chosen by."""
+
+from __future__ import annotations
+
+from hydro_bridge.process.latency import Latency
+from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
+
+_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
+
+
+class GainTiming:
+    """Durations of policy steps, from a sample to the gains that it led to."""
+
+    def __init__(self) -> None:
+        self.response = Latency()
+        """From the sample's arrival in this process to the gains' publication."""
+        self.age = Latency()
+        """From the sample's stamp to the gains' stamp: the whole way."""
+        self.jitter = Latency()
+        """|interval between gains - 10 ms|; a pause of five intervals or more is none."""
+        self._published = 0.0
+
+    def add(self, arrived: float, published: float, age: float) -> None:
+        """Count one step: a sample's arrival and the gains' publication [s, monotonic], and their age [s]."""
+        self.response.add(published - arrived)
+        self.age.add(age)
+        interval, self._published = published - self._published, published
+        if interval < 5 * _PERIOD:
+            self.jitter.add(abs(interval - _PERIOD))

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""/hydro/override: a person chooses the gains, as long as this node commands the plant."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from rclpy.node import Node
+from rclpy.service import Service
+
+from hydro_bridge.ros import OVERRIDE_SERVICE
+from hydro_msgs.srv import OverrideGains
+from hydro_policy.supervision.override import GainOverride
+
+
+class OverrideService:
+    """The service of one node.
+
+    Parameters
+    ----------
+    node
+        Whose service it is.
+    override
+        Gives what a request changes.
+    warn
+        Called with a sentence when a request is refused.
+    fail
+        Called with the error where the run's record cannot be written: nothing goes on then.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        override: Callable[[], GainOverride],
+        warn: Callable[[str], None],
+        fail: Callable[[Exception], None],
+    ) -> None:
+        self._node, self._override, self._warn, self._fail = node, override, warn, fail
+        self._service: Service | None = None
+
+    def open(self) -> None:
+        """Offer the service, if it is not offered yet."""
+        if self._service is None:
+            self._service = self._node.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_request)
+
+    def close(self) -> None:
+        """Take it away: who commands the plant now may offer it."""
+        if self._service is not None:
+            self._node.destroy_service(self._service)
+        self._service = None
+
+    def _on_request(self, request: OverrideGains.Request, answer: OverrideGains.Response) -> OverrideGains.Response:
+        try:
+            answer.message = self._carry_out(request)
+            answer.success = True
+        except ValueError as error:
+            answer.success, answer.message = False, str(error)
+            self._warn(f"override refused: {error}")
+        except OSError as error:  # the run's record cannot be written
+            answer.success, answer.message = False, str(error)
+            self._fail(error)
+        return answer
+
+    def _carry_out(self, request: OverrideGains.Request) -> str:
+        """What was done, in a sentence; raises ValueError, OSError."""
+        own = self._node.get_name()
+        if request.whom not in ("", own):
+            raise ValueError(f"{own} chooses the gains here, not {request.whom}")
+        if not request.active:
+            return self._override().release()
+        gains = (request.proportional_gain, request.integral_gain)
+        return self._override().hold(*gains, request.seconds, time.monotonic())

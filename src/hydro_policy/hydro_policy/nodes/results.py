@@ -1,0 +1,84 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an evaluation leaves in its run's folder, and its page; a training that evaluates leaves the same."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from hydro_bridge.bags.recording_run import code_version
+from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.pages import Section, results_page
+from hydro_bridge.ros import CompanionError
+from hydro_bridge.viewer.runs import refresh_index
+from hydro_policy.evaluation import report
+from hydro_policy.evaluation.session import EvaluationSession
+from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.runs.run import RunDirectory
+
+
+def new_evaluation(parent: Path, name: str | None) -> RunDirectory:
+    """runs/NAME, by default evaluate- with date and time; nothing is made yet.
+
+    Raises
+    ------
+    FileExistsError
+        There is something of that name.
+    """
+    run = RunDirectory(parent / (name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
+    if run.path.exists():
+        raise FileExistsError(f"{run.path} is there already: choose another --name")
+    return run
+
+
+@contextmanager
+def taken_back(run: RunDirectory, node: GraphNode) -> Iterator[None]:
+    """Of an evaluation whose companions cannot use what they were given nothing stays."""
+    try:
+        yield
+    except CompanionError:
+        if node.timing.response.count == 0:  # no gains have ever gone out
+            shutil.rmtree(run.path, ignore_errors=True)
+        raise
+
+
+def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
+    """What results were measured under: plant, filter and bench as the words name them, and the code."""
+    told: dict[str, Any] = {"plant": options.plant}
+    if options.plant != "external":  # else they are as they run
+        told |= {"filter": options.filter or "the default one", "bench": str(options.bench or "the nominal one")}
+    if options.plant == "emulator":
+        told["truth"] = str(options.truth or "the default one")
+    return {**told, **more, "code_version": code_version()}
+
+
+def show_results(
+    results: EvaluationSession, run: RunDirectory, notes: Mapping[str, Any], *,
+    json: Path | None = None, plot: Path | None = None,
+) -> None:  # fmt: skip
+    """Table on standard output; figures and plot into the run's folder, and to `json` and `plot`."""
+    if not results.scores:
+        return
+    print(f"\n{report.table(results).text()}")
+    for file in filter(None, (run.evaluation, json)):
+        report.write_json(results, file, notes)
+    report.plot(results, run.tracking_plot)
+    if plot is not None:
+        report.plot(results, plot)
+    told = {"figures of every run": json or run.evaluation, "plot": plot or run.tracking_plot}
+    for name, file in told.items():
+        if file.is_file():
+            print(f"{name}: {file}", file=sys.stderr)
+
+
+def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections: list[Section]) -> None:
+    """report.html in the run's folder, and the front page of all runs."""
+    when = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
+    write_whole(run.page, results_page(title, {"written": when, **about}, sections).encode())
+    refresh_index(run.path)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a training's record tells on its page: the learning curve, examinations, what was stopped."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator
+
+from hydro_bridge.cli.console import Table
+from hydro_bridge.pages import Section
+from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
+
+Events = Sequence[Mapping[str, Any]]
+
+_TOLD = ("start", "uncovered", "stop", "override", "end")
+
+
+def sections(events: Events, curve: Path) -> list[Section]:
+    """Sections of a training's page; `curve` is the picture of `draw_curve`."""
+    found = [Section(heading="Learning curve", text=_summary(events), picture=curve)]
+    exams = exam_table(events)
+    if exams.rows:
+        found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=exams))
+    return [*found, Section(heading="What happened", table=happened(events))]
+
+
+def draw_curve(events: Events, path: Path) -> None:
+    """Return and force RMSE of the episodes, score of the examinations, moments of rollbacks; nothing without either."""
+    episodes, exams = _of(events, "episode"), _of(events, "exam")
+    if not episodes and not exams:
+        return
+    panels = 3 if exams else 2
+    with figure(path, panels, size=(8.0, 2.0 * panels), sharex=True) as (drawing, axes):
+        numbers = [event["episode"] for event in episodes]
+        axes[0].plot(numbers, [event["return"] for event in episodes], color=BLUE, marker=".", label="return")
+        axes[0].set(ylabel="return")
+        rmse = [event["force_rmse"] for event in episodes]
+        axes[1].plot(numbers, rmse, color=ORANGE, marker=".", label="while it explores")
+        axes[1].set(ylabel="force RMSE [N]")
+        if exams:
+            _draw_exams(axes[2], exams)
+        for panel in axes:
+            for n, stop in enumerate(_stops(events)):
+                panel.axvline(stop, color=RED, linewidth=0.8, label=None if n else "rolled back")
+            legend(panel)
+        axes[-1].set(xlabel="episodes")
+        axes[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
+        drawing.align_ylabels()
+
+
+def _draw_exams(axes: Axes, exams: Events) -> None:
+    numbers, scores = [event["episode"] for event in exams], [event["score"] for event in exams]
+    axes.plot(numbers, scores, color=GREEN, marker=".", label="examinations")
+    kept = [(event["episode"], event["score"]) for event in exams if event["best"]]
+    if kept:
+        axes.plot(*kept[-1], color=GREEN, marker="o", markersize=9, markerfacecolor="none", linestyle="none", label="kept")
+    axes.axhline(1.0, color=GRAY, linestyle="--", label="fixed gains")
+    axes.set(ylabel="RMSE / fixed gains'")
+
+
+def exam_table(events: Events) -> Table:
+    """Every examination."""
+    columns = {
+        "episode": "episodes learnt from",
+        "score": "mean of the RMSE over that of the fixed gains",
+        "beaten": "sines at which it beats them",
+        "rmse": "N, one for each sine",
+        "kept": "whether it was the best so far",
+    }
+    table = Table(columns, title="Examinations")
+    for event in _of(events, "exam"):
+        cells = ", ".join(f"{value:.1f}" for value in event["rmse"])
+        table.add(episode=event["episode"], score=event["score"], beaten=event["beaten"], rmse=cells,
+                  kept="yes" if event["best"] else "no")  # fmt: skip
+    return table
+
+
+def happened(events: Events) -> Table:
+    """Begin, stops, overrides, end."""
+    table = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
+    for event in events:
+        if event["kind"] in _TOLD:
+            when = str(event.get("time", ""))[:19].replace("T", " ")
+            table.add(time=when, event=event["kind"], sentence=_sentence(event))
+    return table
+
+
+def _sentence(event: Mapping[str, Any]) -> str:
+    if event.get("sentence"):
+        return str(event["sentence"])
+    if event["kind"] == "start":
+        what = "goes on" if event.get("resumed") else f"from {event.get('start') or 'new networks'}"
+        return f"plant {event.get('plant')}, {what}"
+    return "complete" if event.get("complete") else "stopped before the last episode; it can be resumed"
+
+
+def _summary(events: Events) -> str:
+    episodes, stops = _of(events, "episode"), _of(events, "stop")
+    last = f"; the last one: {episodes[-1]['force_rmse']:.1f} N RMSE while it explored" if episodes else ""
+    return f"{len(episodes)} episodes, {len(stops)} rollbacks{last}."
+
+
+def _stops(events: Events) -> list[float]:
+    """Episodes, whole ones and a half, in which the policy was rolled back."""
+    found, episode = [], 0
+    for event in events:
+        episode = event.get("episode", episode) if event["kind"] == "episode" else episode
+        if event["kind"] == "stop":
+            found.append(episode + 0.5)
+    return found
+
+
+def _of(events: Events, kind: str) -> list[Mapping[str, Any]]:
+    return [event for event in events if event["kind"] == kind]
