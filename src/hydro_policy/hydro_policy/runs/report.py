@@ -7,9 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from matplotlib.axes import Axes
-from matplotlib.ticker import MaxNLocator
-
 from hydro_bridge.cli.console import Table
 from hydro_bridge.pages import Section
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
@@ -48,11 +45,11 @@ def draw_curve(events: Events, path: Path) -> None:
                 panel.axvline(stop, color=RED, linewidth=0.8, label=None if n else "rolled back")
             legend(panel)
         axes[-1].set(xlabel="episodes")
-        axes[-1].xaxis.set_major_locator(MaxNLocator(integer=True))
+        axes[-1].xaxis.get_major_locator().set_params(integer=True)
         drawing.align_ylabels()
 
 
-def _draw_exams(axes: Axes, exams: Events) -> None:
+def _draw_exams(axes: Any, exams: Events) -> None:
     numbers, scores = [event["episode"] for event in exams], [event["score"] for event in exams]
     axes.plot(numbers, scores, color=GREEN, marker=".", label="examinations")
     kept = [(event["episode"], event["score"]) for event in exams if event["best"]]
