@@ -137,9 +137,9 @@ def _first(store: Store, bench: str, authority: str, seed: int) -> Result:
 def train(
     plant: Plant, start: Start, episodes: int, every: int, seed: int, corrector: Corrector | None = None
 ) -> tuple[TrainingSession, Listening]:
-    """Episodes on a bench as `trainer` does them, examined every so many (0: never)."""
+    """Episodes on a bench as `trainer` does them, examined every so many (0: never), each sine twice."""
     settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed))
-    settings = replace(settings, exam=replace(settings.exam, every=every))
+    settings = replace(settings, exam=replace(settings.exam, every=every, repeats=2))
     reach = settings.task.gains
     guard = GuardSettings(delta_kp_max=reach.delta_kp_max, delta_ki_max=reach.delta_ki_max)
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
