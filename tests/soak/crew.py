@@ -135,7 +135,7 @@ class Crew:
                 if known is not None and now - known.since > _SETTLED:
                     known.last = resident(pid)
                     known.first = known.first or known.last
-                    known.seconds = now - known.since
+                    known.seconds = now - known.since - _SETTLED
 
     def end(self) -> list[str]:
         """End all, the trainer first; who of them is left after that, or of what they had started."""

@@ -71,7 +71,13 @@ def test_fixed_gains_that_were_stopped_in_one_repeat_count_as_no_tracking_there(
 
 @pytest.mark.parametrize(
     ("score", "errors", "better"),
-    [(0.9, [0.0, 0.0], True), (0.9, [0.05, 0.05], False), (0.9, [0.03, 0.03], True), (0.9, [0.0, 0.07], False)],
+    [
+        (0.9, [0.0, 0.0], True),
+        (0.9, [0.05, 0.05], False),
+        (0.9, [0.03, 0.03], True),
+        (0.9, [0.0, 0.07], False),
+        (0.9, [0.0] * 40 + [0.05], False),
+    ],
 )
 def test_better_is_better_by_more_than_the_noise(score: float, errors: list[float], better: bool) -> None:
     assert surely_better(score, 1.0, errors) is better

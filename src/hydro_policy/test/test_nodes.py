@@ -131,6 +131,17 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     assert again.returncode == 2 and "choose another --name" in again.stderr.splitlines()[-1]
 
 
+def test_an_evaluation_whose_plant_cannot_start_leaves_nothing_and_takes_nobody_elses_folder(tmp_path: Path) -> None:
+    words = ("--plant", "emulator", "--truth", "/nowhere", "--runs", str(tmp_path / "runs"), "--name", "a")
+    done = run("evaluate", *words)
+    assert done.returncode == 2 and "/nowhere cannot be read" in done.stderr.splitlines()[-1]
+    assert not any(tmp_path.iterdir())
+    (tmp_path / "runs" / "a").mkdir(parents=True)
+    done = run("evaluate", *words)
+    assert done.returncode == 2 and "choose another --name" in done.stderr.splitlines()[-1]
+    assert (tmp_path / "runs" / "a").is_dir()
+
+
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [

@@ -29,7 +29,7 @@ class RunEntry:
 
     name: str
     kind: str
-    """training, evaluation, diagnosis, proof, pretraining or recording."""
+    """training, evaluation, diagnosis, proof, pretraining, recording, or unfinished: it has recorded, and no more."""
     summary: str
     changed: float
     """s since 1970."""
@@ -137,6 +137,7 @@ _KINDS = {
     "pretraining": "pretrain.yaml",
     "evaluation": "evaluation.json",
     "recording": "metadata.yaml",
+    "unfinished": "bag/metadata.yaml",
 }
 """By which file of its folder a kind of run is known; the first one counts."""
 _SUMMARIES: dict[str, Callable[[Path], str]] = {"training": _training, "diagnosis": _diagnosis}

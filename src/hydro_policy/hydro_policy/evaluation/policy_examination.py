@@ -80,9 +80,11 @@ def surely_better(score: float, best: float, errors: Sequence[float]) -> bool:
     Parameters
     ----------
     errors
-        Standard errors of all scores of the run: two runs of a sine alone say too little of their scatter.
+        Standard errors of all scores of the run: two runs of a sine alone say too little of their scatter. Of a score
+        of single runs it is 0: nothing is known.
     """
-    noise = math.hypot(*errors) / math.sqrt(len(errors)) if errors else 0.0
+    known = [error for error in errors if error > 0.0]
+    noise = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
     return score < best - SURE * math.sqrt(2.0) * noise
 
 

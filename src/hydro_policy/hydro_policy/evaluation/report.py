@@ -98,6 +98,7 @@ def plot(session: EvaluationSession, path: Path) -> None:
     sines = session.settings.frequencies
     case = f"{max(sines):g} Hz" if sines else session.settings.cases[0].name
     traces = {t.controller: t for t in session.traces if t.case == case}
+    path.unlink(missing_ok=True)  # one of an earlier evaluation is not this one's
     if not traces:
         return
     first = next(iter(traces.values()))

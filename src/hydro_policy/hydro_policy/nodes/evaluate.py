@@ -109,7 +109,14 @@ def main() -> int:
 
 def evaluate(options: argparse.Namespace) -> int:
     """Start what is asked for, run the plan, show the results."""
-    run = new_evaluation(Path(options.runs), options.name)
+    compared(options, planned(options))  # what cannot be used is refused before anything is made
+    evaluation_settings(options)
+    with new_evaluation(Path(options.runs), options.name) as run:
+        return evaluate_in(run, options)
+
+
+def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
+    """The evaluation in its folder."""
     box = planned(options)
     settings = evaluation_settings(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
@@ -150,7 +157,9 @@ def evaluate(options: argparse.Namespace) -> int:
         )
         if results.finished:  # one that was stopped hands nothing over
             node.heir = options.hand_over or ""
-    notes = conditions(options, seed=options.seed, box=box.told, integral=box.integral or "not told")
+    notes = conditions(options, box=box.told, integral=box.integral or "not told")
+    if options.plant in ("sim", "emulator"):
+        notes["seed"] = options.seed
     json, plot = (Path(name) if name else None for name in (options.json, options.plot))
     show_results(results, run, notes, json=json, plot=plot)
     if results.scores:

@@ -7,7 +7,7 @@ import argparse
 import shutil
 import sys
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
@@ -23,18 +23,31 @@ from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.runs.run import RunDirectory
 
 
-def new_evaluation(parent: Path, name: str | None) -> RunDirectory:
-    """runs/NAME, by default evaluate- with date and time; nothing is made yet.
+@contextmanager
+def new_evaluation(parent: Path, name: str | None) -> Iterator[RunDirectory]:
+    """runs/NAME, by default evaluate- with date and time: made now, for this one alone; gone if it stays empty.
 
     Raises
     ------
     FileExistsError
         There is something of that name.
+    OSError
+        It cannot be made.
     """
     run = RunDirectory(parent / (name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
-    if run.path.exists():
-        raise FileExistsError(f"{run.path} is there already: choose another --name")
-    return run
+    first = not parent.exists()
+    try:
+        run.path.mkdir(parents=True)
+    except FileExistsError:
+        raise FileExistsError(f"{run.path} is there already: choose another --name") from None
+    try:
+        yield run
+    finally:
+        if run.bag.exists():
+            print(f"recording: {run.bag}", file=sys.stderr)
+        for folder in (run.path, parent) if first else (run.path,):
+            with suppress(OSError):  # not empty, or gone already
+                folder.rmdir()
 
 
 @contextmanager
@@ -43,7 +56,8 @@ def taken_back(run: RunDirectory, node: GraphNode) -> Iterator[None]:
     try:
         yield
     except CompanionError:
-        if node.timing.response.count == 0:  # no gains have ever gone out
+        lost = node.companions.lost and not node.refused  # by itself: what was recorded of that is worth keeping
+        if not lost and node.timing.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(run.path, ignore_errors=True)
         raise
 
@@ -54,7 +68,9 @@ def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
     if options.plant != "external":  # else they are as they run
         told |= {"filter": options.filter or "the default one", "bench": str(options.bench or "the nominal one")}
     if options.plant == "emulator":
-        told["truth"] = str(options.truth or "the default one")
+        told |= {"truth": str(options.truth or "the default one"), "faults of the line": options.faults or "none"}
+    if options.base_gains:
+        told["base gains"] = "{:g} {:g}".format(*options.base_gains)
     return {**told, **more, "code_version": code_version()}
 
 
@@ -79,7 +95,10 @@ def show_results(
 
 
 def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections: list[Section]) -> None:
-    """report.html in the run's folder, and the front page of all runs."""
+    """report.html in the run's folder, and the front page of all runs; no run ends otherwise for a page's sake."""
     when = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
-    write_whole(run.page, results_page(title, {"written": when, **about}, sections).encode())
+    try:
+        write_whole(run.page, results_page(title, {"written": when, **about}, sections).encode())
+    except OSError as error:
+        print(f"no page of the run: {error.strerror or error}", file=sys.stderr)
     refresh_index(run.path)

@@ -52,11 +52,10 @@ def leave_page(
     found = evaluation.sections(results, run.tracking_plot) if results is not None and results.scores else []
     try:
         training.draw_curve(record.events, run.learning_curve)
-        write_page(
-            run, f"Training {run.path.name}", notes, found + training.sections(record.events, run.learning_curve)
-        )
     except OSError as error:
-        print(f"no page of the run: {error.strerror or error}", file=sys.stderr)
+        print(f"no learning curve: {error.strerror or error}", file=sys.stderr)
+    told = training.sections(record.events, run.learning_curve)
+    write_page(run, f"Training {run.path.name}", notes, found + told)
 
 
 def tell_files(

@@ -59,9 +59,9 @@ def train(options: argparse.Namespace) -> int:
         if finished:  # a run that was stopped hands nothing over
             node.heir = options.hand_over or ""
         record.add("end", session.gave_up, **timing(node, session), complete=finished)
-        notes = conditions(options, run=str(run.path), seed=settings.seed)
-        if results is not None:
-            show_results(results, run, notes)
+    notes = conditions(options, run=str(run.path), seed=settings.seed)  # once disarmed: it asks git
+    if results is not None:
+        show_results(results, run, notes)
     record.flush()
     leave_page(run, record, results, notes)
     tell_files(run, recording, finished, options, time.monotonic() - began)

@@ -185,8 +185,8 @@ def _leave_page(run: RunDirectory, pretraining: Pretraining, source: Source) -> 
         told = {"seed": pretraining.settings.training.seed, "best score": pretraining.best_score}
         about = {**asdict(source), **told, "code_version": code_version()}
         cases = pretraining.settings.evaluation.cases
-        page = curve_page(run.path, pretraining.history, cases, pretraining.reference_rmse, about)
         with suppress(OSError):
+            page = curve_page(run.path, pretraining.history, cases, pretraining.reference_rmse, about)
             write_whole(run.page, page.encode())
     refresh_index(run.path)
 

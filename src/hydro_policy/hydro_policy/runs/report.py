@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
@@ -70,7 +71,7 @@ def exam_table(events: Events) -> Table:
     }
     table = Table(columns, title="Examinations")
     for event in _of(events, "exam"):
-        cells = ", ".join(f"{value:.1f}" for value in event["rmse"])
+        cells = ", ".join(map(_number, event["rmse"]))
         table.add(episode=event["episode"], score=event["score"], beaten=event["beaten"], rmse=cells,
                   kept="yes" if event["best"] else "no")  # fmt: skip
     return table
@@ -81,9 +82,16 @@ def happened(events: Events) -> Table:
     table = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
     for event in events:
         if event["kind"] in _TOLD:
-            when = str(event.get("time", ""))[:19].replace("T", " ")
+            when = _utc(str(event.get("time", "")))
             table.add(time=when, event=event["kind"], sentence=_sentence(event))
     return table
+
+
+def _utc(time: str) -> str:
+    try:
+        return datetime.fromisoformat(time).astimezone(timezone.utc).strftime("%Y-%m-%d %H:%M:%S UTC")
+    except ValueError:
+        return time
 
 
 def _sentence(event: Mapping[str, Any]) -> str:
@@ -92,13 +100,17 @@ def _sentence(event: Mapping[str, Any]) -> str:
     if event["kind"] == "start":
         what = "goes on" if event.get("resumed") else f"from {event.get('start') or 'new networks'}"
         return f"plant {event.get('plant')}, {what}"
-    return "complete" if event.get("complete") else "stopped before the last episode; it can be resumed"
+    return "complete" if event.get("complete") else "ended before all was done; it can be resumed"
 
 
 def _summary(events: Events) -> str:
     episodes, stops = _of(events, "episode"), _of(events, "stop")
-    last = f"; the last one: {episodes[-1]['force_rmse']:.1f} N RMSE while it explored" if episodes else ""
+    last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
     return f"{len(episodes)} episodes, {len(stops)} rollbacks{last}."
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1f}"  # what was not finite is null
 
 
 def _stops(events: Events) -> list[float]:
