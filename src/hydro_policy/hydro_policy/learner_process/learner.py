@@ -179,7 +179,7 @@ def write_run(
 ) -> None:
     """Checkpoint; policy.safetensors is the best policy so far, and before there is one, the latest.
 
-    A run's folder that somebody took away is there again, whole.
+    A run's folder that somebody took away is there again; what was best before went with it, until a better one comes.
 
     Raises
     ------
