@@ -52,7 +52,7 @@ class Unwatched:
 
 
 class ToldAtOnce(Unwatched):
-    """The best that any monitor could be: it is told of the change in the sample in which it happens."""
+    """A monitor that is told of the change in the sample in which it happens."""
 
     def __init__(self, watched: LoopFilter, change: int) -> None:
         super().__init__(watched)

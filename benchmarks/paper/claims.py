@@ -54,8 +54,9 @@ def judged(found: Sequence[bool]) -> str:
 
 
 def pieces(store: Store, *names: str) -> list[list[Result]]:
-    """For each seed whose pieces are all there: the pieces of these names, `{}` in a name standing for the seed."""
-    rows = [[store.kept(name.format(seed)) for name in names] for seed in range(store.size.seeds)]
+    """For each seed whose pieces are all there: the pieces of these names, `{}` standing for the seed; once without."""
+    seeds = store.size.seeds if any("{}" in name for name in names) else 1
+    rows = [[store.kept(name.format(seed)) for name in names] for seed in range(seeds)]
     return [[one for one in row if one is not None] for row in rows if all(one is not None for one in row)]
 
 

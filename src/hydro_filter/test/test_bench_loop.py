@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter's loop of a bench file."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ from hydro_sim.learned.any_model import model_of
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
+from hydro_sim.model.grammar import LAWS
+from hydro_sim.model.laws import Law
 from hydro_sim.structured.model import StructuredModel
 
 LAG = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
@@ -63,6 +66,15 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(b
     assert x[[0, 2, 4, 5, 6]] == pytest.approx(readings)
     for ours, theirs in zip(rest_loop(shown, 60.0)[:2], rest_loop(plain, 60.0)[:2], strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("law", [law for law in LAWS if law.element is not None], ids=lambda law: law.form)
+def test_a_closure_that_remembers_is_refused_in_a_sentence(law: Law) -> None:
+    assert law.element is not None
+    parameters = {"coefficient": law.typical, law.element.number: law.element.probes[0]}
+    closure = {"equation": law.equation, "form": law.form, "parameters": parameters}
+    with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):
+        loop_of(replace(Bench.nominal(), closures=(closure,)), Bench.nominal())
 
 
 def test_a_dead_time_is_refused_in_a_sentence(bench: Bench) -> None:

@@ -35,6 +35,7 @@ from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.effects.base import Effect
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
+from hydro_sim.model.grammar import remembers
 from hydro_sim.model.plant import STATES_MAX
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
@@ -235,6 +236,12 @@ def _refuse(truth: Bench) -> None:
         raise ValueError(
             "the filter's certificate has no place for a dead time: take transport_delay out of the bench file, where "
             "it is small beside the valve's lag"
+        )
+    remembering = [one["form"] for one in truth.closures if remembers(one)]
+    if remembering:
+        raise ValueError(
+            f"the filter's certificate has no place for what closures remember: take {', '.join(remembering)} out of "
+            "the bench file, where it is small"
         )
     lags = sum(effect["id"] == "valve_lag" for effect in truth.effects)
     cells = sum(catalogue.label(effect) == "sensor_lag sensor=load_force" for effect in truth.effects)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -116,3 +117,9 @@ TABLES: tuple[Table, ...] = (
 _EVERY: tuple[Law | Table, ...] = (*LAWS, *TABLES)
 ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
 """By equation and form."""
+
+
+def remembers(closure: Mapping[str, Any]) -> bool:
+    """Whether an entry of a bench file's `closures` has a hidden state."""
+    law = ALL.get((str(closure["equation"]), str(closure["form"])))
+    return isinstance(law, Law) and law.element is not None
