@@ -44,7 +44,8 @@ test: lint setup  ## all checks and all tests but the studies: those of the grap
 	@$(SOURCED) .venv/bin/python -m pytest -m "not graph and not study" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
 test-slow: setup  ## the studies among the tests: minutes of computing each
-	@$(SOURCED) .venv/bin/python -m pytest -m study $(BOTH_CORES) $(ARGS)
+	@$(SOURCED) .venv/bin/python -m pytest -m "study and graph" $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
+	@$(SOURCED) .venv/bin/python -m pytest -m "study and not graph" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
 graph-repeat: setup  ## the graph tests N times beside a busy process (N=100 ARGS="-k recorder")
 	@$(SOURCED) .venv/bin/python -m tests.graph_repeat --times $(N) $(ARGS)

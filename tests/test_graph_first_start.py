@@ -19,6 +19,7 @@ from tests.graph_probe import own_domain
 
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=200", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 PLANTS = ("sim", "emulator")
+LEARN = "hydro_sim learn {bag} --out {out}/w.safetensors --epochs 1 --batch"
 
 
 def run(words: str, folder: Path, *more: str) -> set[str]:
@@ -46,6 +47,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.graph
+@pytest.mark.study  # continuous integration's main job shows the same of a whole training
 @pytest.mark.parametrize("plant", PLANTS)
 def test_training_and_evaluation_compile_nothing(plant: str, tmp_path: Path) -> None:
     words = f"hydro_policy trainer --plant {plant} --configuration wide --episodes 1 --runs {{out}}/runs"
@@ -73,9 +75,9 @@ def test_a_recorder_of_compilations_sees_one(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        "hydro_sim learn {bag} --out {out}/w.safetensors --epochs 1 --batch 256",
-        "hydro_sim learn {bag} --out {out}/w.safetensors --epochs 1 --batch 256 --structure network",
-        "hydro_sim learn {bag} --out {out}/w.safetensors --epochs 1 --batch 256 --structure residual",
+        pytest.param(f"{LEARN} 256", marks=pytest.mark.study),  # identifies constants for minutes
+        f"{LEARN} 256 --structure network",
+        f"{LEARN} 256 --structure residual",
         "hydro_sim validate {bag}",
         "hydro_filter validate --seeds 1 --seconds 1 --jobs 1 --filters none learned solved projected",
         "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20",

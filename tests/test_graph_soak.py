@@ -12,7 +12,7 @@ pytest.importorskip("rclpy")
 
 from tests.soak.soak import soaking
 
-pytestmark = pytest.mark.graph
+pytestmark = [pytest.mark.graph, pytest.mark.study]
 
 CAUSES = ("unplug", "stall of commands", "SIGSTOP bridge", "SIGSTOP filter", "stranger: /hydro/gains")
 SLACK = 10.0

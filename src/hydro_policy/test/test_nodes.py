@@ -381,9 +381,7 @@ def test_companions_get_the_bench_and_the_base_gains_of_the_run() -> None:
     assert "own.yaml" in bench["bridge"] and "own.yaml" in bench["filter"]
 
 
-def test_on_a_plant_that_runs_policies_of_another_box_are_refused_and_fixed_gains_are_its_own(
-    foreign: str, tmp_path: Path
-) -> None:
+def test_on_a_plant_that_runs_policies_of_another_box_are_refused(foreign: str, tmp_path: Path) -> None:
     shipped = str(shipped_start("paper").source)  # type: ignore[union-attr]
     refused = run("trainer", "--runs", str(tmp_path / "runs"))
     assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
@@ -392,7 +390,12 @@ def test_on_a_plant_that_runs_policies_of_another_box_are_refused_and_fixed_gain
     refused = run("evaluate", *here, "--policy", shipped)
     assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
     assert not (tmp_path / "runs").exists()
-    done = run("evaluate", *here, "--name", "a", "--rearm", "auto", "--fixed", "70", "20", "--frequencies", "2")
+
+
+@pytest.mark.study
+def test_on_a_plant_that_runs_fixed_gains_are_its_own(foreign: str, tmp_path: Path) -> None:
+    """It waits 45 s for a filter that never comes, as it should."""
+    done = run("evaluate", "--runs", str(tmp_path / "runs"), "--name", "a", "--rearm", "auto", "--fixed", "70", "20", "--frequencies", "2")
     assert done.returncode == 0, done.stderr
     (score,) = json.loads((tmp_path / "runs" / "a" / "evaluation.json").read_text())["runs"]
     assert score["proportional_gain"] == pytest.approx(70.0, abs=0.5)

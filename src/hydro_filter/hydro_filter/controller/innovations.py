@@ -35,6 +35,7 @@ from hydro_filter.model.bench_loop import BENCH_MEMORY_DTYPE, BenchLoop
 from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE, lag
 from hydro_filter.model.loop import Loop, of_bench
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
+from hydro_sim import copies
 from hydro_sim.structured import physics, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.physics import (
@@ -129,10 +130,10 @@ def watch(model, limit, m, x, hidden):
     if m.seen > SETTLING:
         _judge(model, limit, m, x)
     m.seen += 1
-    m.last[:] = m.middle
+    copies.vector(m.last, m.middle)
     m.middle[F_H], m.middle[F_L], m.middle[X_P] = x[HYDRAULIC_FORCE], x[LOAD_FORCE], x[POSITION]
     m.middle[P_A], m.middle[P_B] = x[PRESSURE_A], x[PRESSURE_B]
-    m.hidden[:] = hidden
+    copies.vector(m.hidden, hidden)
 
 
 def _show(model, m, x, hidden):

@@ -44,6 +44,7 @@ from hydro_filter.model.state import (
     PRESSURE_B,
     VELOCITY,
 )
+from hydro_sim import copies
 from hydro_sim.model import machine_code
 
 CREEP = 2e-3
@@ -120,7 +121,7 @@ def settle(loop, memory, x, current, reference_rate):
     if not memory.running:
         p, n = loop.model, len(loop.model.rest)
         memory.hidden[:] = 0.0
-        memory.hidden[:n] = p.rest
+        copies.vector(memory.hidden, p.rest)
         lift(p, memory.hidden, x, memory.hidden[:n], True)
         memory.hidden[n] = current + p.before + p.after
         place(p, memory.hidden, p.spool, p.spool_rate, memory.hidden[n])
@@ -238,7 +239,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
 @njit(cache=True)
 def _advance(p, step, opening, side, current):
     """The loop's model and its Jacobian over a sample; an opening next to zero is taken on its side."""
-    step.after[:] = step.before
+    copies.vector(step.after, step.before)
     if p.loop_spool != NONE:
         if abs(opening) < CLOSED:
             step.after[p.loop_spool] = side * CLOSED - p.after

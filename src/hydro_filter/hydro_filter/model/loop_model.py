@@ -32,6 +32,7 @@ from hydro_filter.model import force_law, structured_kernels
 from hydro_filter.model.hidden_states import SPOOL
 from hydro_filter.model.state import FORCE_SCALE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_filter.model.tangent import SOURCES, WIDTH
+from hydro_sim import copies
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.structured import physics
@@ -168,7 +169,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
     c, scale = loop.model[0], loop.scale
     structured_kernels.lift(c, x, hidden, step.full)
     before, after = step.full, step.after
-    after[:] = before
+    copies.vector(after, before)
     share_a, share_b = shares(c, x[POSITION])
     gain = hydraulic_slopes(c, before[0], before[1], before[2], hidden[SPOOL])[0]
     _embed(c, scale, share_a, share_b, gain, step.nudges)
@@ -177,7 +178,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
     side = math.copysign(1.0, hidden[SPOOL] + c[OFFSET])
     if side * (after[4] + c[OFFSET]) < 0.0:  # the spool passes zero: see CLOSED
         closed = side * CLOSED - c[OFFSET]
-        after[:] = before
+        copies.vector(after, before)
         after[4], after[5] = closed, 0.0
         _embed(c, scale, share_a, share_b, gain, step.nudges)
         structured_kernels.nudge(loop.free, after, closed, step.nudges, step.rates)

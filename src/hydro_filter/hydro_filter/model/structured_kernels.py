@@ -29,6 +29,7 @@ from hydro_filter.model.state import (
     VELOCITY,
 )
 from hydro_filter.model.tangent import WIDTH
+from hydro_sim import copies
 from hydro_sim.structured import rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.physics import AREA, BIAS_L, GAIN_H, GAIN_L, RATIO
@@ -69,7 +70,7 @@ def nudge(model, full, current, d, rates):
     _shown(c, d, memories, -1.0, rates)
     _added(layers, center, scale, s, d, r, dr)
     tangent.advance(c, s, current, r, d, dr)
-    inside[:] = s[:4]
+    copies.vector(inside, s[:4])
     rollout.bound(c, s)
     for i in range(4):
         if s[i] != inside[i]:

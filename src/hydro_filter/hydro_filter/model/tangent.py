@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 
 from hydro_filter.model.tangent_rates import PARTIALS, level_slope, rates
+from hydro_sim import copies
 from hydro_sim.structured import integration
 from hydro_sim.structured.integration import STATES, STEP, SUBSTEPS
 from hydro_sim.structured.physics import BRISTLE, COULOMB, SPOOL_OMEGA, STRIBECK, STRIBECK_VELOCITY
@@ -97,9 +98,10 @@ def advance(c, state, current, r, d, dr):
     flat, flat_r = d.reshape(SOURCES * WIDTH), dr.reshape(OUTPUTS * WIDTH)
     for _ in range(SUBSTEPS):
         half_bristle(c, state, d)
-        probe[:] = state[:8]
+        copies.vector(probe, state[:8])
         total[:], summed[:] = 0.0, 0.0
-        ahead[:] = then[:] = flat
+        copies.vector(ahead, flat)
+        copies.vector(then, flat)
         for stage in range(4):
             rates(c, probe, state[8], current, r, slope, p)
             weight, reach = 1.0 if stage == 0 or stage == 3 else 2.0, STEP if stage == 2 else 0.5 * STEP

@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from hydro_sim import copies
 from hydro_sim.neural import dense
 from hydro_sim.neural.mlp import LOOSE, Layers
 
@@ -92,9 +93,12 @@ def backward(layers, x, way, count, gradient):
     dense.outer(x, way.g1, sums.w1, sums.b1, count)
     n, h1 = gradient.w1.shape
     h2, m = gradient.w3.shape
-    gradient.w1[:], gradient.b1[:] = sums.w1[:n, :h1], sums.b1[:h1]
-    gradient.w2[:], gradient.b2[:] = sums.w2[:h1, :h2], sums.b2[:h2]
-    gradient.w3[:], gradient.b3[:] = sums.w3[:h2, :m], sums.b3[:m]
+    copies.matrix(gradient.w1, sums.w1[:n, :h1])
+    copies.matrix(gradient.w2, sums.w2[:h1, :h2])
+    copies.matrix(gradient.w3, sums.w3[:h2, :m])
+    copies.vector(gradient.b1, sums.b1[:h1])
+    copies.vector(gradient.b2, sums.b2[:h2])
+    copies.vector(gradient.b3, sums.b3[:m])
 
 
 @njit(cache=True)
@@ -110,7 +114,7 @@ def input_rows(w1, first, count):
     """Transpose of the first layer's rows of some inputs, padded: shape (h1, count)."""
     result = np.zeros((four(w1.shape[1]), four(count)), w1.dtype)
     for j in range(count):
-        result[: w1.shape[1], j] = w1[first + j]
+        copies.vector(result[:, j], w1[first + j])
     return result
 
 
@@ -123,9 +127,12 @@ def padded(layers):
     w1, b1 = np.zeros((four(n), four(h1)), kind), np.zeros(four(h1), kind)
     w2, b2 = np.zeros((four(h1), four(h2)), kind), np.zeros(four(h2), kind)
     w3, b3 = np.zeros((four(h2), four(m)), kind), np.zeros(four(m), kind)
-    w1[:n, :h1], b1[:h1] = layers.w1, layers.b1
-    w2[:h1, :h2], b2[:h2] = layers.w2, layers.b2
-    w3[:h2, :m], b3[:m] = layers.w3, layers.b3
+    copies.matrix(w1, layers.w1)
+    copies.matrix(w2, layers.w2)
+    copies.matrix(w3, layers.w3)
+    copies.vector(b1, layers.b1)
+    copies.vector(b2, layers.b2)
+    copies.vector(b3, layers.b3)
     return Layers(w1, b1, w2, b2, w3, b3)
 
 

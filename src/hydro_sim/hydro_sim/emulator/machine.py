@@ -11,6 +11,7 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
+from hydro_sim import copies
 from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.truth import plant as truth
@@ -41,7 +42,7 @@ def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, p
         Outputs: the reading without noise, shape (8,); `plant.TRUTH_FIELDS`, shape (12,). Both at `time`.
     """
     parameters, differentiation, state, chain = plant
-    clean[:] = chain[0].clean
+    copies.vector(clean, chain[0].clean)
     truth.physical(state, physical)
     kernel.tick(bench, settings, box, chain[0].measurement, time, sample)
     truth.advance(parameters, differentiation, state, chain, scratch, noise, sample[0].valve_current)

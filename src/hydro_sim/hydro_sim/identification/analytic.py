@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit, prange
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_sim import copies
 from hydro_sim.files.recordings import Run
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
@@ -59,7 +60,8 @@ def _rollout(constants, memories, starts, currents):
     measured = np.empty((n, horizon, 8))
     for k in prange(n):
         y, before, after = np.empty(hydraulics.STATES), np.empty(5), np.empty(5)
-        y[:4], y[4:6] = starts[k, :4], starts[k, 6:8]
+        copies.vector(y, starts[k, :4])
+        copies.vector(y[4:], starts[k, 6:8])
         rates = starts[k, STATES:].copy()
         _read(constants[0], y, before)
         for h in range(horizon):
@@ -67,5 +69,5 @@ def _rollout(constants, memories, starts, currents):
             _read(constants[0], y, after)
             differentiate(memories, before, after, rates)
             show(after, rates, measured[k, h])
-            before[:] = after
+            copies.vector(before, after)
     return measured

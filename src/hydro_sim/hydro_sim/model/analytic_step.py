@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_sim import copies
 from hydro_sim.model import hydraulics
 
 STATES = 8
@@ -32,7 +33,7 @@ def gain(physics, x, current, moved):
     `physics`: the bench's constants, shape (1,), and the box's coefficients for rates, shape (2,).
     """
     bench, memory, y = physics[0][0], physics[1][0], np.empty(hydraulics.STATES)
-    y[:4] = x[4:8]
+    copies.vector(y, x[4:8])
     y[4], y[5] = x[2], x[3]
     hydraulics.advance(bench, y, current, SAMPLE_PERIOD, SUBSTEPS)
     moved[0] = hydraulics.hydraulic_force(bench, y[0] - x[4], y[1] - x[5])

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from hydro_sim import copies
 from hydro_sim.model import analytic_step
 from hydro_sim.neural.network import STATES
 
@@ -62,7 +63,8 @@ def layer(parts, index):
 def _places(sizes, rows):
     """Where each layer begins in a buffer of `rows` rows a layer, and where the buffer ends."""
     places = np.zeros(len(sizes) + 1, np.int64)
-    places[1:] = np.cumsum(rows * sizes)
+    for index in range(len(sizes)):
+        places[index + 1] = places[index] + rows * sizes[index]
     return places
 
 
@@ -78,8 +80,8 @@ def _advance(parts, kept, places, row, z, v):
     """z, shape (n, 8), a sample later, in place, under v, shape (n,); the layers' inputs stay in `kept` from `row`."""
     n, last, zero = len(z), len(parts.sizes) - 2, z.dtype.type(0.0)
     a = _rows(kept, places, parts.sizes, 0, row, row + n)
-    a[:, :STATES] = z
-    a[:, STATES] = v
+    copies.matrix(a, z)
+    copies.vector(a[:, STATES], v)
     for index in range(last):
         w, b = layer(parts, index)
         then = _rows(kept, places, parts.sizes, index + 1, row, row + n)
@@ -132,7 +134,7 @@ def roll(parts, starts, currents, states):
     kept, z = np.empty(places[-1], parts.flat.dtype), starts.copy()
     for h in range(horizon):
         _advance(parts, kept, places, 0, z, currents[:, h])
-        states[:, h] = z
+        copies.matrix(states[:, h], z)
 
 
 @njit(cache=True)
@@ -152,11 +154,14 @@ def _back(parts, kept, places, slopes, slope_places, row, v, gz):
                 if a[k, j] <= 0.0:
                     then[k, j] = 0.0
         g = then
-    before += np.dot(g, layer(parts, 0)[0].T)[:, :STATES]
+    to_inputs = np.dot(g, layer(parts, 0)[0].T)
+    for k in range(n):
+        for i in range(STATES):
+            before[k, i] += to_inputs[k, i]
     if parts.residual:
         seen = _rows(kept, places, parts.sizes, 0, row, row + n)
         _gain_back(parts, seen, v, gz, before)
-    gz[:] = before
+    copies.matrix(gz, before)
 
 
 @njit(cache=True)
@@ -169,20 +174,30 @@ def _block(parts, starts, currents, targets, gradient):
     errors = np.empty((horizon, n, STATES), starts.dtype)
     for h in range(horizon):
         _advance(parts, kept, places, h * n, z, currents[:, h])
-        errors[h] = z - targets[:, h]
-        loss += float((errors[h] * errors[h]).sum()) / horizon
+        for k in range(n):
+            for i in range(STATES):
+                error = z[k, i] - targets[k, h, i]
+                errors[h, k, i] = error
+                loss += float(error * error) / horizon
     gz = np.zeros_like(z)
     for h in range(horizon - 1, -1, -1):
-        gz += share * errors[h]
+        for k in range(n):
+            for i in range(STATES):
+                gz[k, i] += share * errors[h, k, i]
         _back(parts, kept, places, slopes, slope_places, h * n, currents[:, h], gz)
     begin, rows = 0, n * horizon
     for index in range(len(parts.sizes) - 1):
         a = _rows(kept, places, parts.sizes, index, 0, rows)
         g = _rows(slopes, slope_places, parts.sizes[1:], index, 0, rows)
-        size = a.shape[1] * g.shape[1]
-        gradient[begin : begin + size] += np.dot(a.T, g).ravel()
-        gradient[begin + size : begin + size + g.shape[1]] += g.sum(0)
-        begin += size + g.shape[1]
+        outer, size = np.dot(a.T, g), g.shape[1]
+        for i in range(a.shape[1]):
+            for j in range(size):
+                gradient[begin + i * size + j] += outer[i, j]
+        begin += outer.size
+        for k in range(rows):
+            for j in range(size):
+                gradient[begin + j] += g[k, j]
+        begin += size
     return loss
 
 

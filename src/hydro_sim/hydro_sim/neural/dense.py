@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from hydro_sim import copies
 from hydro_sim.neural.mlp import LOOSE, Layers
 
 BLOCK = 128
@@ -49,11 +50,11 @@ def padded(layers):
     w1, b1 = np.zeros((n, h1), kind), np.zeros(h1, kind)
     w2, b2 = np.zeros((h1, h2), kind), np.zeros(h2, kind)
     w3, b3 = np.zeros((h2, m), kind), layers.b3.copy()
-    w1[: layers.w1.shape[0], : layers.w1.shape[1]] = layers.w1
-    w2[: layers.w2.shape[0], : layers.w2.shape[1]] = layers.w2
-    w3[: layers.w3.shape[0], :] = layers.w3
-    b1[: len(layers.b1)] = layers.b1
-    b2[: len(layers.b2)] = layers.b2
+    copies.matrix(w1, layers.w1)
+    copies.matrix(w2, layers.w2)
+    copies.matrix(w3, layers.w3)
+    copies.vector(b1, layers.b1)
+    copies.vector(b2, layers.b2)
     return Layers(w1, b1, w2, b2, w3, b3)
 
 

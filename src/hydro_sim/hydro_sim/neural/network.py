@@ -17,6 +17,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit, prange
 
+from hydro_sim import copies
 from hydro_sim.neural import dense, mlp, network_block
 from hydro_sim.neural.dense import BLOCK, CHUNK
 from hydro_sim.neural.mlp import LOOSE
@@ -56,7 +57,7 @@ def _rollout_block(layers, step, starts, currents, states):
     for h in range(horizon):
         network_block.advance(filled, step, work, h)
         for i in range(STATES):
-            states[:, h, i] = network_block.states_at(work, i, h + 1)[:count]
+            copies.vector(states[:, h, i], network_block.states_at(work, i, h + 1)[:count])
 
 
 @njit(cache=True)
@@ -93,5 +94,6 @@ def loss_and_gradient(layers, step, starts, currents, targets, printed, threads)
     for t in prange(threads):
         begin, end = t * blocks // threads * BLOCK, min((t + 1) * blocks // threads * BLOCK, n)
         part = starts[begin:end], currents[begin:end], targets[begin:end]
-        losses[t], gradients[t] = _share(layers, step, part[0], part[1], part[2], printed)
+        losses[t], gradient = _share(layers, step, part[0], part[1], part[2], printed)
+        copies.vector(gradients[t], gradient)
     return losses.sum() / (n * STATES), gradients.sum(0) * kind.type(1.0 / (n * STATES))

@@ -99,7 +99,6 @@ def errors(work, targets, printed):
     """
     count, horizon, _ = targets.shape
     kind = work.errors.dtype.type
-    work.errors[:, :, count:] = kind(0.0)
     total, loss, share = np.zeros((STATES, BLOCK), work.errors.dtype), 0.0, kind(2.0 / horizon)
     for h in range(horizon):
         for i in range(STATES):
@@ -109,11 +108,18 @@ def errors(work, targets, printed):
                 total[i, k] += error
                 part += error * error
                 work.errors[h, i, k] = share * error
+            for k in range(count, BLOCK):
+                work.errors[h, i, k] = kind(0.0)
             loss += part
     if not printed:
         return loss / horizon
-    work.errors[:] = kind(2.0) * total
-    return float((total * total).sum())
+    loss = 0.0
+    for i in range(STATES):
+        for k in range(BLOCK):
+            loss += total[i, k] * total[i, k]
+            for h in range(horizon):
+                work.errors[h, i, k] = kind(2.0) * total[i, k]
+    return loss
 
 
 @njit(cache=True, fastmath=LOOSE)

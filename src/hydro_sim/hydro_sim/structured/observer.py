@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit, prange
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim import copies
 from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS, READINGS
@@ -51,7 +52,8 @@ def _reading_matrix(c):
         unit[:] = 0.0
         unit[i] = 1.0
         rollout.read(c, unit, reading)
-        row[:, i] = reading - bias
+        for j in range(READINGS):
+            row[j, i] = reading[j] - bias[j]
     return row, bias
 
 
@@ -84,20 +86,21 @@ def follow(model, readings, currents, start, settings, states):
         if k > 0:
             current = currents[k - 1]
             for i in range(STATES):
-                moved[:] = s
+                copies.vector(moved, s)
                 moved[i] += nudges[i]
                 rollout.advance(c, layers, center, scale, moved, current, work, x, a1, a2, r)
-                jacobian[:, i] = moved
+                copies.vector(jacobian[:, i], moved)
             rollout.advance_full(c, layers, center, scale, memories, full, current, work, x, a1, a2, r, measured)
-            for i in range(STATES):
-                jacobian[:, i] = (jacobian[:, i] - s) / nudges[i]
+            for j in range(STATES):
+                for i in range(STATES):
+                    jacobian[j, i] = (jacobian[j, i] - s[j]) / nudges[i]
             p = jacobian @ p @ jacobian.T
             for i in range(STATES):
                 p[i, i] += missed[i] * missed[i]
             p = 0.5 * (p + p.T)
         _correct(s, p, row, bias, readings[k], noise)
         rollout.bound(c, s)
-        states[k] = full
+        copies.vector(states[k], full)
 
 
 @njit(cache=True, parallel=True)

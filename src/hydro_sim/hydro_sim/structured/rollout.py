@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit, prange
 
 from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_sim import copies
 from hydro_sim.neural import mlp
 from hydro_sim.structured import integration
 from hydro_sim.structured.integration import STATES
@@ -133,7 +134,7 @@ def window(c, layers, center, scale, start, currents, targets, weights, gc, glay
     """
     horizon = len(currents)
     states = np.empty((horizon + 1, STATES))
-    states[0] = start
+    copies.vector(states[0], start)
     work = integration.scratch()
     x, r, gr, gx = np.empty(INPUTS), np.empty(OUTPUTS), np.empty(OUTPUTS), np.empty(INPUTS)
     a1, a2 = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
@@ -141,7 +142,7 @@ def window(c, layers, center, scale, start, currents, targets, weights, gc, glay
     errors = np.empty((horizon, READINGS))
     loss = 0.0
     for h in range(horizon):
-        states[h + 1] = states[h]
+        copies.vector(states[h + 1], states[h])
         advance(c, layers, center, scale, states[h + 1], currents[h], work, x, a1, a2, r)
         read(c, states[h + 1], errors[h])
         for i in range(READINGS):
@@ -151,7 +152,7 @@ def window(c, layers, center, scale, start, currents, targets, weights, gc, glay
     gs, s = np.zeros(STATES), np.empty(STATES)
     for h in range(horizon - 1, -1, -1):
         _read_back(c, states[h + 1], errors[h], gs, gc)
-        s[:] = states[h]
+        copies.vector(s, states[h])
         advance(c, layers, center, scale, s, currents[h], work, x, a1, a2, r)
         gr[:] = 0.0
         integration.advance_back(c, currents[h], r, gs, gr, gc, work)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from hydro_sim import copies
 from hydro_sim.emulator.truth.parameters import SUBSTEP
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, condition, restart
 
@@ -42,7 +43,7 @@ def _collect(p, state, readings):
 def start(p, box, state, chain, noise):
     """First reading of a bench at rest; `noise`: standard normal numbers, the first four are used."""
     _collect(p, state, chain.before)
-    chain.lagged[:] = chain.before
+    copies.vector(chain.lagged, chain.before)
     chain.lag_rate[:] = 0.0
     raw = np.empty(5)
     _read(p, chain, noise, False, raw)
