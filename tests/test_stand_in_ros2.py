@@ -65,8 +65,11 @@ def test_executables_are_listed(environment: dict[str, str]) -> None:
         (["run", "../rig", "echo"], "package '../rig' not found"),
         (["run", "rig", "ech"], "no executable 'ech'; it has: echo, wait"),
         (["run", "rig", "notes.txt"], "no executable 'notes.txt'"),
-        (["topic", "list"], "`ros2 topic list` needs a full ROS 2 Jazzy"),
-        (["launch", "rig", "x.launch.py"], "`ros2 launch rig` needs a full ROS 2 Jazzy"),
+        (["doctor"], "`ros2 doctor` needs a full ROS 2 Jazzy"),
+        (["interface", "show"], "`ros2 interface show` needs a full ROS 2 Jazzy"),
+        (["topic", "pub"], "needs a full ROS 2 Jazzy"),
+        (["bag", "info"], "needs a full ROS 2 Jazzy"),
+        (["launch", "nothing", "x.launch.py"], "package 'nothing' not found"),
     ],
 )
 def test_what_it_cannot_do_it_says_in_a_sentence(
@@ -75,6 +78,14 @@ def test_what_it_cannot_do_it_says_in_a_sentence(
     answer = ros2(environment, *arguments)
     assert answer.returncode == 2
     assert sentence in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+def test_verbs_without_the_workspace_say_what_to_source(environment: dict[str, str]) -> None:
+    bare = {name: value for name, value in environment.items() if name != "PYTHONPATH"}
+    answer = ros2(bare, "topic", "list")
+    assert answer.returncode == 2
+    assert "`ros2 topic` is part of this workspace: source install/setup.bash" in answer.stderr
     assert answer.stderr.count("\n") == 1
 
 
