@@ -69,7 +69,7 @@ class Policy:
         """Digest (blake2b, 12 hex digits) of the weights in force: a recording says which policy acted when."""
         content = hashlib.blake2b(digest_size=6)
         for array in (*self.weights, *self.biases):
-            content.update(np.ascontiguousarray(array, np.float32))
+            content.update(np.asarray(array, np.float32).tobytes())
         return content.hexdigest()
 
     def distribution(self, observation: FloatArray) -> tuple[FloatArray, FloatArray]:

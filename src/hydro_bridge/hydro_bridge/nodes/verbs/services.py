@@ -61,7 +61,7 @@ def _type(options: argparse.Namespace) -> None:
 
 def _call(options: argparse.Namespace) -> None:
     service, kind = absolute(options.service), interface(options.type, "srv")
-    request = kind.Request()
+    request = kind.Request(check_fields=True)
     fill(request, parsed(options.values))
     with visiting() as node:
         offered = _kinds(node, service)

@@ -89,7 +89,10 @@ def parsed(text: str) -> dict[str, Any]:
 
 
 def fill(message: Any, values: Mapping[str, Any]) -> None:
-    """Set a message's fields; raises UserError for one that it does not have, or that takes another type."""
+    """Set a message's fields; raises UserError for one that it does not have, or that takes another type.
+
+    The message must have been made with `check_fields=True`: else ROS takes any value, and fails when it is sent.
+    """
     kinds = message.get_fields_and_field_types()
     for name, value in values.items():
         if name not in kinds:
@@ -115,7 +118,7 @@ def _converted(before: Any, value: Any, kind: str) -> Any:
 def _made(type_name: str, values: Mapping[str, Any]) -> Any:
     if not isinstance(values, Mapping):
         raise TypeError
-    message = interface(type_name, "msg")()
+    message = interface(type_name, "msg")(check_fields=True)
     fill(message, values)
     return message
 
