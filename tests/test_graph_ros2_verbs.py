@@ -202,24 +202,11 @@ def test_a_recording_is_told_of_while_it_grows(graph: Path) -> None:
     assert "was not finished" in said
 
 
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("topic", "echo", "/nothing", "--once"), "nobody publishes or hears /nothing"),
-        (("topic", "pub", "/hydro/gains"), "needs a full ROS 2 Jazzy"),
-        (("node", "info", "/nobody"), "there is no node /nobody"),
-        (("service", "call", "/hydro/arm", "std_srvs/srv/Trigger"), "is of type std_srvs/srv/SetBool"),
-        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{dat: 1}"), "has no field dat; it has: data"),
-        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data: 1}"), "data: 1 is no boolean"),
-        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBol"), "is no srv type known here"),
-        (("bag", "info", "/nothing"), "/nothing does not exist"),
-        (("launch", "hydro_bridge", "bridge.launch.py"), "port:= is needed: serial device of the box"),
-        (("launch", "hydro_bridge", "brige.launch.py"), "it has: bridge.launch.py"),
-        (("launch", "hydro_policy", "train.launch.py", "plant:=moon"), "sim, emulator, bench can be chosen"),
-    ],
-)
-def test_what_cannot_be_done_is_a_sentence(graph: Path, words: tuple[str, ...], sentence: str) -> None:
-    assert sentence in refused(*words)
+def test_what_is_not_there_is_a_sentence(graph: Path) -> None:
+    assert "nobody publishes or hears /nothing" in refused("topic", "echo", "/nothing", "--once")
+    assert "there is no node /nobody" in refused("node", "info", "/nobody")
+    wrong = refused("service", "call", "/hydro/arm", "std_srvs/srv/Trigger")
+    assert "is of type std_srvs/srv/SetBool" in wrong
 
 
 def test_a_whole_training_is_launched_and_ends_in_order_on_an_interrupt(tmp_path: Path) -> None:
