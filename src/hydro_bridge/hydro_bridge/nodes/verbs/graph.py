@@ -54,12 +54,12 @@ def settle(node: Node, spin_time: float) -> None:
         time.sleep(_LOOK)
 
 
-def wait_for(condition: Callable[[], object], sentence: str) -> None:
-    """Wait until `condition` holds; raises UserError with `sentence` after `PATIENCE`."""
-    end = time.monotonic() + PATIENCE
+def wait_for(condition: Callable[[], object], sentence: str, patience: float = PATIENCE) -> None:
+    """Wait until `condition` holds; raises UserError with `sentence` after `patience` s."""
+    end = time.monotonic() + patience
     while not condition():
         if time.monotonic() > end:
-            raise UserError(f"{sentence} (looked for {PATIENCE:g} s)")
+            raise UserError(f"{sentence} (looked for {patience:g} s)")
         time.sleep(_LOOK)
 
 

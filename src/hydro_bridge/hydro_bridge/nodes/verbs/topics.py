@@ -7,6 +7,7 @@ import argparse
 import statistics
 import time
 from collections import deque
+from contextlib import suppress
 from itertools import pairwise
 from typing import Any
 
@@ -22,6 +23,7 @@ from hydro_bridge.ros import spin
 GROUP, HELP = "topic", "topics of the running graph: list, info, type, echo, hz"
 _DEPTH = 1000
 _REPORT = 1.0  # s
+_PUBLISHER = 3.0  # s, for the first one to be found; one that comes later is heard, but not its latched word
 
 
 def add_verbs(verbs: Any) -> None:
@@ -162,7 +164,12 @@ def _kinds(node: Node, topic: str) -> list[str]:
 
 
 def _heard_as_offered(node: Node, topic: str) -> QoSProfile:
-    """What all publishers of now can serve: reliable, and latched, only if each of them is."""
+    """What all publishers of now can serve: reliable, and latched, only if each of them is.
+
+    Who hears a topic may be found before who publishes it: a latched word would then be missed for ever.
+    """
+    with suppress(UserError):
+        wait_for(lambda: node.count_publishers(topic), "", patience=_PUBLISHER)
     offered = [info.qos_profile for info in node.get_publishers_info_by_topic(topic)]
     reliable = bool(offered) and all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
     latched = bool(offered) and all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
