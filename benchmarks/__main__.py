@@ -31,6 +31,7 @@ STUDIES = frozenset(
         "paper",
         "sac_peers",
         "training_seeds",
+        "view_recording",
     }
 )
 """Run only if named: they take long, or need what another command makes first."""

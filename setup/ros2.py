@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stand-in for the `ros2` command where only the ROS wheels are installed: `ros2 run` and `ros2 pkg executables`."""
+"""Stand-in for the `ros2` command where only the ROS wheels are installed.
+
+`ros2 run` and `ros2 pkg executables` are here; the other verbs are hydro_bridge's (`hydro_bridge.nodes.verbs`).
+"""
 
 from __future__ import annotations
 
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
 
 from ament_index_python.packages import PackageNotFoundError, get_package_prefix, get_packages_with_prefixes
@@ -13,8 +17,16 @@ USAGE = """\
 usage: ros2 run PACKAGE EXECUTABLE [ARGUMENT ...]
        ros2 run PACKAGE                    list its executables
        ros2 pkg executables [PACKAGE]
+       ros2 launch PACKAGE FILE [NAME:=VALUE ...]
+       ros2 topic list|info|type|echo|hz ...
+       ros2 node list|info ...
+       ros2 param list|get|set ...
+       ros2 service list|type|call ...
+       ros2 bag info BAG
 
 A stand-in for where ROS 2 comes from wheels; every other command needs a full ROS 2 Jazzy."""
+VERBS = ("bag", "launch", "node", "param", "service", "topic")
+"""Groups that hydro_bridge carries out."""
 
 
 class UsageError(Exception):
@@ -60,6 +72,19 @@ def list_executables(packages: list[str]) -> None:
             print(package, name)
 
 
+def carry_out(arguments: list[str]) -> None:
+    """Hand a command line to hydro_bridge, which ends this process with its exit status."""
+    try:
+        verbs = import_module("hydro_bridge.nodes.verbs.command")
+    except ModuleNotFoundError as error:
+        if (error.name or "").partition(".")[0] not in ("hydro_bridge", "hydro_msgs"):
+            raise
+        sentence = f"`ros2 {arguments[0]}` is part of this workspace: source install/setup.bash"
+        raise UsageError(sentence) from error
+    sys.argv = ["ros2", *arguments]
+    verbs.main()
+
+
 def main(arguments: list[str]) -> int:
     """Carry out the command line; returns the exit status."""
     try:
@@ -69,6 +94,8 @@ def main(arguments: list[str]) -> int:
             run(arguments[1:])
         elif arguments[:2] == ["pkg", "executables"]:
             list_executables(arguments[2:])
+        elif arguments[0] in VERBS:
+            carry_out(arguments)
         else:
             raise UsageError(f"`ros2 {' '.join(arguments[:2])}` needs a full ROS 2 Jazzy; see `ros2 --help`.")
     except UsageError as error:

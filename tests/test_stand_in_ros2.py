@@ -65,8 +65,11 @@ def test_executables_are_listed(environment: dict[str, str]) -> None:
         (["run", "../rig", "echo"], "package '../rig' not found"),
         (["run", "rig", "ech"], "no executable 'ech'; it has: echo, wait"),
         (["run", "rig", "notes.txt"], "no executable 'notes.txt'"),
-        (["topic", "list"], "`ros2 topic list` needs a full ROS 2 Jazzy"),
-        (["launch", "rig", "x.launch.py"], "`ros2 launch rig` needs a full ROS 2 Jazzy"),
+        (["doctor"], "`ros2 doctor` needs a full ROS 2 Jazzy"),
+        (["interface", "show"], "`ros2 interface show` needs a full ROS 2 Jazzy"),
+        (["topic", "pub"], "needs a full ROS 2 Jazzy"),
+        (["bag", "info"], "needs a full ROS 2 Jazzy"),
+        (["launch", "nothing", "x.launch.py"], "package 'nothing' not found"),
     ],
 )
 def test_what_it_cannot_do_it_says_in_a_sentence(
@@ -75,6 +78,56 @@ def test_what_it_cannot_do_it_says_in_a_sentence(
     answer = ros2(environment, *arguments)
     assert answer.returncode == 2
     assert sentence in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{dat: 1}"), "has no field dat; it has: data"),
+        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data: 1}"), "data: 1 is no boolean"),
+        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data"), "is no YAML"),
+        (("service", "call", "/hydro/arm", "std_srvs/srv/SetBol"), "is no srv type known here"),
+        (("bag", "info", "/nothing"), "/nothing does not exist"),
+        (("launch", "hydro_bridge", "bridge.launch.py"), "port:= is needed: serial device of the box"),
+        (("launch", "hydro_bridge", "brige.launch.py"), "it has: bridge.launch.py"),
+        (("launch", "hydro_policy", "train.launch.py", "plant:=moon"), "sim, emulator, bench can be chosen"),
+        (("launch", "hydro_policy", "train.launch.py", "plant=sim"), "name:=value is meant"),
+    ],
+)
+def test_before_the_graph_is_asked_what_is_wrong_is_a_sentence(words: tuple[str, ...], sentence: str) -> None:
+    answer = ros2(dict(os.environ), *words)
+    assert (answer.returncode, answer.stdout) == (2, "")
+    assert sentence in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        ("from launch.actions import TimerAction", "needs a full ROS 2 Jazzy: cannot import name 'TimerAction'"),
+        (
+            "from launch_ros.actions import Node\ndef generate_launch_description(): Node(package='a', executable='b', "
+            "remappings=[])",
+            "unexpected keyword argument 'remappings'",
+        ),
+        ("x = 1", "is no launch file in Python"),
+        ("def generate_launch_description(): return 1", "describes nothing to launch"),
+    ],
+)
+def test_a_launch_file_that_uses_more_is_refused_by_name(tmp_path: Path, content: str, sentence: str) -> None:
+    (tmp_path / "x.launch.py").write_text(content)
+    answer = ros2(dict(os.environ), "launch", str(tmp_path / "x.launch.py"))
+    assert answer.returncode == 2
+    assert sentence in answer.stderr
+    assert answer.stderr.count("\n") == 1
+
+
+def test_verbs_without_the_workspace_say_what_to_source(environment: dict[str, str]) -> None:
+    bare = {name: value for name, value in environment.items() if name != "PYTHONPATH"}
+    answer = ros2(bare, "topic", "list")
+    assert answer.returncode == 2
+    assert "`ros2 topic` is part of this workspace: source install/setup.bash" in answer.stderr
     assert answer.stderr.count("\n") == 1
 
 

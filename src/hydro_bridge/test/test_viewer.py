@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags.typesys import Stores, get_typestore
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.dashboard.series import STATE_COLUMNS
@@ -17,6 +19,9 @@ from hydro_bridge.viewer.page import rendered
 from hydro_bridge.viewer.recorded import read_recorded, within
 from hydro_bridge.viewer.view import main
 
+STORE = get_typestore(Stores.ROS2_JAZZY)
+LOG_TYPE = "rcl_interfaces/msg/Log"
+LOG, STAMP = STORE.types[LOG_TYPE], STORE.types["builtin_interfaces/msg/Time"]
 ARMED, TRIPPED = int(Flag.ARMED), int(Flag.TRIPPED)
 
 
@@ -101,6 +106,53 @@ def test_episodes_examinations_rollbacks_and_overrides_are_marked_once_each() ->
     assert told[:4] == [(1.0, "episode"), (2.0, "examination"), (3.0, "examination"), (3.0, "learner")]
     assert (12.0, "rollback") in told and [time for time, kind in told if kind == "override"] == [13.0, 14.0]
     assert marks.sorted()[0].text == "episode 1; the last one: RMSE 12.3 N, return -5"
+
+
+def test_calls_are_marked_with_their_answer_and_of_the_log_only_warnings(tmp_path: Path, states) -> None:
+    begin = float(states["time"][0])
+    said = [(20, "bridge.calls", "somebody: armed"), (20, "bridge", "guard"), (30, "filter", "it does not fit")]
+    with BagWriter(tmp_path / "run") as writer:
+        writer.write_states(states)
+        writer.add_topic("/rosout", LOG_TYPE)
+        for n, (level, name, sentence) in enumerate(said):
+            sec, nanosec = divmod(round((begin + 2.0 + n) * 1e9), 10**9)
+            message = LOG(STAMP(sec, nanosec), level, name, sentence, "", "", 0)
+            writer.write("/rosout", bytes(STORE.serialize_cdr(message, LOG_TYPE)), sec * 10**9 + nanosec)
+    marks = [mark for mark in read_recorded(tmp_path / "run").marks if mark.kind in ("call", "log")]
+    assert [(mark.kind, mark.text) for mark in marks] == [
+        ("call", "bridge was asked: somebody: armed"),
+        ("log", "filter: it does not fit"),
+    ]
+    assert [mark.time for mark in marks] == pytest.approx([2.0, 4.0], abs=1e-3)
+
+
+def report(folder: Path, windows: dict[str, list[list[float]]]) -> Path:
+    """What matters here of a report.json."""
+    location = {"equation": "motion", "sentence": "friction", "windows": windows}
+    (folder / "report.json").write_text(json.dumps({"location": location}))
+    return folder / "report.json"
+
+
+def test_windows_of_a_diagnosis_are_marked_where_its_report_lies_beside(
+    bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = report(bag.parent, {"run": [[2.5, 3.0]], "another": [[1.0, 2.0]]})
+    marks = [mark for mark in read_recorded(bag, report=found).marks if mark.kind == "window"]
+    assert [(mark.time, mark.text) for mark in marks] == [(pytest.approx(2.5), "motion, for 0.50 s: friction")]
+    assert run(monkeypatch, str(bag)) == 0
+    assert "motion, for 0.50 s: friction" in (bag.parent / "run.html").read_text()
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"location": {"windows": {"run": [[1]]}}}'])
+def test_what_is_no_report_is_refused_in_a_sentence(bag: Path, content: str) -> None:
+    (bag.parent / "report.json").write_text(content)
+    with pytest.raises(RecordingError, match="is no report of a diagnosis"):
+        read_recorded(bag, report=bag.parent / "report.json")
+
+
+def test_a_diagnosis_that_found_nothing_marks_nothing(bag: Path) -> None:
+    (bag.parent / "report.json").write_text('{"location": null}')
+    assert [mark.kind for mark in read_recorded(bag, report=bag.parent / "report.json").marks] == ["armed", "trip"]
 
 
 def test_marks_are_bounded(make_states) -> None:

@@ -9,6 +9,8 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from hydro_bridge.files.atomic import write_whole
+
 INTERRUPTED = "interrupted"
 """In place of a verdict where there is none."""
 
@@ -142,7 +144,7 @@ class Report:
 
     def write(self, folder: Path) -> None:
         """Write report.json."""
-        (folder / "report.json").write_text(self.to_json() + "\n", encoding="utf-8")
+        write_whole(folder / "report.json", f"{self.to_json()}\n".encode())
 
 
 class DiagnosisInterrupted(KeyboardInterrupt):

@@ -9,12 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from cycler import cycler
 
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import Flag, FloatArray, StateArray
 
 if TYPE_CHECKING:  # matplotlib is imported with the first figure: commands that draw nothing start sooner
@@ -103,7 +105,9 @@ def figure(
         FigureCanvasAgg(drawing)
         yield drawing, drawing.subplots(rows, 1, squeeze=False, **layout)[:, 0]
         Path(path).parent.mkdir(parents=True, exist_ok=True)
-        drawing.savefig(path)
+        content = BytesIO()
+        drawing.savefig(content, format=Path(path).suffix[1:] or None)
+        write_whole(Path(path), content.getvalue())
 
 
 def draw(axes: Axes, states: StateArray, field: str, *, error_of: str | None = None, **style: Any) -> None:

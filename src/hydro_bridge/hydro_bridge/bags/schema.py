@@ -24,6 +24,7 @@ PACKAGED = (
     "hydro_msgs/msg/ReferenceSignal",
     "hydro_msgs/msg/TrainingStatus",
     "diagnostic_msgs/msg/DiagnosticArray",
+    "rcl_interfaces/msg/Log",
 )
 """Types whose definitions travel with this package."""
 

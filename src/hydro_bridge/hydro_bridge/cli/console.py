@@ -21,6 +21,7 @@ from tqdm import tqdm
 from hydro_bridge.bags.schema import UnknownTypeError
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.errors import UserError, explained, of_a_file, writable, writable_folder
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.process import endings
 from hydro_bridge.serial.port import PortLostError
 from hydro_bridge.settings import SettingsError
@@ -161,7 +162,7 @@ class Table:
         content = {"title": self.title, "columns": dict(self.columns), "rows": rows}
         try:
             Path(path).parent.mkdir(parents=True, exist_ok=True)
-            Path(path).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+            write_whole(Path(path), (json.dumps(content, indent=1) + "\n").encode())
         except OSError as error:
             raise UserError(f"{path} cannot be written: {error.strerror}") from None
 

@@ -11,11 +11,16 @@ from pathlib import Path
 def write_whole(path: Path, content: bytes) -> None:
     """Write `content` to `path`: it replaces what is there once it is on disk.
 
+    What is no plain file (/dev/stdout, a pipe, a link) is written through, as it is: its place is not taken.
+
     Raises
     ------
     OSError
         It cannot be written; what was there is as it was, and nothing is left beside it.
     """
+    if path.is_symlink() or (path.exists() and not path.is_file()):
+        path.write_bytes(content)
+        return
     partial = path.with_name(path.name + ".partial")
     try:
         with partial.open("wb") as file:

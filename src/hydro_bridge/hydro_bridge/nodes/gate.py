@@ -133,14 +133,14 @@ class Gate:
         response.success, response.message = not trouble, trouble or done
         response.claim, response.epoch = (self.authority.claim, self.authority.epoch) if own else (0, 0)
         if request.act != Claim.Request.TAKE:
-            self._words.say(f"{request.name}: {response.message}")
+            self._words.called(request.name or "somebody", response.message)
         return response
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         trouble = BY_NAME if request.data else self._plant.arm(False)
         self._follow()
         response.success, response.message = not trouble, trouble or "disarmed"
-        self._words.say(response.message)
+        self._words.called("somebody, by /hydro/arm", response.message)
         return response
 
     def _arm(self, claim: int, epoch: int, whom: str) -> str:

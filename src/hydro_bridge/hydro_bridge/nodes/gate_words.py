@@ -7,7 +7,7 @@ from collections import Counter
 
 from rclpy.node import Node
 
-from hydro_bridge.ros import AUTHORITY, AUTHORITY_QOS, CORRECTION
+from hydro_bridge.ros import AUTHORITY, AUTHORITY_QOS, CALLS, CORRECTION
 from hydro_bridge.safety.authority import Authority
 from hydro_msgs.msg import Authority as AuthorityMessage
 
@@ -31,6 +31,7 @@ class GateWords:
         self._publisher = node.create_publisher(AuthorityMessage, AUTHORITY, AUTHORITY_QOS)
         self._told: Counter[str] = Counter()
         self._last = ""
+        self._calls = node.get_logger().get_child(CALLS)
 
     def tell(self) -> None:
         """Publish who commands, and the epoch that commands must carry now."""
@@ -38,6 +39,7 @@ class GateWords:
         message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
         message.header.stamp = self._node.get_clock().now().to_msg()
         self._publisher.publish(message)
+        self._last = ""
 
     def tell_refused(self) -> None:
         """Log how many commands were refused since the last call, and who publishes these topics.
@@ -58,7 +60,12 @@ class GateWords:
             )
 
     def say(self, sentence: str) -> None:
-        """Log a sentence once: some ask again and again."""
+        """Log a sentence."""
+        self._node.get_logger().info(sentence)
+
+    def called(self, who: str, answer: str) -> None:
+        """Log who asked for something and the answer, once until things change: some ask again and again."""
+        sentence = f"{who}: {answer}"
         if sentence != self._last:
-            self._node.get_logger().info(sentence)
+            self._calls.info(sentence)
         self._last = sentence

@@ -8,6 +8,7 @@ from hydro_bridge.ros.box_info import listen_to_box
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion, CompanionError, executable_path
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status
+from hydro_bridge.ros.journal import CALLS, Journal
 from hydro_bridge.ros.live_page import add_page_option, page_wanted, start_page
 from hydro_bridge.ros.messages import (
     StateMessage,
@@ -41,6 +42,8 @@ from hydro_bridge.ros.topics import (
     GAINS,
     GAINS_QOS,
     GRAPH,
+    LOG,
+    LOG_QOS,
     OVERRIDE_SERVICE,
     REFERENCE,
     REFERENCE_QOS,
@@ -67,6 +70,10 @@ __all__ = [
     "GAINS",
     "GAINS_QOS",
     "GRAPH",
+    "LOG",
+    "LOG_QOS",
+    "CALLS",
+    "Journal",
     "OVERRIDE_SERVICE",
     "REFERENCE",
     "REFERENCE_QOS",

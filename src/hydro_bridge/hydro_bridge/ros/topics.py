@@ -6,6 +6,7 @@ from __future__ import annotations
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
 from hydro_msgs.msg import Authority, BenchState, BoxInfo, Correction, Gains, ReferenceSignal, TrainingStatus
@@ -18,6 +19,8 @@ CORRECTION = "/hydro/correction"
 REFERENCE = "/hydro/reference"
 TRAINING = "/hydro/training"
 DIAGNOSTICS = "/diagnostics"
+LOG = "/rosout"
+"""ROS's own: what every node logs, and what was asked of it (`hydro_bridge.ros.journal`)."""
 CLOCK = "/clock"
 """ROS's own, of a simulation off real time; not in GRAPH, for nobody records it."""
 ARM_SERVICE = "/hydro/arm"
@@ -44,6 +47,8 @@ AUTHORITY_QOS = _qos(1, reliable=True, latched=True)
 REFERENCE_QOS = _qos(1, reliable=True, latched=True)
 TRAINING_QOS = _qos(10, reliable=True)
 DIAGNOSTICS_QOS = _qos(10, reliable=True)
+LOG_QOS = _qos(1000, reliable=True, latched=True)
+"""As ROS offers its log."""
 
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     STATE: (BenchState, STATE_QOS),
@@ -54,6 +59,7 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     REFERENCE: (ReferenceSignal, REFERENCE_QOS),
     TRAINING: (TrainingStatus, TRAINING_QOS),
     DIAGNOSTICS: (DiagnosticArray, DIAGNOSTICS_QOS),
+    LOG: (Log, LOG_QOS),
 }
 """Type and quality of service of every topic."""
 

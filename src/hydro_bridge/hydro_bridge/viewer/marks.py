@@ -12,6 +12,9 @@ episode      /hydro/training: the next episode, and what the last one came to
 examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
 rollback     "rollbacks" in the trainer's diagnostics
 override     "override" in the trainer's diagnostics: gains held by hand, to within their 0.5 s
+call         /rosout, names that end in `calls`: who asked to arm, disarm or override, and the answer
+log          /rosout: warnings and errors of all nodes
+window       report.json of a diagnosis: where the recording and the model differ (`viewer.findings`)
 ===========  ==========================================================================================
 """
 
@@ -30,7 +33,10 @@ from hydro_bridge.signals import Flag, StateArray
 MARKS = 20_000
 """At most; what comes later is counted, not kept."""
 
+CALLS = "calls"
+"""As `hydro_bridge.ros.journal` names them."""
 _TRAINERS = ("trainer", "evaluate")
+_WARN = 30
 
 
 @dataclass(frozen=True)
@@ -101,6 +107,18 @@ class Marks:
             self._said[f"{name} {key}"] = now
             if before is not None and now != before:
                 self._add(time, kind, _SENTENCES[kind](now))
+
+    def log(self, time: float, level: int, name: str, sentence: str) -> None:
+        """Enter a word of /rosout by its level, as rcl_interfaces/Log counts them."""
+        node, _, last = name.rpartition(".")
+        if last == CALLS:
+            self._add(time, "call", f"{node} was asked: {sentence}")
+        elif level >= _WARN:
+            self._add(time, "log", f"{name}: {sentence}")
+
+    def add(self, mark: Mark) -> None:
+        """Enter what is a mark already."""
+        self._add(mark.time, mark.kind, mark.text)
 
     def _change(self, time: float, before: int, now: int) -> None:
         risen, fallen = now & ~before, before & ~now

@@ -15,16 +15,18 @@ from hydro_bridge.bags.reader import STATE_TOPIC, as_states
 from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.dashboard import series, words
+from hydro_bridge.viewer.findings import windows
 from hydro_bridge.viewer.growing import GrowingThinner
 from hydro_bridge.viewer.marks import Mark, Marks
 
 CORRECTION_TOPIC, TRAINING_TOPIC, AUTHORITY_TOPIC = "/hydro/correction", "/hydro/training", "/hydro/authority"
-DIAGNOSTICS_TOPIC = "/diagnostics"
+DIAGNOSTICS_TOPIC, LOG_TOPIC = "/diagnostics", "/rosout"
 TOLD_BY = {
     CORRECTION_TOPIC: "the filter's correction and certificate",
     TRAINING_TOPIC: "episodes and examinations",
     AUTHORITY_TOPIC: "who commanded",
     DIAGNOSTICS_TOPIC: "rollbacks and overrides",
+    LOG_TOPIC: "who asked to arm, disarm or override, and what the nodes warned of,",
 }
 """What is not to be seen of a recording without a topic."""
 
@@ -33,7 +35,11 @@ _NEEDED = {
     CORRECTION_TOPIC: frozenset(column.field for column in series.CORRECTION_COLUMNS),
     TRAINING_TOPIC: frozenset({"phase", "episode", "episode_return", "force_rmse", "learner_alive"}),
 }
-_OBJECTS = {AUTHORITY_TOPIC: "hydro_msgs/msg/Authority", DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray"}
+_OBJECTS = {
+    AUTHORITY_TOPIC: "hydro_msgs/msg/Authority",
+    DIAGNOSTICS_TOPIC: "diagnostic_msgs/msg/DiagnosticArray",
+    LOG_TOPIC: "rcl_interfaces/msg/Log",
+}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +112,10 @@ class _Reading:
             self.curve.add(int(row["episode"]), float(row["force_rmse"]), float(row["episode_return"]))
 
     def take_object(self, topic: str, time: float, message: Any) -> None:
-        """Enter a word of the authority or of diagnostics."""
+        """Enter a word of the authority, of diagnostics or of the log."""
+        if topic == LOG_TOPIC:
+            self.marks.log(time, int(message.level), message.name, message.msg)
+            return
         if topic == AUTHORITY_TOPIC:
             self.marks.authority(time, message.holder)
             return
@@ -114,7 +123,7 @@ class _Reading:
             self.marks.diagnostics(time, status.name, {entry.key: entry.value for entry in status.values})
 
 
-def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf)) -> Recorded:
+def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), report: Path | None = None) -> Recorded:
     """Read a recording for a page.
 
     Parameters
@@ -123,12 +132,15 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf)) -> R
         A rosbag2 folder or an .mcap file.
     span
         s from the first sample: the part to show, which a page shows the finer the shorter it is.
+    report
+        report.json of a diagnosis, whose windows are marked.
 
     Raises
     ------
     RecordingError
-        Nothing there, damaged, or no samples of a bench in it, or none within the span.
+        Nothing there, damaged, or no samples of a bench in it, or none within the span; or no report.
     """
+    found = [] if report is None else windows(report, Path(path))
     source = BagSource(Path(path))
     reading = _Reading(span=span)
     decoder = MessageDecoder(source)
@@ -153,10 +165,12 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf)) -> R
                 continue
             try:
                 for _, message in decoder.objects(scan, channel, block, part):
-                    stamp = message.header.stamp
+                    stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
                     reading.take_object(topic, stamp.sec + 1e-9 * stamp.nanosec, message)
             except AttributeError:  # fields of another version
                 reading.foreign.add(topic)
+    for mark in found:
+        reading.marks.add(Mark(reading.begin + mark.time, mark.kind, mark.text))
     return _finished(source, reading, messages)
 
 

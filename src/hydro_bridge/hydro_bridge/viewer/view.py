@@ -14,6 +14,7 @@ from pathlib import Path
 
 from hydro_bridge.cli.console import UserError, command, writable
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.viewer.findings import report_beside
 from hydro_bridge.viewer.page import rendered
 from hydro_bridge.viewer.recorded import read_recorded
 
@@ -35,6 +36,9 @@ def parser() -> argparse.ArgumentParser:
     result.add_argument("--html", type=writable, metavar="FILE", help="the page (default: beside BAG, as BAG.html)")
     result.add_argument("--from", dest="begin", type=_seconds, default=0.0, metavar="S", help="s from the first sample")
     result.add_argument("--to", dest="end", type=_seconds, default=inf, metavar="S", help="s from the first sample")
+    result.add_argument(
+        "--report", type=Path, metavar="FILE", help="report.json of a diagnosis (default: the one beside BAG)"
+    )
     result.add_argument("--no-open", dest="open", action="store_false", help="open no browser")
     return result
 
@@ -47,7 +51,8 @@ def main() -> None:
         raise UserError(f"--from {options.begin:g} --to {options.end:g}: the end must come behind the begin")
     bag = options.bag.absolute()
     page = Path(options.html or writable(str(bag.with_name(f"{bag.stem if bag.is_file() else bag.name}.html"))))
-    recorded = read_recorded(options.bag, (options.begin, options.end))
+    report = options.report or report_beside(bag)
+    recorded = read_recorded(options.bag, (options.begin, options.end), report)
     page.parent.mkdir(parents=True, exist_ok=True)
     write_whole(page, rendered(recorded).encode())
     print(page)

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from hydro_bridge.cli.console import Table
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import data_uri, environment
 
 _CAPTIONS = {
@@ -33,7 +34,7 @@ def write(path: Path, table: Table, pictures: Mapping[str, Path], failed: Sequen
         pictures=[(_CAPTIONS[what], data_uri(file)) for what, file in pictures.items()],
         failed=failed,
     )
-    path.write_text(page, encoding="utf-8")
+    write_whole(path, page.encode())
 
 
 def _flat(data: Mapping[str, Any]) -> str:

@@ -21,6 +21,7 @@ from typing import Any
 import yaml
 
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_diagnosis.blind_benchmark import page, seal
 from hydro_diagnosis.blind_benchmark.cases import PARTS, Case, draw, draw_parts
@@ -164,7 +165,7 @@ def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_f
     refresh_index(folder)
     content = {"about": about, "standards": table.rows, "confusion": confusion(results), "failures": failed,
                "floors": pictures.floors(results), "cases": [_row(result) for result in results]}  # fmt: skip
-    (folder / "proof.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_whole(folder / "proof.json", (json.dumps(content, indent=1) + "\n").encode())
     if len(engines) > 1:
         print(f"warning: cases were diagnosed by {len(engines)} versions of the diagnosis", file=sys.stderr)
     print(f"{len(failed)} cases failed: {folder / 'proof.html'}, proof.json")

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hydro_bridge.cli.console import Table, add_json_argument, command, writable
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.formats.file_columns import Columns, named_like_time, runs_forward
 from hydro_diagnosis.formats.units import UNITS
@@ -127,7 +128,7 @@ def main() -> int:
             print(_advice(path, proposal))
     if chosen.write:
         Path(chosen.write).parent.mkdir(parents=True, exist_ok=True)
-        Path(chosen.write).write_text(as_yaml(maps[0]), encoding="utf-8")
+        write_whole(Path(chosen.write), as_yaml(maps[0]).encode())
         print(f"{chosen.write}: the map of {chosen.recordings[0].name}")
     return 0
 

@@ -14,6 +14,7 @@ from typing import Any
 
 import yaml
 
+from hydro_bridge.files.atomic import write_whole
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure, from_mapping
@@ -56,7 +57,7 @@ def _overrides(effect: Effect, hook: str) -> bool:
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
     """Write corrected.yaml."""
     content = yaml.safe_dump(corrected_bench(bench, claims).to_mapping(), sort_keys=False)
-    path.write_text("# bench.yaml with what a diagnosis found; SI units.\n" + content, encoding="utf-8")
+    write_whole(path, f"# bench.yaml with what a diagnosis found; SI units.\n{content}".encode())
 
 
 def claims_of(bench: Bench) -> tuple[Claim, ...]:

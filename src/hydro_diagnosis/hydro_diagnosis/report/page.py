@@ -10,6 +10,7 @@ from typing import Any
 
 from jinja2 import Environment
 
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import environment
 from hydro_diagnosis.findings import EffectReport, Report
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -47,7 +48,7 @@ def write_page(found: Diagnosis, path: Path) -> None:
         residual_plot=plots.residual_plot(found),
         evidence_plot=plots.evidence_plot(found) if found.outcome.steps else "",
     )  # fmt: skip
-    path.write_text(page, encoding="utf-8")
+    write_whole(path, page.encode())
 
 
 def _environment() -> Environment:

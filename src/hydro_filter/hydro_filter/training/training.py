@@ -10,12 +10,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import torch
 
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.tensors import check_numbers
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
@@ -198,10 +200,9 @@ def _save(
 ) -> None:
     content = {**asdict(replace(state)), "best": torch.from_numpy(state.best.copy())}
     path.parent.mkdir(parents=True, exist_ok=True)
-    torch.save(
-        {"progress": content, "network": network.state_dict(), "optimizer": optimizer.state_dict(), "begun": begun},
-        path,
-    )
+    kept, blob = {"network": network.state_dict(), "optimizer": optimizer.state_dict(), "begun": begun}, BytesIO()
+    torch.save({"progress": content, **kept}, blob)
+    write_whole(path, blob.getvalue())
 
 
 def _load(path: Path, network: Network, optimizer: torch.optim.Optimizer) -> Progress:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.cli.console import Table
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.session import EvaluationSession, Score, Trace
@@ -83,7 +84,7 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
         "runs": [plain(score) for score in session.scores],
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    write_whole(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def sections(session: EvaluationSession, picture: Path) -> list[Section]:

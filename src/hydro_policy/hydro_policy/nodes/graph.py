@@ -27,6 +27,7 @@ from hydro_bridge.ros import (
     Commander,
     Companion,
     CompanionError,
+    Journal,
     RecorderWatch,
     drop_realtime,
     listen_to_box,
@@ -70,7 +71,8 @@ class GraphNode(Node):
 
     def __init__(self, name: str, *, realtime: bool = True) -> None:
         super().__init__(name)
-        self.sayings = Sayings()
+        self.sayings, journal = Sayings(), Journal(self)
+        self.sayings.journal = journal.tell
         self._realtime = realtime
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
@@ -94,7 +96,7 @@ class GraphNode(Node):
         self._gains = Gains()
         self._commander = Commander(self, self._on_authority, endings.ask)
         self._wait = AuthorityWait(self, self._commander, self.warn)
-        self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail)
+        self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
         listen_to_box(self, self._on_box)

@@ -27,6 +27,8 @@ class OverrideService:
         Called with a sentence when a request is refused.
     fail
         Called with the error where the run's record cannot be written: nothing goes on then.
+    told
+        Called with what was asked and what was answered.
     """
 
     def __init__(
@@ -35,9 +37,11 @@ class OverrideService:
         override: Callable[[], GainOverride],
         warn: Callable[[str], None],
         fail: Callable[[Exception], None],
+        told: Callable[[str], None],
     ) -> None:
-        self._node, self._override, self._warn, self._fail = node, override, warn, fail
+        self._node, self._override = node, override
         self._service: Service | None = None
+        self._warn, self._fail, self._told = warn, fail, told
 
     def open(self) -> None:
         """Offer the service, if it is not offered yet."""
@@ -60,6 +64,7 @@ class OverrideService:
         except OSError as error:  # the run's record cannot be written
             answer.success, answer.message = False, str(error)
             self._fail(error)
+        self._told(f"override, {_wanted(request)}: {'' if answer.success else 'refused: '}{answer.message}")
         return answer
 
     def _carry_out(self, request: OverrideGains.Request) -> str:
@@ -71,3 +76,9 @@ class OverrideService:
             return self._override().release()
         gains = (request.proportional_gain, request.integral_gain)
         return self._override().hold(*gains, request.seconds, time.monotonic())
+
+
+def _wanted(request: OverrideGains.Request) -> str:
+    if not request.active:
+        return "give the gains back"
+    return f"hold ({request.proportional_gain:g}, {request.integral_gain:g}) for {request.seconds:g} s"

@@ -104,6 +104,7 @@ class TrainingProgress:
             "examination": _exam_line(exams[-1], session) if (exams := session.progress.exams) else "none yet",
             "last stop": session.state_of_run.last_stop or "none",
             "override": session.override.description,
+            "policy": f"blake2b {session.explorer.policy.digest()}",
             "best score": session.progress.best_score,
             "error peak [N]": session.monitor.peak,
             "chatter [A/s]": session.monitor.chatter,

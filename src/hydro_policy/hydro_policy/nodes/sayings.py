@@ -47,6 +47,8 @@ class Sayings:
     def __init__(self) -> None:
         self.log: IO[str] | None = None
         """Where sentences go besides the terminal."""
+        self.journal: Callable[[str, bool], None] = lambda sentence, warning: None
+        """Takes them for recordings."""
         self._flood = Flood(8)
 
     def say(self, sentence: str, warning: bool = False) -> None:
@@ -55,6 +57,7 @@ class Sayings:
         if not told:
             return
         on_terminal(told)
+        self.journal(told.removeprefix("! "), warning)
         if self.log is not None:
             self.keep(f"{time.strftime('%H:%M:%S')} {told}\n")
 

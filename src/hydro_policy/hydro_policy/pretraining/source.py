@@ -12,6 +12,7 @@ from typing import Any
 import yaml
 
 from hydro_bridge.cli.console import UserError
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.settings import SettingsError
 from hydro_filter.controller.factory import Choice
@@ -98,7 +99,7 @@ class Source:
 
     def save(self, folder: Path) -> None:
         """Into a run's folder, beside config.yaml."""
-        (folder / SOURCE).write_text(yaml.safe_dump(asdict(self), sort_keys=False))
+        write_whole(folder / SOURCE, yaml.safe_dump(asdict(self), sort_keys=False).encode())
 
 
 def source_of(options: argparse.Namespace) -> Source:

@@ -8,6 +8,7 @@ and what it was made for (`hydro_sim.files.pairing`).
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from dataclasses import asdict
@@ -63,6 +64,13 @@ class Policy:
                 offset += array.size
         if offset != len(parameters):
             raise ValueError(f"{len(parameters)} parameters for a policy of {offset}")
+
+    def digest(self) -> str:
+        """Digest (blake2b, 12 hex digits) of the weights in force: a recording says which policy acted when."""
+        content = hashlib.blake2b(digest_size=6)
+        for array in (*self.weights, *self.biases):
+            content.update(np.asarray(array, np.float32).tobytes())
+        return content.hexdigest()
 
     def distribution(self, observation: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(mu, log sigma) before squashing, [..., 2] each, of observations [..., 13]."""

@@ -14,6 +14,7 @@ from typing import Annotated, Literal, cast
 
 import yaml
 
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.settings_file import from_mapping, read_yaml, to_mapping
 from hydro_bridge.settings import SettingsError, quantity
 from hydro_bridge.signals import ReferenceSignal, Waveform
@@ -90,4 +91,4 @@ def save_schedule(segments: Sequence[Segment], path: str | Path) -> None:
     """Write a schedule as `load_schedule` reads it; missing folders are made."""
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump({"segments": [to_mapping(segment) for segment in segments]}, sort_keys=False)
-    Path(path).write_text(text, encoding="utf-8")
+    write_whole(Path(path), text.encode())

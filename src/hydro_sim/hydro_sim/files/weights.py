@@ -20,6 +20,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
 from hydro_bridge.files import bench_file
+from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.tensors import UnsoundError, check_numbers
 from hydro_bridge.signals import FloatArray
 from hydro_sim.files.pairing import ENTRY, MadeFor
@@ -39,7 +40,7 @@ def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeF
     Path(path).parent.mkdir(parents=True, exist_ok=True)
     arrays = {name: np.ascontiguousarray(tensor) for name, tensor in tensors.items()}
     content = serialize(arrays, metadata={"hydro": json.dumps({"format": FORMAT, **header})})
-    Path(path).write_bytes(content)
+    write_whole(Path(path), content)
 
 
 def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:

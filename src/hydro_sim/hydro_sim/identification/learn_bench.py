@@ -12,6 +12,7 @@ from pathlib import Path
 import yaml
 
 from hydro_bridge.cli.console import Table, UserError
+from hydro_bridge.files.atomic import write_whole
 from hydro_sim.files import recordings
 from hydro_sim.identification import bench_learning
 from hydro_sim.identification.bench_learning import Result
@@ -90,4 +91,4 @@ def _write(result: Result, out: Path, judgement: str, digests: dict[str, str]) -
     lines += [f"{one.name}: 95 % within {one.low:.6g} and {one.high:.6g} {one.unit}" for one in result.parameters]
     head = "".join(f"# {line}\n" for line in lines)
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(head + yaml.safe_dump(stated(result).to_mapping(), sort_keys=False), encoding="utf-8")
+    write_whole(out, (head + yaml.safe_dump(stated(result).to_mapping(), sort_keys=False)).encode())

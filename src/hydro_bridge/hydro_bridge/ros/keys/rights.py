@@ -22,13 +22,13 @@ from hydro_bridge.ros.topics import (
     END_SERVICE,
     GAINS,
     GRAPH,
+    LOG,
     OVERRIDE_SERVICE,
     REFERENCE,
     STATE,
     TRAINING,
 )
 
-LOG = "/rosout"
 PARAMETER_EVENTS = "/parameter_events"
 DESCRIPTION_SERVICE = "get_type_description"
 PARAMETER_SERVICES = (
@@ -133,6 +133,6 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
     },
     "arm": {"arm": node("arm", Rights(calls=_ARMING))},
     "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},
-    "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK, LOG)))},
+    "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK)))},
 }
 """By executable, and by its nodes. `watch` is no executable of ours but a person's `ros2 topic echo`: it only reads."""

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A visitor in the graph: a hidden node for as long as one verb takes, and the patience to find the others."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+import rclpy
+from rclpy.node import Node
+from rclpy.task import Future
+
+from hydro_bridge.cli.console import UserError
+from hydro_bridge.ros import start_ros
+
+SPIN_TIME = 1.0
+"""s that a list waits at least; and on, until nothing new has come for `_CALM`."""
+PATIENCE = 10.0
+"""s that what was named is waited for: on a busy machine announcements get lost, and come again each few seconds."""
+_CALM = 0.5
+_LOOK = 0.05
+
+
+def add_spin_time(parser: argparse.ArgumentParser) -> None:
+    """Add `--spin-time S`, as upstream names it."""
+    parser.add_argument(
+        "--spin-time", type=float, default=SPIN_TIME, metavar="S", help=f"s to look around at least ({SPIN_TIME:g})"
+    )
+
+
+@contextmanager
+def visiting() -> Iterator[Node]:
+    """A node that offers nothing, and is hidden from lists by its name's `_`."""
+    start_ros()
+    node = Node(f"_ros2cli_{os.getpid()}", start_parameter_services=False, enable_rosout=False)
+    try:
+        yield node
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+def settle(node: Node, spin_time: float) -> None:
+    """Wait until the graph stands still: at least `spin_time` s, at most `PATIENCE` more."""
+    begin = time.monotonic()
+    seen, changed = -1, begin
+    while (now := time.monotonic()) < begin + spin_time or (now < changed + _CALM and now < begin + PATIENCE):
+        count = sum(1 for _ in node.get_node_names_and_namespaces()) + len(node.get_topic_names_and_types())
+        if count != seen:
+            seen, changed = count, now
+        time.sleep(_LOOK)
+
+
+def wait_for(condition: Callable[[], object], sentence: str, patience: float = PATIENCE) -> None:
+    """Wait until `condition` holds; raises UserError with `sentence` after `patience` s."""
+    end = time.monotonic() + patience
+    while not condition():
+        if time.monotonic() > end:
+            raise UserError(f"{sentence} (looked for {patience:g} s)")
+        time.sleep(_LOOK)
+
+
+def answer_of(node: Node, answer: Future, who: str) -> object:
+    """What a service answers; raises UserError if it does not within `PATIENCE`."""
+    rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE)
+    if not answer.done():
+        raise UserError(f"{who} gave no answer within {PATIENCE:g} s")
+    return answer.result()
+
+
+def full_name(namespace: str, name: str) -> str:
+    """`/namespace/name`."""
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+def absolute(name: str) -> str:
+    """A name with its first slash."""
+    return name if name.startswith("/") else f"/{name}"
+
+
+def hidden(name: str) -> bool:
+    """Whether one of a name's parts begins with `_`."""
+    return any(part.startswith("_") for part in name.split("/"))

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages by the name of their type; messages <-> plain types, as YAML shows them."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import import_module
+from typing import Any
+
+import yaml
+
+from hydro_bridge.cli.console import UserError
+
+_ELEMENT = re.compile(r"(?:sequence<)?(\w+/\w+)(?:\[\d+\]|(?:, \d+)?>)?")
+_LONG = (bytes, bytearray, str)
+
+
+def interface(name: str, kind: str) -> type[Any]:
+    """Class of a type such as `std_srvs/srv/SetBool`; `kind` (msg or srv) may be left out of the name.
+
+    Raises
+    ------
+    UserError
+        There is none of that name here.
+    """
+    package, _, rest = name.partition("/")
+    last = rest.removeprefix(f"{kind}/")
+    try:
+        found: type[Any] = getattr(import_module(f"{package}.{kind}"), last)
+    except (ImportError, AttributeError, ValueError):
+        raise UserError(f"{name} is no {kind} type known here: package/{kind}/Name is meant") from None
+    return found
+
+
+def plain(value: Any) -> Any:
+    """A message, or a value in one, as types that YAML knows."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, Mapping):
+        return {name: plain(entry) for name, entry in value.items()}
+    if isinstance(value, bytes):
+        return int.from_bytes(value, "little") if len(value) == 1 else list(value)
+    if isinstance(value, Iterable) and not isinstance(value, _LONG):
+        return [plain(entry) for entry in value]
+    return value.item() if hasattr(value, "item") else value
+
+
+def as_yaml(value: Any) -> str:
+    """A message or plain value as YAML, a field a line."""
+    text = yaml.safe_dump(plain(value), sort_keys=False, allow_unicode=True, width=float("inf"))
+    return text.removesuffix("...\n")
+
+
+def as_csv(value: Any) -> str:
+    """A message's values in one line, in the order of its fields."""
+    return ",".join(str(entry) for entry in _flat(plain(value)))
+
+
+def without(value: Any, *, arrays: bool, strings: bool) -> Any:
+    """`plain` of a message; arrays and strings give way to a word on their length, where asked for."""
+    if isinstance(value, dict):
+        return {name: without(entry, arrays=arrays, strings=strings) for name, entry in value.items()}
+    if isinstance(value, list) and arrays:
+        return f"<array of length {len(value)}>"
+    if isinstance(value, str) and strings:
+        return f"<string of length {len(value)}>"
+    return value
+
+
+def part(message: Any, field: str) -> Any:
+    """A field of a message, such as `header.stamp` or `status[0].name`; raises UserError."""
+    value = message
+    for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", field):
+        try:
+            value = getattr(value, name) if name else value[int(index)]
+        except (AttributeError, IndexError, TypeError):
+            raise UserError(f"--field {field}: {type(message).__name__} has no such field") from None
+    return value
+
+
+def parsed(text: str) -> dict[str, Any]:
+    """A mapping written as YAML, `{}` for nothing; raises UserError."""
+    try:
+        values = yaml.safe_load(text) if text.strip() else {}
+    except yaml.YAMLError as error:
+        raise UserError(f"{text!r} is no YAML: {' '.join(str(error).split())}") from None
+    if not isinstance(values, dict):
+        raise UserError(f"{text!r}: fields are meant as YAML, such as '{{data: true}}'")
+    return values
+
+
+def fill(message: Any, values: Mapping[str, Any]) -> None:
+    """Set a message's fields; raises UserError for one that it does not have, or that takes another type.
+
+    The message must have been made with `check_fields=True`: else ROS takes any value, and fails when it is sent.
+    """
+    kinds = message.get_fields_and_field_types()
+    for name, value in values.items():
+        if name not in kinds:
+            raise UserError(f"{type(message).__name__} has no field {name}; it has: {', '.join(kinds) or 'none'}")
+        try:
+            setattr(message, name, _converted(getattr(message, name), value, kinds[name]))
+        except (AssertionError, TypeError, ValueError, OverflowError):
+            raise UserError(f"{name}: {value!r} is no {kinds[name]}") from None
+
+
+def _converted(before: Any, value: Any, kind: str) -> Any:
+    """`value` as the type that a field has; a message, or a list of them, made from mappings."""
+    named = _ELEMENT.fullmatch(kind)
+    if isinstance(before, float):
+        return float(value)
+    if named is None:
+        return value
+    if not isinstance(value, Sequence):
+        return _made(named[1], value)
+    return [_made(named[1], entry) for entry in value]
+
+
+def _made(type_name: str, values: Mapping[str, Any]) -> Any:
+    if not isinstance(values, Mapping):
+        raise TypeError
+    message = interface(type_name, "msg")(check_fields=True)
+    fill(message, values)
+    return message
+
+
+def _flat(value: Any) -> list[Any]:
+    if isinstance(value, dict):
+        return [entry for part in value.values() for entry in _flat(part)]
+    if isinstance(value, list):
+        return [entry for part in value for entry in _flat(part)]
+    return [value]

@@ -1,0 +1,233 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stand-in's verbs, each against one running graph, which `ros2 launch` and `ros2 run` of the stand-in started."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from threading import Thread
+
+import pytest
+
+pytest.importorskip("rclpy")
+
+import rclpy
+import yaml
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.executors import SingleThreadedExecutor
+
+from hydro_bridge.bags.recording import read_bag
+from tests.graph_probe import own_domain
+
+pytestmark = pytest.mark.graph
+
+ROS2 = [sys.executable, str(Path(__file__).resolve().parent.parent / "setup" / "ros2.py")]
+
+
+def ros2(*words: str) -> str:
+    """What a verb prints, once it has ended well."""
+    answer = subprocess.run([*ROS2, *words], capture_output=True, text=True, check=False, timeout=90)
+    assert answer.returncode == 0, answer.stderr
+    assert answer.stderr == ""
+    return answer.stdout
+
+
+def refused(*words: str) -> str:
+    """The one sentence with which a verb refuses."""
+    answer = subprocess.run([*ROS2, *words], capture_output=True, text=True, check=False, timeout=90)
+    assert (answer.returncode, answer.stdout) == (2, "")
+    assert answer.stderr.startswith("error: ") and answer.stderr.count("\n") == 1, answer.stderr
+    return answer.stderr
+
+
+@contextmanager
+def running(*words: str) -> Iterator[subprocess.Popen[str]]:
+    """A verb that goes on until it is interrupted."""
+    process = subprocess.Popen([*ROS2, *words], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.send_signal(signal.SIGINT)
+            try:
+                process.communicate(timeout=60)
+            except subprocess.TimeoutExpired:
+                process.kill()
+        assert process.stdout is not None
+        process.stdout.close()
+
+
+def until(process: subprocess.Popen[str], words: str, lines: int = 2000) -> list[str]:
+    """What a verb prints up to the line with `words`."""
+    assert process.stdout is not None
+    said = []
+    for line in process.stdout:
+        said.append(line)
+        if words in line:
+            return said
+        assert len(said) < lines, "".join(said)
+    raise AssertionError(f"it ended without {words!r}: {''.join(said)}")
+
+
+def quietly(process: subprocess.Popen[str]) -> None:
+    """Read on, so that it is never held up by what it prints."""
+    assert process.stdout is not None
+    Thread(target=lambda: [None for _ in process.stdout], daemon=True).start()  # type: ignore[union-attr]
+
+
+@pytest.fixture(scope="module")
+def graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """Emulator and bridge, launched; a recorder, run. Gives the recording."""
+    folder = tmp_path_factory.mktemp("graph")
+    port, bag = str(folder / "port"), folder / "bag"
+    with own_domain(), ExitStack() as stack:
+        emulator = stack.enter_context(running("launch", "hydro_sim", "emulator.launch.py", f"port:={port}"))
+        until(emulator, port)
+        words = ("launch", "hydro_bridge", "bridge.launch.py", f"port:={port}", "dashboard:=false")
+        bridge = stack.enter_context(running(*words))
+        recorder = stack.enter_context(running("run", "hydro_bridge", "recorder", "--out", str(bag)))
+        until(recorder, "recording into")
+        for process in (emulator, bridge, recorder):
+            quietly(process)
+        ros2("topic", "echo", "/hydro/state", "--once")
+        yield bag
+
+
+def test_topics_are_listed_with_types_and_counted(graph: Path) -> None:
+    names = ros2("topic", "list").split()
+    assert {"/hydro/state", "/hydro/box", "/hydro/authority", "/diagnostics", "/rosout"} <= set(names)
+    assert names == sorted(names)
+    assert "/hydro/state [hydro_msgs/msg/BenchState]\n" in ros2("topic", "list", "-t")
+    assert int(ros2("topic", "list", "-c")) == len(names)
+    assert ros2("topic", "type", "/hydro/state") == "hydro_msgs/msg/BenchState\n"
+
+
+def test_who_publishes_and_hears_a_topic(graph: Path) -> None:
+    said = ros2("topic", "info", "/hydro/state")
+    assert said == "Type: hydro_msgs/msg/BenchState\nPublisher count: 1\nSubscription count: 1\n"
+    verbose = ros2("topic", "info", "hydro/state", "--verbose")
+    assert "Node name: bridge" in verbose and "Node name: recorder" in verbose and "BEST_EFFORT" in verbose
+
+
+def test_a_message_is_shown_as_yaml_and_a_latched_one_though_it_was_said_before(graph: Path) -> None:
+    state = yaml.safe_load(ros2("topic", "echo", "/hydro/state", "--once").removesuffix("---\n"))
+    assert state["header"]["frame_id"] == "bench" and isinstance(state["load_force"], float) and not state["flags"] & 1
+    assert ros2("topic", "echo", "/hydro/box", "--once", "--field", "plant") == "bridge\n---\n"
+    seconds = ros2("topic", "echo", "/hydro/state", "--once", "--field", "header.stamp", "--csv")
+    assert abs(float(seconds.split(",")[0]) - time.time()) < 60.0
+    assert "<array of length" in ros2("topic", "echo", "/diagnostics", "--once", "--no-arr")
+    assert "has no such field" in refused("topic", "echo", "/hydro/box", "--once", "--field", "colour")
+
+
+def test_the_rate_of_samples_is_told_each_second_until_an_interrupt(graph: Path) -> None:
+    with running("topic", "hz", "/hydro/state", "--window", "5000") as process:
+        assert process.stdout is not None
+        said = "".join(until(process, "window: 5000", lines=100))
+        process.send_signal(signal.SIGINT)
+        assert process.wait(30) == 0
+        rest = process.stdout.read()
+    rate = float(re.findall(r"average rate: ([\d.]+)", said)[-1])
+    assert 800.0 < rate < 1050.0
+    assert "Traceback" not in rest
+
+
+def test_nodes_are_listed_and_told_of(graph: Path) -> None:
+    assert ros2("node", "list").split() == ["/bridge", "/recorder"]
+    assert int(ros2("node", "list", "-a", "-c")) == 3, "the visitor itself"
+    said = ros2("node", "info", "/bridge")
+    assert said.startswith("/bridge\n  Subscribers:\n")
+    assert "    /hydro/state: hydro_msgs/msg/BenchState\n" in said.partition("Publishers:")[2]
+    assert "    /hydro/claim: hydro_msgs/srv/Claim\n" in said.partition("Service Servers:")[2]
+
+
+def test_parameters_are_listed_read_and_set_where_a_node_lets_them(graph: Path) -> None:
+    assert "  guard.delta_kp_max\n" in ros2("param", "list", "/bridge")
+    assert "/bridge:\n" in ros2("param", "list") and "/recorder:\n" in ros2("param", "list")
+    assert re.fullmatch(r"Double value is: [\d.]+\n", ros2("param", "get", "/bridge", "guard.delta_kp_max"))
+    assert ros2("param", "get", "/bridge", "use_sim_time", "--hide-type") == "False\n"
+    assert "has no parameter colour" in refused("param", "get", "/bridge", "colour")
+    assert "Setting parameter failed" in refused("param", "set", "/bridge", "guard.delta_kp_max", "1.0")
+    with willing_node():
+        assert ros2("param", "set", "/rig", "gain", "2") == "Set parameter successful\n"
+        assert ros2("param", "get", "/rig", "gain") == "Double value is: 2.0\n"
+        assert "at most 10" in refused("param", "set", "/rig", "gain", "11")
+
+
+@contextmanager
+def willing_node() -> Iterator[None]:
+    """A node with a parameter that may be set, up to 10."""
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    node = rclpy.create_node("rig", context=context)
+    node.declare_parameter("gain", 1.0)
+    node.add_on_set_parameters_callback(
+        lambda given: SetParametersResult(successful=given[0].value <= 10.0, reason="at most 10")
+    )
+    executor = SingleThreadedExecutor(context=context)
+    executor.add_node(node)
+    spinning = Thread(target=executor.spin, daemon=True)
+    spinning.start()
+    try:
+        yield
+    finally:
+        executor.shutdown()
+        spinning.join(10.0)
+        node.destroy_node()
+        rclpy.shutdown(context=context)
+
+
+def test_services_are_listed_and_called(graph: Path) -> None:
+    assert "/hydro/arm [std_srvs/srv/SetBool]\n" in ros2("service", "list", "-t")
+    assert ros2("service", "type", "/hydro/claim") == "hydro_msgs/srv/Claim\n"
+    said = ros2("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data: false}")
+    assert "requester: making request: std_srvs.srv.SetBool_Request(data=False)\n" in said
+    assert "response:\nstd_srvs.srv.SetBool_Response(success=True, message='disarmed')\n" in said
+    arming = ros2("service", "call", "/hydro/arm", "std_srvs/srv/SetBool", "{data: true}")
+    assert "success=False" in arming, "nobody arms by this service, by whatever tool"
+
+
+def test_a_recording_is_told_of_while_it_grows(graph: Path) -> None:
+    said = ros2("bag", "info", str(graph))
+    assert re.search(r"^Files: +bag_0\.mcap$", said, re.M)
+    assert re.search(r"^Duration: +[\d.]+s$", said, re.M)
+    found = re.search(r"Topic: /hydro/state \| Type: hydro_msgs/msg/BenchState \| Count: (\d+) \|", said)
+    assert found and int(found[1]) > 1000
+    assert "was not finished" in said
+
+
+def test_what_is_not_there_is_a_sentence(graph: Path) -> None:
+    assert "nobody publishes or hears /nothing" in refused("topic", "echo", "/nothing", "--once")
+    assert "there is no node /nobody" in refused("node", "info", "/nobody")
+    wrong = refused("service", "call", "/hydro/arm", "std_srvs/srv/Trigger")
+    assert "is of type std_srvs/srv/SetBool" in wrong
+
+
+def test_the_graph_of_a_training_is_launched_and_ends_in_order_on_an_interrupt(tmp_path: Path) -> None:
+    run = tmp_path / "launched"
+    environment = {**os.environ, "HYDRO_DASHBOARD": "off"}
+    words = ["launch", "hydro_policy", "train.launch.py", "plant:=emulator", f"port:={tmp_path / 'port'}"]
+    with own_domain():
+        environment["ROS_DOMAIN_ID"] = os.environ["ROS_DOMAIN_ID"]
+        process = subprocess.Popen(
+            [*ROS2, *words, f"out:={run}"], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment
+        )
+        try:
+            said = until(process, "trainer commands this plant")
+            process.send_signal(signal.SIGINT)
+            rest, _ = process.communicate(timeout=120)
+        finally:
+            process.kill()
+            process.wait()
+    assert process.returncode == 130
+    assert [one for one in ("emulator-1", "bridge-2", "filter-3", "recorder-4", "trainer-5")
+            if f"[{one}]: process started" not in "".join(said)] == []  # fmt: skip
+    assert "Traceback" not in "".join(said) + rest
+    recorded = read_bag(run / "bag")
+    assert recorded.notes == () and len(recorded.state) and not recorded.state["flags"][-1] & 1, "whole, and disarmed"
