@@ -203,7 +203,7 @@ def test_the_policy_in_c_acts_as_the_policy(
 def test_hostile_samples_raise_no_exception_in_the_policy(
     trained: tuple[Policy, GainRange, Path], precision: str
 ) -> None:
-    _, gains, folder = trained
+    _, _, folder = trained
     found = many(folder, precision, POLICY, hostile(20_000, 2, precision)[:, :14], 4)
     assert np.isfinite(found).all() and np.abs(found[:, :2]).max() <= 1.0
     assert np.ptp(found[-1000:, :2], axis=0).min() > 0.1, "it goes on"

@@ -349,6 +349,9 @@ int main(void)
     test_currents_of_the_page();
     test_rates();
     test_conversation();
+    test_a_box_begins_anew();
+    test_what_waits();
+    test_an_armed_sample();
     test_a_current_that_cannot_be();
     return 0;
 }

@@ -128,6 +128,96 @@ static void test_conversation(void)
     CHECK(out[1 + HYDRO_HEADER + 16] == 2);
 }
 
+/* A frame of the box, between its delimiters, as its body: into `data`; how many bytes it took of `wire`. */
+static size_t opened(const uint8_t *wire, uint8_t *data)
+{
+    size_t count = 1;
+    CHECK(wire[0] == 0);
+    while (wire[count] != 0) {
+        count++;
+    }
+    memcpy(data, wire + 1, count - 1);
+    CHECK(hydro_unstuff(data, count - 1) == count - 2);
+    return count + 1;
+}
+
+/* What power-on leaves of a box that was in the middle of something, and what goes up the line then. */
+static void test_a_box_begins_anew(void)
+{
+    static hydro_box box;
+    uint8_t out[HYDRO_BURST_MAX], data[HYDRO_ENCODED_MAX];
+    size_t hello, state;
+    hydro_box_power_on(&box, &CONFIG, 1);
+    box.has_now = box.has_next = box.greeted = true;
+    box.greeting = false;
+    box.integral = 5;
+    hydro_box_power_on(&box, &CONFIG, 9);
+    CHECK(!box.has_now && !box.has_next && !box.greeted && box.greeting && box.integral == 0 && box.epoch == 9);
+    (void)hydro_box_tick(&box, STILL, 0.001);
+    CHECK(box.sample.sequence == 0 && box.sample.time == 0.001);
+    CHECK(memcmp(box.sample.values, STILL, sizeof STILL) == 0);
+    CHECK(hydro_box_frames(&box, out) == 93 + 85);
+    hello = opened(out, data);
+    CHECK(data[0] == 0 && data[1] == HYDRO_HELLO && hydro_read32(data + 2) == 0 && hydro_read32(data + 6) == 1000);
+    state = opened(out + hello, data);
+    CHECK(data[0] == 1 && data[1] == HYDRO_STATE && hydro_read32(data + 2) == 0 && hydro_read32(data + 6) == 1000);
+    CHECK(state == 85);
+    (void)hydro_box_tick(&box, STILL, 4294.967297);
+    CHECK(hydro_box_frames(&box, out) == 85 && opened(out, data) == 85 && hydro_read32(data + 2) == 1);
+    CHECK(hydro_read32(data + 6) == 1 && hydro_read32(data + 10) == 1); /* us, beyond 32 bits */
+}
+
+/* Bytes one by one; a frame without its end; and what stands between two greetings of one sample. */
+static void test_what_waits(void)
+{
+    static hydro_box box;
+    uint8_t payload[72] = {0}, hello[HYDRO_ENCODED_MAX], wire[HYDRO_ENCODED_MAX];
+    size_t greeting, count;
+    payload[1] = 2;
+    greeting = host_frame(0, HYDRO_HELLO, 0, payload, 72, hello);
+    host_command(payload, 2, NO_GAINS, HYDRO_HOLD, REST);
+    count = host_frame(1, HYDRO_COMMAND, 5, payload, 40, wire);
+    hydro_box_power_on(&box, &CONFIG, 9);
+    hydro_box_bytes(&box, wire, count - 1); /* its delimiter lies behind */
+    CHECK(!box.has_now && box.taken == 0);
+    hydro_box_bytes(&box, wire + count - 1, 1);
+    CHECK(box.has_now && box.taken == 1);
+    hydro_box_bytes(&box, hello, greeting);
+    hydro_box_bytes(&box, wire, count);
+    hydro_box_bytes(&box, hello, greeting);
+    (void)hydro_box_tick(&box, STILL, 0.001);
+    CHECK(!box.has_now && box.confirmed == 5 && box.taken == 1); /* of both commands the first alone was seen */
+    hydro_box_bytes(&box, hello, greeting);
+    hydro_box_bytes(&box, wire, count);
+    (void)hydro_box_tick(&box, STILL, 0.002);
+    CHECK(box.has_now && box.taken == 2);
+    (void)hydro_box_tick(&box, STILL, 0.003);
+    CHECK(!box.has_now && !box.has_next && !box.greeted && box.arming.received_at == 0.003);
+}
+
+/* An armed box away from 0 N: the error is f_r - f, the reference is shown, and delta_u acts up to 3.5 ms, these too. */
+static void test_an_armed_sample(void)
+{
+    static hydro_box box;
+    const float gains[3] = {0.0f, 0.0f, 0.001f}, away[4] = {0.0f, 50.0f, 1.0f, 0.0f};
+    uint8_t payload[40], wire[HYDRO_ENCODED_MAX];
+    hydro_real x[HYDRO_MEASURED];
+    memcpy(x, STILL, sizeof x);
+    x[2] = 30;
+    hydro_box_power_on(&box, &CONFIG, 9);
+    for (uint32_t k = 1; k < 3; k++) {
+        host_command(payload, k == 1 ? 2 : 3, gains, HYDRO_HOLD, away);
+        hydro_box_bytes(&box, wire, host_frame(1, HYDRO_COMMAND, k, payload, 40, wire));
+        (void)hydro_box_tick(&box, x, k * 1e-3);
+    }
+    CHECK(box.sample.values[HYDRO_NOMINAL] == 0 && box.sample.values[HYDRO_REFERENCE] == 30);
+    box.arming.received_at = 0.0;
+    CHECK(hydro_box_tick(&box, x, HYDRO_CORRECTION_HOLD) - box.sample.values[HYDRO_NOMINAL] > HYDRO_R(0.0009));
+    (void)hydro_box_tick(&box, x, 0.152); /* in the middle of its fade */
+    CHECK(box.sample.values[HYDRO_REFERENCE] > 39 && box.sample.values[HYDRO_REFERENCE] < 41);
+    CHECK(box.sample.values[HYDRO_REFERENCE_RATE] > 99 && box.sample.values[HYDRO_REFERENCE_RATE] < 101);
+}
+
 /* What no command leads to: a current that is not finite disarms and trips, and the valve rests. */
 static void test_a_current_that_cannot_be(void)
 {
