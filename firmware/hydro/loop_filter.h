@@ -7,9 +7,11 @@
  *
  * docs/manual/explanation/safety.md has the certificate; hydro_filter.controller.loop_decision is the same in Python.
  * Samples must follow one another, each once; after a gap begin with a memory of zeros. One that is none of a bench gets
- * NAN, and the memory begins anew. A correction acts one sample after its own. Whether the model is still
- * the bench's is not watched here: that is the graph's (status MISMATCH). `ros2 run hydro_filter filter_header --metric
- * learned` writes HYDRO_LOOP_FILTER.
+ * NAN, and the memory begins anew. A correction acts one sample after its own. `ros2 run hydro_filter filter_header
+ * --metric learned` writes HYDRO_LOOP_FILTER.
+ *
+ * Nothing here sees that the model is no longer the bench's. The graph's filter does (MISMATCH): let it run beside, and
+ * apply no correction of this one while the newest command has filter_fresh 0.
  */
 #ifndef HYDRO_LOOP_FILTER_H
 #define HYDRO_LOOP_FILTER_H
