@@ -111,15 +111,17 @@ def recorded(parts: LoopParts, seed: int, samples: int) -> FloatArray:
     return np.array(rows)
 
 
-def drawn(count: int, seed: int = 4) -> FloatArray:
+def drawn(count: int, seed: int = 4, gains: tuple[float, ...] = ()) -> FloatArray:
     """Samples that do not follow one another, over `LOW` to `HIGH`: each number from the ends to a millionth of them.
 
-    Of every seventh one number is not finite, each column and each kind in its turn.
+    Of every seventh one number is not finite, each column and each kind in its turn; every eleventh has one of `gains`.
     """
     rng = np.random.default_rng(seed)
     middle, half = 0.5 * (LOW + HIGH), 0.5 * (HIGH - LOW)
     reach = 10.0 ** -rng.uniform(0.0, 6.0, (count, WIDTH))
     rows = middle + half * rng.choice([-1.0, 1.0], (count, WIDTH)) * reach
+    if gains:
+        rows[::11, PLACES[-1]] = rng.choice(gains, len(rows[::11]))
     for turn, k in enumerate(range(6, count, 7)):
         rows[k, turn % WIDTH] = (math.nan, math.inf, -math.inf)[turn // WIDTH % 3]
     return np.column_stack([rows, rng.random(count) < 0.9])

@@ -45,6 +45,7 @@ EQUIVALENT = {
     "number.h: if (x > 4503599627370496.0 || x <= -4503599627370496.0) {": "2^52 has no fraction",
     "number.h: if (x >= 4503599627370496.0 || x < -4503599627370496.0) {": "2^52 has no fraction",
     "number.h: if (x >= 4503599627370497.0 || x <= -4503599627370496.0) {": "2^52 has no fraction",
+    "reference.h: /* reference->leaving.waveform = HYDRO_HOLD; */": "without an amplitude it is a hold",
     "reference.h: reference->leaving.amplitude = HYDRO_R(1);": "a hold is its offset",
     "reference.h: /* reference->leaving.amplitude = HYDRO_R(0); */": "a hold is its offset",
     "reference.h: if (share > HYDRO_R(1)) {": "at 1 the new one has all of it",
@@ -54,11 +55,12 @@ EQUIVALENT = {
 
 
 def unit(folder: Path) -> None:
-    """The unit tests in both precisions."""
+    """The unit tests of the box and of the default filter in both precisions."""
     for name, words in PRECISIONS.items():
-        program = folder / f"test_{name}"
-        build(HERE / "test_box.c", program, "-O2", *words)
-        subprocess.run([str(program)], check=True)
+        for source in ("test_box.c", "test_filter.c"):
+            program = folder / f"test_{name}"
+            build(HERE / source, program, "-O2", *words)
+            subprocess.run([str(program)], check=True)
         print(f"unit tests, {name}: pass")
 
 

@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from compiling import CC, PRECISIONS, ROOT
+from compiling import CC, PRECISIONS, ROOT, SANITIZE
 
 REPLACED = (
     (r"(?<![<>=!-])<(?![<=])", ("<=", ">=")),
@@ -122,10 +122,14 @@ def mutate(
 
 
 def passes_unit_tests(firmware: Path) -> bool | None:
-    """Whether the unit tests pass in both precisions; None where they do not compile."""
-    source, program = firmware / "test" / "test_box.c", firmware / "mutated"
-    for words in PRECISIONS.values():
-        command = [CC, "-std=c99", "-O0", "-w", *words, str(source), "-o", str(program), "-lm"]
+    """Whether the unit tests pass in both precisions and under the sanitizers; None where they do not compile."""
+    return passes(firmware / "test" / "test_box.c", firmware / "mutated", *PRECISIONS.values(), SANITIZE)
+
+
+def passes(source: Path, program: Path, *variants: list[str]) -> bool | None:
+    """Whether a test program ends with 0 as each variant; None where one does not compile."""
+    for words in variants:
+        command = [CC, "-std=c99", "-O0", "-w", "-ffp-contract=off", *words, str(source), "-o", str(program), "-lm"]
         if subprocess.run(command, capture_output=True, check=False).returncode:
             return None
         try:

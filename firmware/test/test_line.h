@@ -65,7 +65,7 @@ static void test_lengths(void)
     data[1] = 200;
     CHECK(hydro_wrap(data, HYDRO_ENCODED_MAX - 5, wire) == HYDRO_ENCODED_MAX + 2);
     CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 2) == 0 && stream.unknown == 2 && stream.bad == 1);
-    wire[HYDRO_ENCODED_MAX + 1] = 7;
+    wire[HYDRO_ENCODED_MAX + 1] = HYDRO_ENCODED_MAX - 1;
     wire[HYDRO_ENCODED_MAX + 2] = wire[HYDRO_ENCODED_MAX]; /* the end once more: nothing of the piece is taken up */
     wire[HYDRO_ENCODED_MAX + 3] = 0;
     CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 4) == 0 && stream.unknown == 2 && stream.bad == 2);
