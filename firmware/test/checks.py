@@ -46,7 +46,6 @@ EQUIVALENT = {
     "number.h: if (x >= 4503599627370496.0 || x < -4503599627370496.0) {": "2^52 has no fraction",
     "number.h: if (x >= 4503599627370497.0 || x <= -4503599627370496.0) {": "2^52 has no fraction",
     "reference.h: /* reference->leaving.waveform = HYDRO_HOLD; */": "without an amplitude it is a hold",
-    "reference.h: reference->leaving.amplitude = HYDRO_R(1);": "a hold is its offset",
     "reference.h: /* reference->leaving.amplitude = HYDRO_R(0); */": "a hold is its offset",
     "reference.h: if (share > HYDRO_R(1)) {": "at 1 the new one has all of it",
     "stream.h: stream->count = HYDRO_ENCODED_MAX + 2;": "too long, either way",
