@@ -22,13 +22,16 @@ from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.task.mdp import ACTIONS, GainRange, observe
 from hydro_sim.model.bench import Bench
 from hydro_sim.neural import mlp
+from tests.firmware_filter import hostile
 
 ROOT = Path(__file__).resolve().parent.parent
 POLICIES = ROOT / "src" / "hydro_policy" / "hydro_policy" / "data"
 PRECISIONS = {"double": ([], ctypes.c_double), "single": (["-DHYDRO_SINGLE"], ctypes.c_float)}
-FILTER = """#include "filter_config.h"
-void many(int count, const hydro_real *in, hydro_real *out)
+FILTER = """#include <fenv.h>
+#include "filter_config.h"
+int many(int count, const hydro_real *in, hydro_real *out)
 {
+    feclearexcept(FE_ALL_EXCEPT);
     for (int k = 0; k < count; k++, in += 11, out += 4) {
         hydro_decision made = hydro_decide(&HYDRO_FILTER, in, in[8], in[9], in[10]);
         out[0] = made.delta_u;
@@ -36,17 +39,21 @@ void many(int count, const hydro_real *in, hydro_real *out)
         out[2] = made.after;
         out[3] = (hydro_real)made.status;
     }
+    return fetestexcept(FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW);
 }
 """
-POLICY = """#include "policy_weights.h"
-void many(int count, const hydro_real *in, hydro_real *out)
+POLICY = """#include <fenv.h>
+#include "policy_weights.h"
+int many(int count, const hydro_real *in, hydro_real *out)
 {
+    feclearexcept(FE_ALL_EXCEPT);
     hydro_real action[2] = {0, 0};
     for (int k = 0; k < count; k++, in += 14, out += 4) {
         hydro_act(&HYDRO_POLICY, in, action, out + 2);
         out[0] = action[0];
         out[1] = action[1];
     }
+    return fetestexcept(FE_INVALID | FE_DIVBYZERO | FE_OVERFLOW);
 }
 """
 
@@ -62,7 +69,8 @@ def many(folder: Path, precision: str, source: str, rows: FloatArray, width: int
     subprocess.run(program, check=True)
     given, made = np.ascontiguousarray(rows, kind), np.zeros((len(rows), width), kind)
     pointer = ctypes.POINTER(kind)
-    ctypes.CDLL(str(library)).many(len(rows), given.ctypes.data_as(pointer), made.ctypes.data_as(pointer))
+    raised = ctypes.CDLL(str(library)).many(len(rows), given.ctypes.data_as(pointer), made.ctypes.data_as(pointer))
+    assert raised == 0, "a floating-point exception"
     return made.astype(np.float64)
 
 
@@ -117,6 +125,17 @@ def test_the_filter_corrects_nothing_where_a_number_is_not_finite(filtered: Path
     rows[:, place] = math.nan, math.inf, -math.inf
     found = many(filtered, "double", FILTER, rows, 4)
     assert (found == [0.0, 0.0, 0.0, 4.0]).all()
+
+
+def of_a_state(rows: FloatArray) -> FloatArray:
+    """The columns that hydro_decide reads: x, u_nom, f_r, K_p."""
+    return np.ascontiguousarray(rows[:, [*range(8), 9, 10, 12]])
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_hostile_samples_raise_no_exception_in_the_filter(filtered: Path, precision: str) -> None:
+    found = many(filtered, precision, FILTER, of_a_state(hostile(20_000, 1, precision)), 4)
+    assert np.isfinite(found).all() and set(found[:, 3]) == {0.0, 1.0, 2.0, 3.0, 4.0}
 
 
 @pytest.fixture(scope="module", params=["pretrained_paper", "pretrained_wide"])
@@ -178,6 +197,16 @@ def test_the_policy_in_c_acts_as_the_policy(
         worst = max(worst, float(np.abs(found[:2] - action).max()))
     print(f"{precision}: {worst:g}")
     assert worst < allowed
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_hostile_samples_raise_no_exception_in_the_policy(
+    trained: tuple[Policy, GainRange, Path], precision: str
+) -> None:
+    _, _, folder = trained
+    found = many(folder, precision, POLICY, hostile(20_000, 2, precision)[:, :14], 4)
+    assert np.isfinite(found).all() and np.abs(found[:, :2]).max() <= 1.0
+    assert np.ptp(found[-1000:, :2], axis=0).min() > 0.1, "it goes on"
 
 
 def test_both_commands_write_what_compiles(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,7 +5,7 @@
  *
  * v = (f_l - f_r) / scale lies along the load force alone, and no equation of the bench reads the load force: of A
  * nothing is left, of K only -K_p/g, of M one row. docs/manual/explanation/safety.md has the certificate. Give it armed
- * samples: within the ranges of the sensors nothing overflows. `ros2 run hydro_filter filter_header` writes HYDRO_FILTER.
+ * samples; one that is none of a bench gets NAN. `ros2 run hydro_filter filter_header` writes HYDRO_FILTER.
  */
 #ifndef HYDRO_FILTER_H
 #define HYDRO_FILTER_H
@@ -130,17 +130,35 @@ static inline hydro_real hydro_closed_form(
     return bound;
 }
 
+/* Whether a chamber has half of its dead volume [m3] at least, `position` [m] from its end. */
+static inline bool hydro_has_room(hydro_real area, hydro_real dead, hydro_real position)
+{
+    return area * position > HYDRO_R(-0.5) * dead;
+}
+
+/* Whether a sample can be one of a bench, far beyond what its sensors show: within this nothing overflows. */
+static inline bool hydro_conceivable(
+    const hydro_bench *bench, const hydro_real *x, hydro_real nominal, hydro_real reference, hydro_real k_p)
+{
+    static const hydro_real most[HYDRO_MEASURED] = {
+        HYDRO_R(1e5), HYDRO_R(1e9), HYDRO_R(1e5), HYDRO_R(1e9), HYDRO_R(1e8), HYDRO_R(1e8), HYDRO_R(1), HYDRO_R(20)};
+    for (int i = 0; i < HYDRO_MEASURED; i++) {
+        if (!hydro_within(x[i], most[i])) {
+            return false;
+        }
+    }
+    return hydro_within(nominal, HYDRO_R(1e4)) && hydro_within(reference, HYDRO_R(1e5))
+           && hydro_within(k_p, HYDRO_R(1e4)) && hydro_has_room(bench->piston_area, bench->dead_volume_a, x[6])
+           && hydro_has_room(bench->area_ratio * bench->piston_area, bench->dead_volume_b, bench->stroke - x[6]);
+}
+
 /* Decide about one sample: its measurement, u_nom [A], f_r [N] and K_p [1/s]. */
 static inline hydro_decision hydro_decide(
     const hydro_filter *filter, const hydro_real *x, hydro_real nominal, hydro_real reference, hydro_real k_p)
 {
     hydro_decision made = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_NAN};
     hydro_real limit = filter->bench.valve_current_max, applied, change, a, b;
-    bool finite = hydro_finite(nominal) && hydro_finite(reference) && hydro_finite(k_p);
-    for (int i = 0; i < HYDRO_MEASURED; i++) {
-        finite = finite && hydro_finite(x[i]);
-    }
-    if (!finite) {
+    if (!hydro_conceivable(&filter->bench, x, nominal, reference, k_p)) {
         return made;
     }
     hydro_half_line(filter, x, nominal, reference, k_p, &a, &b);

@@ -6,10 +6,12 @@
  *   the law's integral -----+
  *
  * docs/manual/explanation/safety.md has the certificate; hydro_filter.controller.loop_decision is the same in Python.
- * Give it samples of a box: within the ranges of the sensors nothing overflows. They must follow one another, each
- * once; after a gap begin with a memory of zeros. A correction acts one sample after its own. Whether the model is still
- * the bench's is not watched here: that is the graph's (status MISMATCH). `ros2 run hydro_filter filter_header --metric
- * learned` writes HYDRO_LOOP_FILTER.
+ * Samples must follow one another, each once; after a gap begin with a memory of zeros. One that is none of a bench gets
+ * NAN, and the memory begins anew. A correction acts one sample after its own. `ros2 run hydro_filter filter_header
+ * --metric learned` writes HYDRO_LOOP_FILTER.
+ *
+ * Nothing here sees that the model is no longer the bench's. The graph's filter does (MISMATCH): let it run beside, and
+ * apply no correction of this one while the newest command has filter_fresh 0.
  */
 #ifndef HYDRO_LOOP_FILTER_H
 #define HYDRO_LOOP_FILTER_H
@@ -174,6 +176,17 @@ static inline hydro_real hydro_smallest(
     return change;
 }
 
+/* Whether a sample can be one of a bench: `hydro_conceivable`, also by the model. */
+static inline bool hydro_believable(const hydro_loop *loop, const hydro_real *values)
+{
+    const hydro_model *c = &loop->model;
+    return hydro_conceivable(&loop->bench, values, values[HYDRO_NOMINAL], values[HYDRO_REFERENCE], values[HYDRO_KP])
+           && hydro_within(values[HYDRO_CURRENT], HYDRO_R(2) * loop->bench.valve_current_max)
+           && hydro_within(values[HYDRO_REFERENCE_RATE], HYDRO_R(1e9))
+           && hydro_has_room(c->area, c->dead_a, values[6])
+           && hydro_has_room(c->ratio * c->area, c->dead_b, c->stroke - values[6]);
+}
+
 /* Decide about one sample, `values` of a hydro_sample; a disarmed one, too, moves the memory on. */
 static inline hydro_decision hydro_decide_loop(
     const hydro_loop_filter *filter, hydro_memory_of_loop *memory, const hydro_real *values, bool armed)
@@ -182,11 +195,9 @@ static inline hydro_decision hydro_decide_loop(
     hydro_decision made = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_NAN};
     hydro_real limit = filter->loop.bench.valve_current_max, nominal = values[HYDRO_NOMINAL], applied, change;
     hydro_quadratic p;
-    for (int i = 0; i <= HYDRO_KP; i++) {
-        if (!hydro_finite(values[i])) {
-            *memory = fresh;
-            return made;
-        }
+    if (!hydro_believable(&filter->loop, values)) {
+        *memory = fresh;
+        return made;
     }
     p = hydro_problem(filter, memory, values);
     made.status = HYDRO_PASS;

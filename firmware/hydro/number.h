@@ -82,6 +82,12 @@ static inline hydro_real hydro_abs(hydro_real x)
     return x < HYDRO_R(0) ? -x : x;
 }
 
+/* Whether a number is finite, and its magnitude no more than `most`. */
+static inline bool hydro_within(hydro_real value, hydro_real most)
+{
+    return hydro_finite(value) && hydro_abs(value) <= most;
+}
+
 static inline hydro_real hydro_max(hydro_real x, hydro_real y)
 {
     return x < y ? y : x;

@@ -55,10 +55,15 @@ static inline void hydro_relu(hydro_real *y)
     }
 }
 
-/* `values` of a sample and the last action, which is 0 at first, into the observation; false if it is not finite. */
+/* `values` of a sample and the last action, which is 0 at first, into the observation; false if it is none of a bench. */
 static inline bool hydro_observe(
     const hydro_policy *policy, const hydro_real *values, const hydro_real *action, hydro_real *observation)
 {
+    for (int i = 0; i <= HYDRO_REFERENCE_RATE; i++) {
+        if (!hydro_within(values[i], HYDRO_R(1e9))) {
+            return false;
+        }
+    }
     hydro_copy(observation, values, HYDRO_MEASURED * sizeof *values);
     observation[8] = values[HYDRO_REFERENCE];
     observation[9] = values[HYDRO_REFERENCE_RATE];
@@ -66,14 +71,11 @@ static inline bool hydro_observe(
     hydro_copy(observation + 11, action, HYDRO_ACTIONS * sizeof *action);
     for (int i = 0; i < HYDRO_OBSERVED; i++) {
         observation[i] = (observation[i] - policy->center[i]) / policy->scale[i];
-        if (!hydro_finite(observation[i])) {
-            return false;
-        }
     }
     return true;
 }
 
-/* One step: moves `action` on, unless the sample is not finite, and gives delta_kp [1/s] and delta_ki [1/s^2]. */
+/* One step: moves `action` on, unless the sample is none of a bench, and gives delta_kp [1/s] and delta_ki [1/s^2]. */
 static inline void hydro_act(
     const hydro_policy *policy, const hydro_real *values, hydro_real action[HYDRO_ACTIONS],
     hydro_real gains[HYDRO_ACTIONS])

@@ -11,51 +11,57 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import re
 import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
-ROOT = HERE.parent
-GUARDED = ("arming.h", "guard.h")
-"""Parts that are mutated."""
-COVERED = (*GUARDED, "box.h", "differentiation.h", "force_law.h", "number.h", "protocol.h", "reference.h", "stream.h")
-"""Parts whose every line and branch must be reached."""
+import mutation
+from compiling import CC, HERE, PRECISIONS, ROOT, SANITIZE, build
 
-CC = os.environ.get("CC", "gcc")
-STRICT = ["-std=c99", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
-SANITIZE = ["-O1", "-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all"]
-PRECISIONS = {"double": [], "single": ["-DHYDRO_SINGLE"]}
+BOX = (
+    "arming.h", "box.h", "differentiation.h", "force_law.h", "guard.h", "number.h", "protocol.h", "reference.h",
+    "stream.h",
+)  # fmt: skip
+"""Parts whose every line and branch must be reached."""
+MUTATED = tuple(part for part in BOX if part != "protocol.h")
+"""Parts whose mutants must die. Those of protocol.h were not yet run to their end."""
 
 EQUIVALENT = {
-    ("arming.h", "#define HYDRO_NEVER (-2e300)"): "longer ago than anything, either way",
-    ("arming.h", "return arming->excess * (hydro_real)(left >= 0.0 ? left : 0.0);"): "at 0 both branches are 0",
+    "arming.h: #define HYDRO_NEVER (-2e300)": "longer ago than anything, either way",
+    "arming.h: hydro_time left = 1.0 - (time - arming->armed_at) * HYDRO_RECOVERY;": "the time of grace is 1 s",
+    "arming.h: return arming->excess * (hydro_real)(left >= 0.0 ? left : 0.0);": "at 0 both branches are 0",
+    "box.h: #define HYDRO_BURST_MAX (4 * HYDRO_FRAME_MAX)": "a buffer may be larger",
+    "force_law.h: return drop <= HYDRO_R(0) ? -HYDRO_SQRT(-drop) : HYDRO_SQRT(drop);": "the root of 0 is 0",
     (
-        "guard.h",
-        "if (signal->amplitude < HYDRO_R(0) || signal->amplitude > force_range && offset > force_range",
+        "guard.h: if (signal->amplitude < HYDRO_R(0) || signal->amplitude > force_range && offset > force_range"
     ): "what is let through here is beyond the range in the sum of the next line too, and cannot overflow there",
+    "number.h: return x <= HYDRO_R(0) ? -x : x;": "0 is -0",
+    "number.h: return x <= y ? y : x;": "one of two that are equal",
+    "number.h: return x <= low ? low : (x > high ? high : x);": "x is the limit",
+    "number.h: return x < low ? low : (x >= high ? high : x);": "x is the limit",
+    "number.h: if (x > 4503599627370496.0 || x <= -4503599627370496.0) {": "2^52 has no fraction",
+    "number.h: if (x >= 4503599627370496.0 || x < -4503599627370496.0) {": "2^52 has no fraction",
+    "number.h: if (x >= 4503599627370497.0 || x <= -4503599627370496.0) {": "2^52 has no fraction",
+    "reference.h: /* reference->leaving.waveform = HYDRO_HOLD; */": "without an amplitude it is a hold",
+    "reference.h: /* reference->leaving.amplitude = HYDRO_R(0); */": "a hold is its offset",
+    "reference.h: if (share > HYDRO_R(1)) {": "at 1 the new one has all of it",
+    "stream.h: stream->count = HYDRO_ENCODED_MAX + 2;": "too long, either way",
 }
 """Mutants that change nothing that can be observed, by part and what the line becomes, and why."""
 
 
-def build(source: Path, program: Path, *words: str) -> None:
-    """Compile one program."""
-    subprocess.run([CC, *STRICT, *words, str(source), "-o", str(program), "-lm"], check=True)
-
-
 def unit(folder: Path) -> None:
-    """The unit tests in both precisions."""
+    """The unit tests of the box and of the default filter in both precisions."""
     for name, words in PRECISIONS.items():
-        program = folder / f"test_{name}"
-        build(HERE / "test_box.c", program, "-O2", *words)
-        subprocess.run([str(program)], check=True)
+        for source in ("test_box.c", "test_filter.c"):
+            program = folder / f"test_{name}"
+            build(HERE / source, program, "-O2", *words)
+            subprocess.run([str(program)], check=True)
         print(f"unit tests, {name}: pass")
 
 
@@ -80,9 +86,13 @@ class Reached:
     missed: tuple[str, ...]
 
 
-def coverage(folder: Path) -> dict[str, Reached]:
-    """What the unit tests reach, by gcov; a branch counts if it was taken at least once."""
-    build(HERE / "test_box.c", folder / "covered", "-O0", "--coverage", "-o", str(folder / "covered"))
+def coverage(folder: Path, source: Path = HERE / "test_box.c") -> dict[str, Reached]:
+    """What a test program reaches of the parts, by gcov: functions that nothing calls count, too.
+
+    A branch counts as reached if it was taken at least once.
+    """
+    kept = ["-fkeep-static-functions", "-fkeep-inline-functions"]
+    build(source, folder / "covered", "-O0", "--coverage", *kept, "-o", str(folder / "covered"))
     subprocess.run([str(folder / "covered")], check=True, cwd=folder)
     data = next(folder.glob("*.gcda"))
     done = subprocess.run(
@@ -100,104 +110,6 @@ def coverage(folder: Path) -> dict[str, Reached]:
         missed += [f"{name}:{number} a branch" for number, branch in branches if not branch["count"]]
         found[name] = Reached(len(lines), len(branches), tuple(missed))
     return found
-
-
-REPLACED = (
-    (r"(?<![<>=!-])<(?![<=])", ("<=", ">=")),
-    (r"(?<![<>=!-])>(?![>=])", (">=", "<=")),
-    (r"<=", ("<",)),
-    (r">=", (">",)),
-    (r"==", ("!=",)),
-    (r"!=", ("==",)),
-    (r"&&", ("||",)),
-    (r"\|\|", ("&&",)),
-    (r" \+ ", (" - ",)),
-    (r" - ", (" + ",)),
-    (r"\|=", ("=", "&=")),
-    (r"\btrue\b", ("false",)),
-    (r"\bfalse\b", ("true",)),
-    (r"!(?=[a-z])", ("",)),
-    (r"\+\+", ("--",)),
-    (r"-1e300", ("-2e300",)),
-)
-STATEMENT = re.compile(r"^\s+[a-z][\w>.\[\]-]*( [|+-]?= .*|\+\+);$")
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """One change of one line: its number, what was changed, what the line's code becomes, and the whole text."""
-
-    line: int
-    change: str
-    becomes: str
-    text: str
-
-
-def mutants(text: str) -> Iterator[Mutant]:
-    """Each single change of the code."""
-    lines = text.split("\n")
-    begin = next(index for index, line in enumerate(lines) if line.startswith("static inline"))
-    for index, line in enumerate(lines):
-        code = line.split("/*")[0]
-        if (index < begin and "define HYDRO_" not in line) or line.lstrip().startswith(("*", "/*")):
-            continue
-        changes = [
-            (match.start(), match.end(), new)
-            for pattern, news in REPLACED
-            for match in re.finditer(pattern, code)
-            for new in news
-        ]
-        changes += [
-            (match.start(), match.end(), new)
-            for match in re.finditer(r"(?<![\w.-])\d+(\.\d+)?(?=[,;()\s]|u\b|$)", code)
-            for new in (str(float(match[0]) + 1.0) if "." in match[0] else str(int(match[0]) + 1),)
-        ]
-        for start, end, new in changes:
-            made = code[:start] + new + code[end:]
-            change = f"{code[start:end].strip()} -> {new.strip()}"
-            yield Mutant(index + 1, change, made.strip(), "\n".join([*lines[:index], made, *lines[index + 1 :]]))
-        if STATEMENT.match(code.rstrip()):
-            yield Mutant(index + 1, "statement removed", "", "\n".join([*lines[:index], "", *lines[index + 1 :]]))
-
-
-@dataclass
-class Mutation:
-    """How many mutants there were, which live unexplained, and how many live for a reason in `EQUIVALENT`."""
-
-    count: int
-    alive: list[str]
-    equivalent: int
-
-
-def mutate(folder: Path) -> Mutation:
-    """Every mutant of the guarded parts against the unit tests; an explanation that no mutant needs is alive too."""
-    copy, count, alive, explained = folder / "mutant", 0, [], set()
-    shutil.copytree(ROOT, copy)
-    program, source = folder / "mutated", copy / "test" / "test_box.c"
-    for name in GUARDED:
-        path, text = copy / "hydro" / name, (ROOT / "hydro" / name).read_text()
-        for mutant in mutants(text):
-            path.write_text(mutant.text)
-            command = [CC, "-std=c99", "-O0", "-w", str(source), "-o", str(program), "-lm"]
-            if subprocess.run(command, capture_output=True, check=False).returncode:
-                continue  # no program: not a mutant
-            count += 1
-            if _dies(program):
-                continue
-            if (name, mutant.becomes) in EQUIVALENT:
-                explained.add((name, mutant.becomes))
-            else:
-                alive.append(f"{name}:{mutant.line} {mutant.change}")
-        path.write_text(text)
-    alive += [f"{name}: no mutant lives as {becomes!r}" for name, becomes in EQUIVALENT.keys() - explained]
-    return Mutation(count, alive, len(explained))
-
-
-def _dies(program: Path) -> bool:
-    try:
-        return subprocess.run([str(program)], capture_output=True, check=False, timeout=20).returncode != 0
-    except subprocess.TimeoutExpired:
-        return True
 
 
 SAMPLES = ("hold", "sine", "multisine", "smooth_step", "fade", "disarmed", "greeting")
@@ -267,7 +179,7 @@ def main() -> int:
     if options.json:
         options.json.write_text(json.dumps(found, indent=1) + "\n")
     parts = found["coverage"]
-    return 1 if found.get("mutants", {}).get("alive") or any(parts[part]["missed"] for part in COVERED) else 0
+    return 1 if found.get("mutants", {}).get("alive") or any(parts[part]["missed"] for part in BOX) else 0
 
 
 def _all(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
@@ -279,9 +191,9 @@ def _all(folder: Path, options: argparse.Namespace) -> dict[str, Any]:
         missed = ", ".join(each["missed"]) or "none"
         print(f"{part}: {each['lines']} lines, {each['branches']} branches, missed: {missed}")
     if not options.no_mutants:
-        found["mutants"] = asdict(mutation := mutate(folder))
-        counts = f"{mutation.equivalent} alive that change nothing, {len(mutation.alive)} alive"
-        print(f"{mutation.count} mutants, {counts}", *mutation.alive, sep="\n  ")
+        found["mutants"] = asdict(tried := mutation.mutate(folder, MUTATED, mutation.passes_unit_tests, EQUIVALENT))
+        counts = f"{tried.equivalent} alive that change nothing, {len(tried.alive)} alive"
+        print(f"{tried.count} mutants, {counts}", *tried.alive, sep="\n  ")
     found["bytes"] = sizes(folder)
     for precision, parts in found["bytes"].items():
         print(f"{precision}: {parts['code']} bytes of code, {parts['box']} bytes a box")

@@ -4,6 +4,7 @@
 #include <fenv.h>
 
 #include "check.h"
+#include "test_law.h"
 #include "test_line.h"
 
 static hydro_arming arming;
@@ -337,12 +338,20 @@ int main(void)
     test_references();
     test_box();
     test_stream();
+    test_lengths();
     test_numbers();
     test_waveforms();
+    test_references_of_the_page();
+    test_the_rate_of_a_fade();
+    test_reset_of_references();
     test_fades();
     test_force_law();
+    test_currents_of_the_page();
     test_rates();
     test_conversation();
+    test_a_box_begins_anew();
+    test_what_waits();
+    test_an_armed_sample();
     test_a_current_that_cannot_be();
     return 0;
 }

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* Frames, numbers, references and the force law, by streams of bytes and by samples. Included by test_box.c. */
+/* Frames, numbers and what a host says, by streams of bytes. Included by test_box.c. */
 #ifndef HYDRO_TEST_LINE_H
 #define HYDRO_TEST_LINE_H
 
@@ -52,6 +52,25 @@ static void test_stream(void)
     CHECK(feed(&stream, &body, wire, host_frame(0, HYDRO_HELLO, 1, payload, 73, wire)) == 0 && stream.bad == 8);
 }
 
+/* Pieces of the shortest and the longest length that may be a frame, and a byte beyond each. */
+static void test_lengths(void)
+{
+    static hydro_stream stream;
+    hydro_body body;
+    uint8_t data[HYDRO_ENCODED_MAX], wire[HYDRO_ENCODED_MAX + 8];
+    hydro_stream_reset(&stream);
+    memset(data, 1, sizeof data);
+    CHECK(feed(&stream, &body, wire, host_frame(1, 200, 1, data, 0, wire)) == 0 && stream.unknown == 1);
+    CHECK(feed(&stream, &body, wire, hydro_wrap(data, HYDRO_HEADER - 1, wire)) == 0 && stream.bad == 1);
+    data[1] = 200;
+    CHECK(hydro_wrap(data, HYDRO_ENCODED_MAX - 5, wire) == HYDRO_ENCODED_MAX + 2);
+    CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 2) == 0 && stream.unknown == 2 && stream.bad == 1);
+    wire[HYDRO_ENCODED_MAX + 1] = HYDRO_ENCODED_MAX - 1;
+    wire[HYDRO_ENCODED_MAX + 2] = wire[HYDRO_ENCODED_MAX]; /* the end once more: nothing of the piece is taken up */
+    wire[HYDRO_ENCODED_MAX + 3] = 0;
+    CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 4) == 0 && stream.unknown == 2 && stream.bad == 2);
+}
+
 static void test_numbers(void)
 {
     hydro_real infinite = (hydro_real)number(0x7F800000u), none = (hydro_real)number(0x7FC00000u);
@@ -63,109 +82,13 @@ static void test_numbers(void)
     CHECK((hydro_bits(none) & 0x7FC00000u) == 0x7FC00000u && hydro_finite(1) && !hydro_finite(none));
 #ifndef HYDRO_SINGLE /* beyond a float */
     CHECK(hydro_bits(1e39) == 0x7F800000u && hydro_bits(-1e39) == 0xFF800000u);
+    CHECK(hydro_bits(3.4028234e38) == 0x7F7FFFFFu && hydro_bits(-3.4028234e38) == 0xFF7FFFFFu);
 #endif
-    CHECK(hydro_nan(none) && !hydro_nan(infinite) && hydro_abs(-3) == 3 && hydro_abs(3) == 3);
+    CHECK(hydro_nan(none) && !hydro_nan(infinite) && hydro_abs(-3) == 3 && hydro_abs(HYDRO_R(0.5)) > 0);
+    CHECK(hydro_within(-2, 2) && !hydro_within(HYDRO_R(2.1), 2) && !hydro_within(-3, 2));
+    CHECK(!hydro_within(none, 2) && !hydro_within(-infinite, 2));
     CHECK(hydro_clamp(-2, -1, 1) == -1 && hydro_clamp(2, -1, 1) == 1 && hydro_clamp(0, -1, 1) == 0);
     CHECK(hydro_max(1, 2) == 2 && hydro_max(2, 1) == 2);
-}
-
-static bool near(hydro_real found, double wanted)
-{
-    return hydro_abs(found - HYDRO_R(wanted)) < HYDRO_R(1e-4);
-}
-
-static void test_waveforms(void)
-{
-    hydro_signal signal = {HYDRO_SINE, 2, 10, 0.5, HYDRO_PI / 6.0, 1.0};
-    hydro_wave wave = hydro_play(&signal, 1.0);
-    CHECK(near(wave.value, 11.0) && near(wave.rate, 2.0 * HYDRO_PI * 0.5 * 2.0 * 0.8660254));
-    signal.waveform = HYDRO_HOLD;
-    wave = hydro_play(&signal, 1.3);
-    CHECK(wave.value == 10 && wave.rate == 0);
-    signal.waveform = HYDRO_MULTISINE; /* at its own time 0: weights times sin(n phase) */
-    wave = hydro_play(&signal, 1.0);
-    CHECK(near(wave.value, 10.0 + 2.0 * (0.4478953 * 0.5 + 0.2585924 * 0.8660254 + 0.1692885 + 0.1242238 * 0.8660254)));
-    signal.waveform = HYDRO_SMOOTH_STEP;
-    signal.phase = 0.0;
-    CHECK(near(hydro_play(&signal, 1.0).value, 8.0)); /* the first edge goes up from -1, for an eighth of 2 s */
-    CHECK(near(hydro_play(&signal, 1.125).value, 10.0) && near(hydro_play(&signal, 1.25).value, 12.0));
-    CHECK(near(hydro_play(&signal, 1.125).rate, 2.0 * HYDRO_PI / 0.25));
-    CHECK(hydro_play(&signal, 1.9).value == 12 && hydro_play(&signal, 1.9).rate == 0);
-    CHECK(near(hydro_play(&signal, 2.0).value, 12.0) && near(hydro_play(&signal, 2.125).rate, -2.0 * HYDRO_PI / 0.25));
-    CHECK(hydro_play(&signal, 2.5).value == 8);
-}
-
-static void test_fades(void)
-{
-    static hydro_reference reference;
-    hydro_signal wanted = {HYDRO_HOLD, 0, 30, 1.0, 0.0, 0.0};
-    hydro_signal others[5];
-    memset(&reference, 0xAA, sizeof reference);
-    hydro_reference_reset(&reference);
-    reference.wanted = wanted;
-    hydro_begin(&reference, -30, 1.0);
-    CHECK(hydro_advance(&reference, 1.0).value == -30 && hydro_advance(&reference, 1.0).rate == 0);
-    CHECK(near(hydro_advance(&reference, 1.15).value, 0.0) && near(hydro_advance(&reference, 1.15).rate, 300.0));
-    reference.wanted.offset = 60; /* a change waits for the end of the fade */
-    CHECK(near(hydro_advance(&reference, 1.2999).value, 30.0));
-    CHECK(near(hydro_advance(&reference, 1.31).value, 30.0) && reference.fade_start == 1.31);
-    CHECK(near(hydro_advance(&reference, 1.46).value, 45.0) && hydro_advance(&reference, 1.7).value == 60);
-    CHECK(reference.fade_start == 1.31); /* what is played already begins nothing */
-    for (int i = 0; i < 5; i++) {
-        others[i] = wanted;
-    }
-    others[0].waveform = HYDRO_SINE;
-    others[1].amplitude = 1;
-    others[2].offset = 31;
-    others[3].frequency = 2.0;
-    others[4].phase = 1.0;
-    for (int i = 0; i < 5; i++) {
-        CHECK(!hydro_same(&wanted, &others[i]) && hydro_same(&others[i], &others[i]));
-    }
-}
-
-static void test_force_law(void)
-{
-    const hydro_bench *bench = &CONFIG.bench;
-    hydro_real forward = hydro_input_gain(bench, STILL[6], STILL[4], STILL[5], 1);
-    hydro_real backward = hydro_input_gain(bench, STILL[6], STILL[4], STILL[5], -1);
-    /* lands: supply to a and b to tank forward, a to tank and supply to b backward; one chamber's share of each */
-    hydro_real volume_a = hydro_volume_a(bench, STILL[6]), volume_b = hydro_volume_b(bench, STILL[6]);
-    hydro_real unit = bench->bulk_modulus * bench->piston_area * bench->valve_gain;
-    CHECK(near(forward / (unit * (HYDRO_SQRT(HYDRO_R(12.2e6)) / volume_a
-                                  + bench->area_ratio * HYDRO_SQRT(HYDRO_R(6.2e6)) / volume_b)), 1.0));
-    CHECK(near(backward / (unit * (HYDRO_SQRT(HYDRO_R(3.8e6)) / volume_a
-                                   + bench->area_ratio * HYDRO_SQRT(HYDRO_R(9.8e6)) / volume_b)), 1.0));
-    CHECK(hydro_signed_sqrt(4) == 2 && hydro_signed_sqrt(-4) == -2 && hydro_signed_sqrt(0) == 0);
-    CHECK(near(hydro_nominal_current(&CONFIG, STILL, 0, 0, -1e4f, 15) * backward, -1e4)); /* g of its own side */
-    CHECK(near(hydro_nominal_current(&CONFIG, STILL, 0, 0, 1e4f, 15) * forward, 1e4));
-    CHECK(hydro_action(1, 3, 5) == 15 && hydro_action(HYDRO_BUMPLESS, 3, 5) == 3);
-    CHECK(near(hydro_integrate(1, 3, 100, 5, 0), 3.1) && near(hydro_integrate(HYDRO_BUMPLESS, 3, 100, 5, 0), 3.5));
-    CHECK(hydro_integrate(1, 3, 100, 5, 1) == 3 && hydro_integrate(HYDRO_BUMPLESS, 3, 100, 5, 1) == 3);
-    CHECK(near(hydro_integrate(1, 3, 100, 5, -1), 3.1)); /* it may come back from the limit */
-}
-
-/* Rates lag by their age; a reading that is none leaves the rate beside it, and is shown. */
-static void test_rates(void)
-{
-    hydro_rates rates;
-    hydro_real raw[5] = {10, 20, 30, 40, HYDRO_R(0.05)}, x[HYDRO_MEASURED], none = (hydro_real)number(0x7FC00000u);
-    memset(&rates, 0xAA, sizeof rates);
-    hydro_rates_reset(&rates, &CONFIG);
-    raw[1] = none;
-    hydro_differentiate(&rates, raw, x);
-    CHECK(x[0] == 10 && x[1] == 0 && hydro_nan(x[2]) && x[3] == 0 && x[4] == 30 && x[5] == 40 && x[7] == 0);
-    raw[0] = 15;
-    raw[1] = 5;
-    raw[4] = HYDRO_R(0.053);
-    hydro_differentiate(&rates, raw, x);
-    CHECK(near(x[1] / 5000, 0.4) && near(x[3] / 5000, 0.4) && near(x[7], 3.0 * 2.0 / 3.0)); /* 1 - a: 2/5, and 2/3 */
-    raw[0] = HYDRO_R(1e9);
-    hydro_differentiate(&rates, raw, x);
-    CHECK(x[0] == HYDRO_R(1e9) && near(x[1] / 5000, 0.4) && near(x[3] / 5000, 0.24));
-    raw[0] = 15;
-    hydro_differentiate(&rates, raw, x);
-    CHECK(near(x[1] / 5000, 0.24)); /* to the last good reading */
 }
 
 /* A command of a waveform that is none, numbers that are none, hosts of both versions, and what DETAILS tell. */
@@ -203,6 +126,96 @@ static void test_conversation(void)
     CHECK(wire[1 + HYDRO_HEADER + 16] == 1); /* the load force */
     CHECK(hydro_unstuff(out + 1, hydro_encode_details(1, 0, 9, &hydraulic, out) - 2) == HYDRO_HEADER + 60 + 4);
     CHECK(out[1 + HYDRO_HEADER + 16] == 2);
+}
+
+/* A frame of the box, between its delimiters, as its body: into `data`; how many bytes it took of `wire`. */
+static size_t opened(const uint8_t *wire, uint8_t *data)
+{
+    size_t count = 1;
+    CHECK(wire[0] == 0);
+    while (wire[count] != 0) {
+        count++;
+    }
+    memcpy(data, wire + 1, count - 1);
+    CHECK(hydro_unstuff(data, count - 1) == count - 2);
+    return count + 1;
+}
+
+/* What power-on leaves of a box that was in the middle of something, and what goes up the line then. */
+static void test_a_box_begins_anew(void)
+{
+    static hydro_box box;
+    uint8_t out[HYDRO_BURST_MAX], data[HYDRO_ENCODED_MAX];
+    size_t hello, state;
+    hydro_box_power_on(&box, &CONFIG, 1);
+    box.has_now = box.has_next = box.greeted = true;
+    box.greeting = false;
+    box.integral = 5;
+    hydro_box_power_on(&box, &CONFIG, 9);
+    CHECK(!box.has_now && !box.has_next && !box.greeted && box.greeting && box.integral == 0 && box.epoch == 9);
+    (void)hydro_box_tick(&box, STILL, 0.001);
+    CHECK(box.sample.sequence == 0 && box.sample.time == 0.001);
+    CHECK(memcmp(box.sample.values, STILL, sizeof STILL) == 0);
+    CHECK(hydro_box_frames(&box, out) == 93 + 85);
+    hello = opened(out, data);
+    CHECK(data[0] == 0 && data[1] == HYDRO_HELLO && hydro_read32(data + 2) == 0 && hydro_read32(data + 6) == 1000);
+    state = opened(out + hello, data);
+    CHECK(data[0] == 1 && data[1] == HYDRO_STATE && hydro_read32(data + 2) == 0 && hydro_read32(data + 6) == 1000);
+    CHECK(state == 85);
+    (void)hydro_box_tick(&box, STILL, 4294.967297);
+    CHECK(hydro_box_frames(&box, out) == 85 && opened(out, data) == 85 && hydro_read32(data + 2) == 1);
+    CHECK(hydro_read32(data + 6) == 1 && hydro_read32(data + 10) == 1); /* us, beyond 32 bits */
+}
+
+/* Bytes one by one; a frame without its end; and what stands between two greetings of one sample. */
+static void test_what_waits(void)
+{
+    static hydro_box box;
+    uint8_t payload[72] = {0}, hello[HYDRO_ENCODED_MAX], wire[HYDRO_ENCODED_MAX];
+    size_t greeting, count;
+    payload[1] = 2;
+    greeting = host_frame(0, HYDRO_HELLO, 0, payload, 72, hello);
+    host_command(payload, 2, NO_GAINS, HYDRO_HOLD, REST);
+    count = host_frame(1, HYDRO_COMMAND, 5, payload, 40, wire);
+    hydro_box_power_on(&box, &CONFIG, 9);
+    hydro_box_bytes(&box, wire, count - 1); /* its delimiter lies behind */
+    CHECK(!box.has_now && box.taken == 0);
+    hydro_box_bytes(&box, wire + count - 1, 1);
+    CHECK(box.has_now && box.taken == 1);
+    hydro_box_bytes(&box, hello, greeting);
+    hydro_box_bytes(&box, wire, count);
+    hydro_box_bytes(&box, hello, greeting);
+    (void)hydro_box_tick(&box, STILL, 0.001);
+    CHECK(!box.has_now && box.confirmed == 5 && box.taken == 1); /* of both commands the first alone was seen */
+    hydro_box_bytes(&box, hello, greeting);
+    hydro_box_bytes(&box, wire, count);
+    (void)hydro_box_tick(&box, STILL, 0.002);
+    CHECK(box.has_now && box.taken == 2);
+    (void)hydro_box_tick(&box, STILL, 0.003);
+    CHECK(!box.has_now && !box.has_next && !box.greeted && box.arming.received_at == 0.003);
+}
+
+/* An armed box away from 0 N: the error is f_r - f, the reference is shown, and delta_u acts up to 3.5 ms, these too. */
+static void test_an_armed_sample(void)
+{
+    static hydro_box box;
+    const float gains[3] = {0.0f, 0.0f, 0.001f}, away[4] = {0.0f, 50.0f, 1.0f, 0.0f};
+    uint8_t payload[40], wire[HYDRO_ENCODED_MAX];
+    hydro_real x[HYDRO_MEASURED];
+    memcpy(x, STILL, sizeof x);
+    x[2] = 30;
+    hydro_box_power_on(&box, &CONFIG, 9);
+    for (uint32_t k = 1; k < 3; k++) {
+        host_command(payload, k == 1 ? 2 : 3, gains, HYDRO_HOLD, away);
+        hydro_box_bytes(&box, wire, host_frame(1, HYDRO_COMMAND, k, payload, 40, wire));
+        (void)hydro_box_tick(&box, x, k * 1e-3);
+    }
+    CHECK(box.sample.values[HYDRO_NOMINAL] == 0 && box.sample.values[HYDRO_REFERENCE] == 30);
+    box.arming.received_at = 0.0;
+    CHECK(hydro_box_tick(&box, x, HYDRO_CORRECTION_HOLD) - box.sample.values[HYDRO_NOMINAL] > HYDRO_R(0.0009));
+    (void)hydro_box_tick(&box, x, 0.152); /* in the middle of its fade */
+    CHECK(box.sample.values[HYDRO_REFERENCE] > 39 && box.sample.values[HYDRO_REFERENCE] < 41);
+    CHECK(box.sample.values[HYDRO_REFERENCE_RATE] > 99 && box.sample.values[HYDRO_REFERENCE_RATE] < 101);
 }
 
 /* What no command leads to: a current that is not finite disarms and trips, and the valve rests. */

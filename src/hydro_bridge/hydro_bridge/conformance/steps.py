@@ -71,14 +71,17 @@ def _greet(host: Host, words: dict[str, Any]) -> None:
 
 
 def _garbage(host: Host, words: dict[str, Any]) -> None:
-    """Noise in front of a command, for so many samples; none of it is a frame."""
-    random = Random(int(words["seed"]))
-    host.command = changed(host.command, _changes(host, words, "samples", "seed", "longest"))
+    """Noise in front of a command behind every `every`-th sample, for so many samples; none of it is a frame."""
+    random, seen = Random(int(words["seed"])), 0
+    host.command = changed(host.command, _changes(host, words, "samples", "every", "seed", "longest"))
     host.mark()
 
     def each() -> None:
-        host.write(random.randbytes(random.randint(1, int(words["longest"]))) + b"\0")
-        host.send()
+        nonlocal seen
+        seen += 1
+        if seen % int(words["every"]) == 0:
+            host.write(random.randbytes(random.randint(1, int(words["longest"]))) + b"\0")
+            host.send()
 
     host.listen(int(words["samples"]), each)
     host.listen(5 + host.lag)

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The default filter's decision in C, by samples: what the tests of it share."""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from hydro_bridge.signals import STATE_FIELDS, Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_filter.controller import loop_decision, loop_header
+from hydro_filter.controller.loop_decision import LoopParts
+from hydro_filter.controller.loop_filter import loop_parts
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.loop import memories
+from hydro_sim.box.box import Box
+from hydro_sim.learned.model import Learned
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
+
+FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
+WIDTH = len(STATE_FIELDS)
+READ = WIDTH - 1
+"""Columns that a decision rests on: all of STATE but integral_gain."""
+
+KINDS = {"double": np.float64, "single": np.float32}
+WORDS = {"double": (), "single": ("-DHYDRO_SINGLE",)}
+STRICT = ("-std=c99", "-ffp-contract=off", "-Wall", "-Wextra", "-Wconversion", "-Werror")
+SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
+PLACES = [STATE_FIELDS.index(name) for name in SIGNALS]
+LOW = np.array([-5e3, -1e8, -5e3, -1e8, -0.5e6, -0.5e6, -5e-3, -10, -0.05, -100, -5e3, -3.2e7, -40, -20])
+HIGH = np.array([5e3, 1e8, 5e3, 1e8, 25e6, 25e6, 85e-3, 10, 0.05, 100, 5e3, 3.2e7, 300, 100])
+"""What STATE may show of a sound box: ranges of the sensors, of the law and of the gains."""
+MOST = np.array([1e5, 1e9, 1e5, 1e9, 1e8, 1e8, 1.0, 20.0, 0.1, 1e4, 1e5, 1e9, 1e4, 1e4])
+"""Magnitudes that loop_filter.h still computes with."""
+
+
+def shipped() -> LoopParts:
+    """The default filter's parts."""
+    return loop_parts(LearnedMetric.load(), Learned.load().model, Bench.nominal())  # type: ignore[arg-type]
+
+
+def written(folder: Path, parts: LoopParts) -> Path:
+    """`folder` with the generated header."""
+    (folder / "filter_config.h").write_text(loop_header.header(parts, "A test."))
+    return folder
+
+
+def compiled(folder: Path, precision: str, *words: str) -> Path:
+    """The program that decides about samples, with the header of `folder`."""
+    program, source = folder / f"replay_{precision}", FIRMWARE / "test" / "replay_filter.c"
+    command = [os.environ.get("CC", "cc"), *STRICT, f"-I{FIRMWARE}", f"-I{folder}", *WORDS[precision], *words]
+    subprocess.run([*command, str(source), "-o", str(program), "-lm"], check=True)
+    return program
+
+
+def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
+    """delta_u, before, after, status of samples in a row: `STATE_FIELDS`, then whether it is armed.
+
+    Raises
+    ------
+    subprocess.CalledProcessError
+        A floating-point exception, or a word of a sanitizer.
+    """
+    given = np.ascontiguousarray(rows, KINDS[precision]).tobytes()
+    done = subprocess.run([str(program)], input=given, capture_output=True, check=True, timeout=300)
+    return np.frombuffer(done.stdout, KINDS[precision]).reshape(len(rows), 4).astype(np.float64)
+
+
+def decided(parts: LoopParts, rows: FloatArray) -> FloatArray:
+    """The same by the compiled Python; what is not finite as 0, as C tells it."""
+    memory, space = memories(parts.loop), loop_decision.space(parts)
+    made = [
+        loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], bool(row[WIDTH]), space) for row in rows
+    ]
+    return np.nan_to_num(np.array(made), posinf=0.0, neginf=0.0)
+
+
+def commands(seed: int, samples: int) -> Iterator[tuple[int, Command]]:
+    """References and gains of and beyond the certified range, another every 0.4 s; now and then disarmed."""
+    rng = np.random.default_rng(seed)
+    for k in range(0, samples, 400):
+        signal = ReferenceSignal(
+            waveform=Waveform(int(rng.integers(4))), amplitude=rng.uniform(0.0, 250.0), offset=rng.uniform(-60.0, 60.0),
+            frequency=rng.uniform(0.2, 8.0), phase=rng.uniform(-3.0, 3.0),
+        )  # fmt: skip
+        yield k, Command(arm=k % 4000 != 0, delta_kp=rng.uniform(-40.0, 200.0), delta_ki=rng.uniform(-5.0, 25.0),
+                         reference=signal, filter_fresh=True)  # fmt: skip
+
+
+def recorded(parts: LoopParts, seed: int, samples: int) -> FloatArray:
+    """Samples of the emulated box on a bench that the filter corrects, a sample late, as the graph does."""
+    bench = Bench.nominal()
+    box, plant = Box(bench), AnalyticPlant(bench)
+    memory, space = memories(parts.loop), loop_decision.space(parts)
+    x, rows, wanted, delta_u = plant.reset(seed), [], dict(commands(seed, samples)), 0.0
+    for k in range(samples):
+        command = wanted.get(k - k % 400, Command())
+        box.receive(replace(command, delta_u=float(delta_u)), k * 1e-3)
+        sample = box.tick(x, k * 1e-3)
+        armed = bool(int(sample["flags"]) & Flag.ARMED)
+        row = np.array([float(sample[name]) for name in STATE_FIELDS] + [float(armed)])
+        rows.append(row)
+        delta_u = loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], armed, space)[0]
+        x = plant.step(float(sample["valve_current"]))
+    return np.array(rows)
+
+
+def drawn(count: int, seed: int = 4, gains: tuple[float, ...] = ()) -> FloatArray:
+    """Samples that do not follow one another, over `LOW` to `HIGH`: each number from the ends to a millionth of them.
+
+    Of every seventh one number is not finite, each column and each kind in its turn; every eleventh has one of `gains`.
+    """
+    rng = np.random.default_rng(seed)
+    middle, half = 0.5 * (LOW + HIGH), 0.5 * (HIGH - LOW)
+    reach = 10.0 ** -rng.uniform(0.0, 6.0, (count, WIDTH))
+    rows = middle + half * rng.choice([-1.0, 1.0], (count, WIDTH)) * reach
+    if gains:
+        rows[::11, PLACES[-1]] = rng.choice(gains, len(rows[::11]))
+    for turn, k in enumerate(range(6, count, 7)):
+        rows[k, turn % WIDTH] = (math.nan, math.inf, -math.inf)[turn // WIDTH % 3]
+    return np.column_stack([rows, rng.random(count) < 0.9])
+
+
+def hostile(count: int, seed: int, precision: str) -> FloatArray:
+    """Samples with any bits, denormals, huge numbers, divisors that vanish, and all up to `MOST`, by quarters."""
+    rng = np.random.default_rng(seed)
+    kind = KINDS[precision]
+    rows = drawn(count, seed).astype(kind)
+    values, shape = rows[:, :WIDTH], (count, WIDTH)
+    bits = rng.integers(0, 256, (count, WIDTH * kind().itemsize), np.uint8).view(kind)
+    most, tiny = np.finfo(kind).max, np.finfo(kind).smallest_subnormal
+    special = np.array([0.0, -0.0, tiny, -tiny, most, -most, 1e9, -1e9, -1.0, 1.0, np.inf, -np.inf, np.nan], kind)
+    wide = (MOST * rng.choice([-1.0, 1.0], shape) * 10.0 ** -rng.uniform(0.0, 12.0, shape)).astype(kind)
+    quarter, some = rng.integers(0, 4, (count, 1)), rng.random(shape) < 0.1
+    values[:] = np.where((quarter == 0) & some, bits, values)
+    values[:] = np.where((quarter == 1) & some, rng.choice(special, shape), values)
+    values[:] = np.where((quarter == 2) & some | (quarter == 3), wide, values)
+    return rows  # type: ignore[return-value]

@@ -1,0 +1,103 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The default filter in C: every line and branch reached, and its mutants, by samples that Python decided about."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import FloatArray
+from tests.firmware_filter import FIRMWARE, decided, drawn, recorded, shipped, written
+
+PARTS = ("structured.h", "loop.h", "loop_filter.h")
+
+DRAWN = 1500
+"""Samples of a drawn trial."""
+
+EQUIVALENT: dict[str, str] = {}
+"""Mutants that change nothing that can be observed, by part and what the line becomes, and why."""
+
+
+@pytest.fixture(scope="module")
+def mutation() -> ModuleType:
+    sys.path.insert(0, str(FIRMWARE / "test"))
+    try:
+        return import_module("mutation")
+    finally:
+        sys.path.remove(str(FIRMWARE / "test"))
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A generated header, and samples that Python decided about with the same numbers."""
+
+    folder: Path
+    rows: FloatArray
+    expected: FloatArray
+
+
+@pytest.fixture(scope="module")
+def trials(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
+    """Drawn samples, which most mutants do not survive, recorded ones, and tables of two rows and of one."""
+    parts, made = shipped(), []
+    gains = parts.metric.gains
+    for rows in (len(gains), 2, 1):
+        table = np.ascontiguousarray(parts.metric.table[[*range(rows), -1]])
+        fewer = parts._replace(metric=parts.metric._replace(gains=gains[:rows].copy(), table=table))
+        folder = written(tmp_path_factory.mktemp(f"rows_{rows}"), fewer)
+        samples = [drawn(DRAWN, 5, (gains[0], gains[rows - 1]))]
+        samples += [recorded(parts, 3, 4000)] if rows == len(gains) else []
+        made += [Trial(folder, each, decided(fewer, each)) for each in samples]
+    return made
+
+
+def agrees(program: Path, trial: Trial) -> bool:
+    """Whether a program decides as Python does, but for rounding."""
+    try:
+        done = subprocess.run([str(program)], input=trial.rows.tobytes(), capture_output=True, check=False, timeout=60)
+    except subprocess.TimeoutExpired:
+        return False
+    if done.returncode or len(done.stdout) != trial.expected.nbytes:
+        return False
+    found = np.frombuffer(done.stdout).reshape(trial.expected.shape)
+    scale = np.maximum(np.abs(trial.expected[:, 1:2]), 1.0)
+    error = np.abs(found - trial.expected)
+    return bool(error[:, 3].max() == 0.0 and error[:, 0].max() < 1e-12 and (error[:, 1:3] / scale).max() < 1e-9)
+
+
+def lives(mutation: ModuleType, firmware: Path, trials: list[Trial], program: Path) -> bool | None:
+    """Whether the default filter of a copy of `firmware/` passes its tests; None where it does not compile."""
+    passed = mutation.passes(firmware / "test" / "test_filter.c", program, [])
+    for words, tried in (([], trials), (mutation.SANITIZE, [trial for trial in trials if len(trial.rows) == DRAWN])):
+        for trial in tried if passed else ():
+            command = [mutation.CC, "-std=c99", "-O0", "-w", "-ffp-contract=off", f"-I{firmware}", f"-I{trial.folder}"]
+            command += [*words, str(firmware / "test" / "replay_filter.c"), "-o", str(program), "-lm"]
+            if subprocess.run(command, capture_output=True, check=False).returncode:
+                return None
+            if not agrees(program, trial):
+                return False
+    return passed  # type: ignore[no-any-return]
+
+
+@pytest.mark.slow
+def test_the_filter_itself_passes(mutation: ModuleType, trials: list[Trial], tmp_path: Path) -> None:
+    assert lives(mutation, FIRMWARE, trials, tmp_path / "replay")
+
+
+@pytest.mark.study
+@pytest.mark.timeout(4 * 3600)
+def test_mutants_of_the_default_filter_decide_otherwise(
+    mutation: ModuleType, trials: list[Trial], tmp_path: Path
+) -> None:
+    found = mutation.mutate(
+        tmp_path, PARTS, lambda copy: lives(mutation, copy, trials, tmp_path / "replay"), EQUIVALENT
+    )
+    print(f"{found.count} mutants, {found.equivalent} that change nothing, {len(found.alive)} alive")
+    assert found.alive == []
