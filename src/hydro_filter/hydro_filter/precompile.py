@@ -25,7 +25,6 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.structured.model import StructuredModel
 
-
 FOUND: tuple[dict[str, Any], ...] = (
     {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}},
     {"id": "friction_coulomb", "parameters": {"force": 12.0}},
@@ -39,10 +38,11 @@ def _filter(metric: str) -> None:
     warm_up(choice.make(choice.default_settings()), choice.bench)
 
 
-def _bench_file(effects: tuple[dict[str, Any], ...]) -> None:
-    """The filter on a bench file: kernels for any, and the model of these effects."""
-    made = LoopFilter(loop_parts(LearnedMetric.load(), _with(effects), Bench.nominal()))
-    warm_up(made, Bench.nominal())
+def _bench_file() -> None:
+    """The filter on a bench file: kernels for any, and the models of these effects and of none."""
+    for effects in (FOUND, ()):
+        made = LoopFilter(loop_parts(LearnedMetric.load(), _with(effects), Bench.nominal()))
+        warm_up(made, Bench.nominal())
 
 
 def _with(effects: tuple[dict[str, Any], ...]) -> Bench:
@@ -78,8 +78,7 @@ def _metric_of(loop: Loop, plant: Plant, bench: Bench) -> None:
 STEPS: dict[str, Callable[[], None]] = {
     "filter, learned metric": lambda: _filter(LEARNED),
     "filter, constant metric": lambda: _filter(CONSTANT),
-    "filter, bench file": lambda: _bench_file(FOUND),
-    "filter, bench file as the equations are": lambda: _bench_file(()),
+    "filter, bench file": _bench_file,
     "validation": _validation,
     "metric learning": _metric_learning,
     "metric learning, bench file": _metric_of_a_bench_file,
