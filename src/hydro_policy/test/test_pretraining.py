@@ -24,7 +24,7 @@ from hydro_policy.envs.vector_runs import fixed
 from hydro_policy.pretraining.examination import REFERENCE_GAINS, TRIPPED, Examination
 from hydro_policy.pretraining.options import parser
 from hydro_policy.pretraining.run import resumed, training_settings
-from hydro_policy.pretraining.source import source_of
+from hydro_policy.pretraining.source import load_source, source_of
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
@@ -254,9 +254,7 @@ def test_a_bench_file_with_hidden_states_is_trained_on_and_gone_on_with(tmp_path
 def test_randomisation_changes_the_sizes_of_a_bench_files_effects_and_nothing_of_its_structure() -> None:
     lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
     gap = {"id": "valve_deadband", "parameters": {"half_width": 3e-4}}
-    plants = [
-        draw(Randomisation(), replace(Bench.nominal(), effects=(lag, gap)), seed).plant for seed in (1, 2)
-    ]
+    plants = [draw(Randomisation(), replace(Bench.nominal(), effects=(lag, gap)), seed).plant for seed in (1, 2)]
     benches = [plant.model.bench for plant in plants if isinstance(plant, AnalyticPlant)]
     bandwidths = {bench.effects[0]["parameters"]["bandwidth"] for bench in benches}
     assert len(bandwidths) == 2 and all(0.9 * 110.0 <= value <= 1.1 * 110.0 for value in bandwidths)
