@@ -42,12 +42,9 @@ SIZES = {
 """Of parameters; coefficients by the effect's first word."""
 
 pytestmark = pytest.mark.study
-effects_but = {
-    name: pytest.param(name, marks=pytest.mark.xfail(reason=why, strict=True))
-    for name, why in {
-        "transport_delay": "the certificate has no place for a dead time",
-    }.items()
-}
+REFUSED = pytest.param(
+    "transport_delay", marks=pytest.mark.xfail(reason="the certificate has no place for a dead time", strict=True)
+)
 
 
 def having(label: str) -> Bench:
@@ -119,7 +116,7 @@ def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
 
 
 @pytest.mark.proves("in the metric's model")
-@pytest.mark.parametrize("label", [effects_but.get(name, name) for name in CATALOGUE])
+@pytest.mark.parametrize("label", [REFUSED if name == "transport_delay" else name for name in CATALOGUE])
 def test_the_filters_loop_decays_and_follows_its_hidden_states(label: str) -> None:
     """What the filter follows beside a bench with the effect is where that bench is."""
     lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}

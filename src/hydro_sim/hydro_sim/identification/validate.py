@@ -22,7 +22,7 @@ from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.evaluation import Errors, Predictor, Scales, Scored
 from hydro_sim.identification.objectives import SETTLED
 from hydro_sim.learned.any_model import is_bench
-from hydro_sim.learned.model import Learned
+from hydro_sim.learned.model import Learned, Model
 from hydro_sim.model.bench import Bench
 from hydro_sim.structured.model import StructuredModel
 
@@ -46,13 +46,15 @@ BINS = 8
 def main() -> None:
     """Entry point."""
     options = _arguments()
+    model = _model(options)
     scored = _scored(options.bags, options.noise_free)
     if options.horizon > (room := _longest(scored)):
         raise UserError(f"--horizon {options.horizon}: the shortest stretch without a gap has room for {room} samples")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     if left_out(bench):
         print(left_out(bench), file=sys.stderr)
-    learned = _predictor(options, scored)
+    runs = [item.run for item in scored]
+    learned: Predictor = BenchPrediction(model, runs) if isinstance(model, Bench) else model
     states = [learned.estimate(item.run) for item in scored]
     analytic = AnalyticModel(bench)
     same = isinstance(learned, StructuredModel)
@@ -64,10 +66,10 @@ def main() -> None:
         print(f"{options.model}: {learned.quality.told()}")
 
 
-def _predictor(options: argparse.Namespace, scored: list[Scored]) -> Predictor:
-    """The model that is judged; PairingError where weights are not of the box that --bench names."""
+def _model(options: argparse.Namespace) -> Bench | Model:
+    """What is judged; PairingError where weights are not of the box that --bench names."""
     if is_bench(options.model):
-        return BenchPrediction(Bench.load(options.model), [item.run for item in scored])
+        return Bench.load(options.model)
     learned, path = Learned.load(options.model), Path(options.model or shipped())
     remedy = "name the bench.yaml of its box by --bench"
     refuse(unfit(f"the model {path.name}", learned.made, Believed.of_file(options.bench), remedy))
