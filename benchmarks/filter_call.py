@@ -2,9 +2,9 @@
 """One call of the contraction filter: exact derivatives against finite differences, and every tick's deadline.
 
 The samples are runs on the analytic bench under changing gains, half of the time unstable ones, with the filter in the
-loop. Filters see the same samples in turn, in one process; the differences are compiled, too, and central; the bench file
-names a valve lag, dry friction and a leak, under the shipped metric, for the time that a decision takes. Then the
-learned filter alone takes `--ticks` samples, and calls beyond 1 ms are counted: by the clock, and by the time that the
+loop. Filters see the same samples in turn, in one process; the differences are compiled, too, and central; the bench
+file names a valve lag, dry friction and a leak, and has the shipped metric: the time is the same. Then the learned
+filter alone takes `--ticks` samples, and calls beyond 1 ms are counted: by the clock, and by the time that the
 process itself was running, which leaves out what other programs on the machine did to it. Samples come round again and
 again; each one's best call shows whether a slow one was the sample's doing.
 """
