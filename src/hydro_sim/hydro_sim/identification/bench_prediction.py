@@ -36,7 +36,7 @@ class BenchPrediction:
         self.model = BenchModel(bench, substeps=SUBSTEPS)
         noise = noise_of(runs)
         left, self.follower = least_left(Sensitivities(self.model), self.model.values, noise, runs)
-        self.quality = Quality.of(left / noise)
+        self.quality = Quality.of((left / noise).tolist())
         record = Sensors().constants()[0]
         self.memories = np.array([record[name] for name in MEMORIES])
 
