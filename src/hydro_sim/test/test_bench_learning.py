@@ -103,7 +103,7 @@ def test_what_cannot_be_learnt_is_said_in_a_sentence(
 
 
 def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordings.Data) -> None:
-    """On the truth itself: rates and readings of a prediction are off by little more than noise, the position by 3 um."""
+    """On the truth itself: rates and readings of a prediction are off by little more than noise, the position by um."""
     effects = (
         {"id": "spring_stiffness", "parameters": {"ratio": 1.6}},
         {"id": "valve_deadband", "parameters": {"half_width": 3e-4}},
