@@ -59,6 +59,7 @@ CASES: Mapping[str, Case] = {
 """Of each bench: the truth's change, and the bench file's numbers and further effects."""
 REFERENCE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 BEGIN, SECONDS = 2000, 6.0
+FILE_NAME = str.maketrans(" /", "__", "%")
 COLUMNS = {
     "bench": "",
     "gains": "asked for: K_p, K_i",
@@ -136,7 +137,7 @@ def table_of(names: list[str], folder: Path) -> Table:
     table, nothing = Table(COLUMNS, title="The filter on a bench file"), dict.fromkeys(list(COLUMNS)[9:], np.nan)
     for name in progress(names, label="benches", unit="bench"):
         case = CASES[name]
-        model = bench_file(case, folder / f"{name.replace(' ', '_').replace('%', '')}.yaml")
+        model = bench_file(case, folder / f"{name.translate(FILE_NAME)}.yaml")
         file, said = metric(model, folder)
         choice = Choice(bench=Bench.nominal(), metric=str(file), model=model)
         trouble = choice.trouble()
