@@ -2,13 +2,16 @@
 """Which effect stands in which part: a table of the tests that carry `proves(column)`, run now.
 
 A cell is yes where each test of that column passes for that effect, else no. Names of tests stand below the table.
+All columns take half an hour: `--columns` and `--effects` make it in parts, and `--earlier` puts these together.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 from collections import defaultdict
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -61,28 +64,54 @@ def _effect_of(item: pytest.Item) -> str:
     return str(given["label"])
 
 
-def table(outcomes: Outcomes) -> list[str]:
+Cells = dict[str, dict[str, bool]]
+"""Whether a column's tests pass, by column and effect."""
+
+
+def of(outcomes: Outcomes) -> Cells:
+    """What was found now."""
+    cells: Cells = {}
+    for (column, name), passed in outcomes.cells.items():
+        cells.setdefault(column, {})[name] = all(passed)
+    return cells
+
+
+def together(parts: Sequence[Any]) -> tuple[Cells, dict[str, str]]:
+    """Cells and tests of several runs; the last one counts."""
+    cells: Cells = {}
+    tests: dict[str, str] = {}
+    for part in parts:
+        tests |= part["tests"]
+        for column, found in part["cells"].items():
+            cells.setdefault(column, {}).update(found)
+    return cells, tests
+
+
+def table(cells: Cells, tests: dict[str, str]) -> list[str]:
     """Lines of Markdown."""
+    words = {True: "yes", False: "no", None: "not run"}
     lines = [f"| effect | {' | '.join(COLUMNS)} |", "|---" * (len(COLUMNS) + 1) + "|"]
     for name in CATALOGUE:
-        cells = [outcomes.cells.get((column, name), []) for column in COLUMNS]
-        words = ["yes" if cell and all(cell) else "no" if cell else "not run" for cell in cells]
-        lines.append(f"| {name} | {' | '.join(words)} |")
-    return [*lines, "", *(f"- *{column}*: `{test}`" for column, test in outcomes.tests.items())]
+        row = [words[cells.get(column, {}).get(name)] for column in COLUMNS]
+        lines.append(f"| {name} | {' | '.join(row)} |")
+    return [*lines, "", *(f"- *{column}*: `{tests[column]}`" for column in COLUMNS if column in tests)]
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Run, print, write."""
     options = parser("effect_table", __doc__)
-    options.add_argument("--columns", nargs="+", choices=COLUMNS, default=list(COLUMNS), help="default all")
+    options.add_argument("--columns", nargs="*", choices=COLUMNS, default=list(COLUMNS), help="default all")
     options.add_argument("--effects", metavar="WORDS", default="", help="as pytest's -k; default all")
+    options.add_argument("--earlier", nargs="+", type=Path, default=[], metavar="JSON", help="what --json wrote before")
     asked = options.parse_args(arguments)
     outcomes = Outcomes(asked.columns)
     words = ["-q", "--timeout=0", "-p", "no:cacheprovider", *(["-k", asked.effects] if asked.effects else [])]
-    pytest.main([*words, *FILES], plugins=[outcomes])
-    print("\n".join(table(outcomes)))
-    cells = {f"{name}: {column}": all(passed) for (column, name), passed in sorted(outcomes.cells.items())}
-    finish({"tests": outcomes.tests, "cells": cells}, asked.json)
+    if asked.columns:
+        pytest.main([*words, *FILES], plugins=[outcomes])
+    found = {"tests": outcomes.tests, "cells": of(outcomes)}
+    cells, tests = together([*(json.loads(file.read_text(encoding="utf-8")) for file in asked.earlier), found])
+    print("\n".join(table(cells, tests)))
+    finish({"tests": tests, "cells": cells}, asked.json)
     return 0
 
 

@@ -55,6 +55,20 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
     assert learn_bench.stated(result).unfit == ""
 
 
+def test_what_is_far_larger_than_its_typical_size_is_found() -> None:
+    """A supply that droops ten times as much as the bench file says: 27 typical sizes more."""
+    droop = {"id": "supply_droop", "parameters": {"resistance": 3e9, "time_constant": 0.05}}
+    truth = {"profile": "nominal", "effects": {"supply_droop": {"resistance": 3e10, "time_constant": 0.02}}}
+    states = record_offline(truth_from_mapping(truth), draw(10.0, 5), seed=5).states
+    result = bench_learning.learn(
+        replace(Bench.nominal(), effects=(droop,)), recordings.split({"one": states}), count=40
+    )
+    resistance, time_constant = result.parameters
+    assert resistance.value == pytest.approx(3e10, rel=0.01)
+    assert time_constant.value == pytest.approx(0.02, rel=0.02)
+    assert result.quality.over_noise < 1.2
+
+
 def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
     states: StateArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
