@@ -27,18 +27,13 @@ from hydro_filter.controller.factory import Choice, warm_up
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.model.sample import Sample
+from hydro_filter.precompile import FOUND
 from hydro_filter.validation.plants import changed
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 
-FOUND: tuple[Mapping[str, Any], ...] = (
-    {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}},
-    {"id": "friction_coulomb", "parameters": {"force": 12.0}},
-    {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
-)
-"""What a diagnosis finds on the emulator's default truth, roughly."""
 DEADBAND = {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}
 GAIN = {"id": "valve_gain", "parameters": {"ratio": 0.75}}
 
