@@ -2,7 +2,8 @@
 """Which effect stands in which part: a table of the tests that carry `proves(column)`, run now.
 
 A cell is yes where each test of that column passes for that effect, else no. Names of tests stand below the table.
-All columns take long, some half an hour of CPU: `--columns` and `--effects` make it in parts, and `--earlier` puts these together.
+All columns take long, some half an hour of CPU: `--columns` and `--effects` make it in parts, which `--earlier` puts
+together.
 """
 
 from __future__ import annotations
