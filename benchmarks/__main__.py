@@ -22,6 +22,7 @@ STUDIES = frozenset(
         "controllers",
         "dashboard",
         "diagnosis_peers",
+        "effect_table",
         "foreign_truth",
         "integral_form",
         "joining",

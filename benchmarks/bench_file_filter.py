@@ -27,18 +27,13 @@ from hydro_filter.controller.factory import Choice, warm_up
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.model.sample import Sample
+from hydro_filter.precompile import FOUND
 from hydro_filter.validation.plants import changed
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.model.bench import Bench
 
-FOUND: tuple[Mapping[str, Any], ...] = (
-    {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}},
-    {"id": "friction_coulomb", "parameters": {"force": 12.0}},
-    {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
-)
-"""What a diagnosis finds on the emulator's default truth, roughly."""
 DEADBAND = {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}
 GAIN = {"id": "valve_gain", "parameters": {"ratio": 0.75}}
 
@@ -59,6 +54,7 @@ CASES: Mapping[str, Case] = {
 """Of each bench: the truth's change, and the bench file's numbers and further effects."""
 REFERENCE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
 BEGIN, SECONDS = 2000, 6.0
+FILE_NAME = str.maketrans(" /", "__", "%")
 COLUMNS = {
     "bench": "",
     "gains": "asked for: K_p, K_i",
@@ -136,7 +132,7 @@ def table_of(names: list[str], folder: Path) -> Table:
     table, nothing = Table(COLUMNS, title="The filter on a bench file"), dict.fromkeys(list(COLUMNS)[9:], np.nan)
     for name in progress(names, label="benches", unit="bench"):
         case = CASES[name]
-        model = bench_file(case, folder / f"{name.replace(' ', '_').replace('%', '')}.yaml")
+        model = bench_file(case, folder / f"{name.translate(FILE_NAME)}.yaml")
         file, said = metric(model, folder)
         choice = Choice(bench=Bench.nominal(), metric=str(file), model=model)
         trouble = choice.trouble()

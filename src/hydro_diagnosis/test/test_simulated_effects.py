@@ -69,6 +69,7 @@ def test_every_value_that_a_diagnosis_may_report_is_simulated(effect: Effect) ->
         assert simulated[one.name].low <= one.low and one.high <= simulated[one.name].high
 
 
+@pytest.mark.proves("diagnosed")
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.label)
 def test_simulation_and_diagnosis_mean_the_same_effect(effect: Effect) -> None:
     claims = claims_with(effect)

@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from hydro_filter.controller.factory import CONSTANT, LEARNED, Choice, warm_up
+from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
 from hydro_filter.metric.design import rest_loop
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.loop_model import loop_model
+from hydro_filter.model.loop import Loop, loop_of
 from hydro_filter.training import levels
 from hydro_filter.training.data import DataSettings, collect
 from hydro_filter.validation.cases import CASES
@@ -19,12 +22,31 @@ from hydro_filter.validation.runs import FILTERS, Task, outcome
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.structured.model import StructuredModel
+
+FOUND: tuple[dict[str, Any], ...] = (
+    {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}},
+    {"id": "friction_coulomb", "parameters": {"force": 12.0}},
+    {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
+)
+"""Effects that a diagnosis finds on most benches. Others are compiled where they first come; numbers need nothing."""
 
 
 def _filter(metric: str) -> None:
     choice = Choice(bench=Bench.nominal(), metric=metric)
     warm_up(choice.make(choice.default_settings()), choice.bench)
+
+
+def _bench_file() -> None:
+    """The filter on a bench file: kernels for any, and the models of these effects and of none."""
+    for effects in (FOUND, ()):
+        made = LoopFilter(loop_parts(LearnedMetric.load(), _with(effects), Bench.nominal()))
+        warm_up(made, Bench.nominal())
+
+
+def _with(effects: tuple[dict[str, Any], ...]) -> Bench:
+    return replace(Bench.nominal(), effects=effects)
 
 
 def _validation() -> None:
@@ -33,9 +55,18 @@ def _validation() -> None:
 
 
 def _metric_learning() -> None:
-    learned, bench = Learned.load(), Bench.nominal()
+    bench = Bench.nominal()
+    learned = Learned.load()
     assert isinstance(learned.model, StructuredModel)
-    loop, plant = loop_model(learned.model, bench), LearnedPlant(learned)
+    _metric_of(loop_of(learned.model, bench), LearnedPlant(learned), bench)
+
+
+def _metric_of_a_bench_file() -> None:
+    bench = _with(FOUND)
+    _metric_of(loop_of(bench, Bench.nominal()), AnalyticPlant(bench), Bench.nominal())
+
+
+def _metric_of(loop: Loop, plant: Plant, bench: Bench) -> None:
     rollout, _ = next(collect(plant, bench, loop, DataSettings(rollouts=8, seconds=2.0, windows=1)))
     rest_loop(loop, 60.0)
     metric = LearnedMetric.load(None)
@@ -47,7 +78,9 @@ def _metric_learning() -> None:
 STEPS: dict[str, Callable[[], None]] = {
     "filter, learned metric": lambda: _filter(LEARNED),
     "filter, constant metric": lambda: _filter(CONSTANT),
+    "filter, bench file": _bench_file,
     "validation": _validation,
     "metric learning": _metric_learning,
+    "metric learning, bench file": _metric_of_a_bench_file,
 }
 """By what is said while one runs."""

@@ -1,15 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """The filter's loop of a bench file."""
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
+from hydro_filter.controller.factory import Choice
 from hydro_filter.metric.design import rest_loop
-from hydro_filter.model.bench_loop import still
+from hydro_filter.model.bench_loop import still, uncompiled
 from hydro_filter.model.loop import loop_of
+from hydro_sim.compilations import VARIABLE, read_compilations
 from hydro_sim.learned.any_model import model_of
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
@@ -18,8 +25,9 @@ from hydro_sim.model.grammar import LAWS
 from hydro_sim.model.laws import Law
 from hydro_sim.structured.model import StructuredModel
 
-LAG = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
-LEAK = {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}
+Entry = dict[str, Any]
+LAG: Entry = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
+LEAK: Entry = {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}
 
 
 def of(*effects: dict[str, object]) -> Bench:
@@ -75,6 +83,39 @@ def test_a_closure_that_remembers_is_refused_in_a_sentence(law: Law) -> None:
     closure = {"equation": law.equation, "form": law.form, "parameters": parameters}
     with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):
         loop_of(replace(Bench.nominal(), closures=(closure,)), Bench.nominal())
+
+
+def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
+    bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    loop_of(of(LAG, LEAK), bench)
+    assert uncompiled(of(LAG, LEAK)) == ""
+    capfd.readouterr()
+    other = [{**one, "parameters": {**one["parameters"], name: value}} for one, name, value in (
+        (LAG, "bandwidth", 90.0), (LEAK, "coefficient", 2e-13))]  # fmt: skip
+    assert uncompiled(of(*other)) == ""
+    loop_of(of(*other), replace(bench, spring_stiffness=3e4))
+    assert "compiling" not in capfd.readouterr().err
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    assert uncompiled(of(LAG, LEAK)) == "valve_lag, leakage_internal"
+    file = tmp_path / "bench.yaml"
+    file.write_text(yaml.safe_dump(of(LAG, LEAK).to_mapping()), encoding="utf-8")
+    choice = Choice(bench=bench, model=file)
+    assert choice.uncompiled == "the model of a bench with valve_lag, leakage_internal"
+    assert Choice(bench=bench).uncompiled == "", "the shipped model is compiled by set-up"
+
+
+@pytest.mark.slow
+def test_the_filter_on_a_bench_file_as_set_up_compiles_it_compiles_nothing(tmp_path: Path) -> None:
+    """Neither a kernel, whatever the numbers, nor a model."""
+    code = (
+        "from dataclasses import replace; from hydro_filter import precompile; from hydro_sim.model.bench import Bench;"
+        "precompile.Bench = type('B', (), {'nominal': lambda: replace(Bench.nominal(), spring_stiffness=3e4)});"
+        "precompile._bench_file()"
+    )
+    environment = {**os.environ, VARIABLE: str(tmp_path / "log")}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert read_compilations(tmp_path / "log") == [] and done.stderr == ""
 
 
 def test_a_dead_time_is_refused_in_a_sentence(bench: Bench) -> None:

@@ -338,6 +338,7 @@ def test_a_range_that_the_filter_does_not_cover_is_told() -> None:
         (("--plant", "sim", "--truth", "t.yaml"), "--truth is of no use with --plant sim; it goes with emulator"),
         (("--plant", "external", "--filter=--bypass"), "--filter is of no use with --plant external"),
         (("--plant", "sim", "--port", "/dev/ttyUSB0"), "--port is of no use with --plant sim"),
+        (("--plant", "emulator", "--model", "l.yaml"), "--model is of no use with --plant emulator; it goes with sim"),
     ],
 )
 def test_words_that_a_plant_has_no_use_for_are_refused(words: tuple[str, ...], said: str) -> None:
@@ -379,6 +380,8 @@ def test_companions_get_the_bench_and_the_base_gains_of_the_run() -> None:
         executable: words for _, executable, words in commands(replace(own, plant="bench"), GainRange(), Path("run"))
     }
     assert "own.yaml" in bench["bridge"] and "own.yaml" in bench["filter"]
+    learnt = {name: words for _, name, words in commands(replace(own, model=Path("l.yaml")), GainRange(), Path("run"))}
+    assert learnt["sim"][:4] == ["--bench", "own.yaml", "--model", "l.yaml"] and "l.yaml" not in learnt["filter"]
 
 
 def test_on_a_plant_that_runs_policies_of_another_box_are_refused(foreign: str, tmp_path: Path) -> None:

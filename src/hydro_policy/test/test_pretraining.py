@@ -24,7 +24,7 @@ from hydro_policy.envs.vector_runs import fixed
 from hydro_policy.pretraining.examination import REFERENCE_GAINS, TRIPPED, Examination
 from hydro_policy.pretraining.options import parser
 from hydro_policy.pretraining.run import resumed, training_settings
-from hydro_policy.pretraining.source import source_of
+from hydro_policy.pretraining.source import load_source, source_of
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
@@ -232,6 +232,35 @@ def test_command_writes_an_agent_its_policy_and_the_learning_curve(tmp_path: Pat
     assert done.returncode == 0, done.stderr
 
 
+def test_a_bench_file_with_hidden_states_is_trained_on_and_gone_on_with(tmp_path: Path) -> None:
+    """A valve's lag, friction that holds and a drooping supply bring states of their own."""
+    effects = [
+        {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}},
+        {"id": "friction_coulomb", "parameters": {"force": 12.0}},
+        {"id": "friction_presliding", "parameters": {"stiffness": 5e5}},
+        {"id": "supply_droop", "parameters": {"resistance": 3e10, "time_constant": 0.02}},
+    ]
+    file, run = tmp_path / "learnt.yaml", tmp_path / "run"
+    file.write_text(yaml.safe_dump(Bench.nominal().to_mapping() | {"effects": effects}), encoding="utf-8")
+    words = ["--episodes", "2", "--steps", "60", "--benches", "2", "--model", str(file), "--randomise"]
+    ended = pretrain("--out", str(run), *words)
+    assert ended.returncode == 0, ended.stderr
+    assert load_source(run).simulated() == Bench.load(file)
+    assert load_source(run).made_for().model == "", "a policy is for the box's bench, not for what was simulated"
+    done = pretrain("--resume", str(run), *words)
+    assert done.returncode == 0, done.stderr
+
+
+def test_randomisation_changes_the_sizes_of_a_bench_files_effects_and_nothing_of_its_structure() -> None:
+    lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
+    gap = {"id": "valve_deadband", "parameters": {"half_width": 3e-4}}
+    plants = [draw(Randomisation(), replace(Bench.nominal(), effects=(lag, gap)), seed).plant for seed in (1, 2)]
+    benches = [plant.model.bench for plant in plants if isinstance(plant, AnalyticPlant)]
+    bandwidths = {bench.effects[0]["parameters"]["bandwidth"] for bench in benches}
+    assert len(bandwidths) == 2 and all(0.9 * 110.0 <= value <= 1.1 * 110.0 for value in bandwidths)
+    assert [bench.effects[1] for bench in benches] == [gap, gap]
+
+
 def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(tmp_path: Path) -> None:
     bench = tmp_path / "bench.yaml"
     bench.write_text(yaml.safe_dump(Bench.nominal().to_mapping()), encoding="utf-8")
@@ -261,6 +290,8 @@ def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(tmp_path: Path
     [
         (["--bench", "nowhere.yaml"], "nowhere.yaml"),
         (["--bench", "b.yaml", "--model", "shipped"], "a bench of its own"),
+        (["--bench", "b.yaml", "--model", "c.yaml"], "which of them is simulated?"),
+        (["--model", "nowhere.yaml"], "nowhere.yaml"),
         (["--model", "nowhere.safetensors"], "nowhere.safetensors"),
         (["--benches", "0"], "benches must be within"),
         (["--episodes", "0"], "episodes must be within"),

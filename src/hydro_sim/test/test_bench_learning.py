@@ -17,8 +17,9 @@ from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings
-from hydro_sim.identification import bench_learning, learn, learn_bench
+from hydro_sim.identification import bench_learning, learn, learn_bench, validate
 from hydro_sim.identification.bench_fit import Coordinates
+from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.bench_states import noise_of
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel, Named
@@ -54,6 +55,20 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
     assert learn_bench.stated(result).unfit == ""
 
 
+def test_what_is_far_larger_than_its_typical_size_is_found() -> None:
+    """A supply that droops ten times as much as the bench file says: 27 typical sizes more."""
+    droop = {"id": "supply_droop", "parameters": {"resistance": 3e9, "time_constant": 0.05}}
+    truth = {"profile": "nominal", "effects": {"supply_droop": {"resistance": 3e10, "time_constant": 0.02}}}
+    states = record_offline(truth_from_mapping(truth), draw(10.0, 5), seed=5).states
+    result = bench_learning.learn(
+        replace(Bench.nominal(), effects=(droop,)), recordings.split({"one": states}), count=40
+    )
+    resistance, time_constant = result.parameters
+    assert resistance.value == pytest.approx(3e10, rel=0.01)
+    assert time_constant.value == pytest.approx(0.02, rel=0.02)
+    assert result.quality.over_noise < 1.2
+
+
 def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
     states: StateArray, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -69,6 +84,12 @@ def test_a_bench_file_that_lacks_what_the_bench_has_is_said_to_be_unfit(
         learn.main()
     assert ended.value.code == 0
     assert "NOT fit for the filter" in capsys.readouterr().out
+    monkeypatch.setattr("sys.argv", ["validate", str(tmp_path / "bag"), "--model", str(tmp_path / "out.yaml")])
+    with pytest.raises(SystemExit) as ended:
+        validate.main()
+    assert ended.value.code == 0
+    printed = capsys.readouterr().out
+    assert "NOT fit for the filter" in printed.splitlines()[-1] and "load_force" in printed
     found = Bench.load(tmp_path / "out.yaml")
     assert "more than 3" in found.unfit and (tmp_path / "table.json").exists()
     assert replace(found, viscous_friction=61.0).unfit == ""
@@ -93,6 +114,24 @@ def test_what_cannot_be_learnt_is_said_in_a_sentence(
     with pytest.raises(SystemExit) as ended:
         learn.main()
     assert ended.value.code == 2 and sentence in capsys.readouterr().err
+
+
+def test_a_bench_file_predicts_what_the_box_makes_of_its_readings(data: recordings.Data) -> None:
+    """On the truth itself: rates and readings of a prediction are off by little more than noise, the position by um."""
+    effects = (
+        {"id": "spring_stiffness", "parameters": {"ratio": 1.6}},
+        {"id": "valve_deadband", "parameters": {"half_width": 3e-4}},
+    )
+    predictor = BenchPrediction(replace(Bench.nominal(), effects=effects), data.validation)
+    run = data.validation[0]
+    starts = np.arange(700, len(run) - 71, 100)
+    predicted = predictor.predict(predictor.estimate(run)[starts], run.u[starts[:, None] + np.arange(70)])
+    error = predicted - run.x[starts[:, None] + np.arange(1, 71)]
+    noise = noise_of([run])
+    rates = 0.4 * np.sqrt(2.0) * noise[:2] / 1e-3  # the differentiator takes two fifths of each difference
+    left = np.sqrt(np.mean(error**2, axis=(0, 1)))
+    assert (left[[0, 2, 4, 5]] < 1.3 * noise[:4]).all() and left[6] < 3e-6 and predictor.quality.unfit == ""
+    assert (left[[1, 3]] < 2.0 * rates).all()
 
 
 def test_noise_is_measured_within_a_tenth(data: recordings.Data) -> None:

@@ -27,6 +27,7 @@ from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
 from hydro_filter.metric import learned as learned_metric
 from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.bench_loop import uncompiled
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.files import weights
@@ -124,6 +125,14 @@ class Choice:
     def default_settings(self) -> Settings:
         """Defaults of the settings that this filter has."""
         return FilterSettings() if self.constant else LoopFilterSettings()
+
+    @property
+    def uncompiled(self) -> str:
+        """What has to be compiled before it can run, for people; empty where set-up or an earlier start has done it."""
+        if self.constant or not is_bench(self.files["model"]):
+            return ""
+        effects = uncompiled(Bench.load(self.files["model"]))
+        return effects and f"the model of a bench with {effects}"
 
     def make(self, settings: Settings) -> Filter:
         """The filter.

@@ -20,7 +20,7 @@ from hydro_bridge.settings import quantity
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.network import ENTRIES
 from hydro_filter.model.bench_loop import BenchLoop, still
-from hydro_filter.model.loop import Loop, linearize, memories, settle, step_of
+from hydro_filter.model.loop import Loop, closing_current, linearize, memories, settle, step_of
 from hydro_filter.model.loop_model import LOOP
 from hydro_sim.model.hydraulics import rest_state
 
@@ -58,9 +58,9 @@ class Table(NamedTuple):
 def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatArray, FloatArray]:
     """F, G, K of the still bench, about a closed valve; of a bench file as its sensors show that."""
     x: FloatArray = np.zeros(8)
-    step, memory, closing = step_of(loop), memories(loop)[0], 0.0
+    step, memory, closing = step_of(loop), memories(loop)[0], closing_current(loop)
     if isinstance(loop, BenchLoop):
-        x, closing = still(loop.model), -(loop.model.before + loop.model.after)
+        x = still(loop.model)
         settle(loop, memory, x, closing, 0.0)
     else:
         x[4:7] = rest_state(loop.bench[0])[:3]

@@ -31,7 +31,7 @@ from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRES
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model import rates
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
+from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
 from hydro_sim.model.effects import catalogue
 from hydro_sim.model.effects.base import Effect
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
@@ -172,8 +172,7 @@ def still(model: BenchParts) -> FloatArray:
 
 def parts(truth: Bench) -> BenchParts:
     """See `BenchParts`."""
-    kept = tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES)
-    loop_bench = replace(truth, effects=kept)
+    loop_bench = without_disturbances(truth)
     whole, loop = BenchModel(truth, substeps=SUBSTEPS), BenchModel(loop_bench, substeps=SUBSTEPS)
     k, rest, _ = whole.begin(whole.values)
     loop_k, loop_rest, _ = loop.begin(loop.values)
@@ -224,6 +223,21 @@ def parts(truth: Bench) -> BenchParts:
         memories=np.array([record["force_memory"], record["velocity_memory"]]),
         slopes=TEXTBOOK + max(len(rest), len(loop_rest)),
     )  # fmt: skip
+
+
+def without_disturbances(truth: Bench) -> Bench:
+    """The bench that is linearized."""
+    return replace(truth, effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES))
+
+
+def uncompiled(truth: Bench) -> str:
+    """Effects of the model that still has to be compiled for this loop, for people; empty where none has to be."""
+    parts_needed: tuple[tuple[Bench, Part], ...] = (
+        (truth, ""), (without_disturbances(truth), ""), (without_disturbances(truth), "derivatives"),
+    )  # fmt: skip
+    if all(is_compiled(structure_of(bench, SUBSTEPS), part) for bench, part in parts_needed):
+        return ""
+    return ", ".join(map(catalogue.label, truth.terms)) or "no effects"
 
 
 TEXTBOOK_PRESSURES = {"sensor_lag sensor=pressure_a": 0, "sensor_lag sensor=pressure_b": 1}

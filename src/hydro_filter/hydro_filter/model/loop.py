@@ -31,6 +31,11 @@ def loop_of(model: StructuredModel | Bench, believed: Bench, box: BoxConfig | No
     return bench_loop(model, believed, box) if isinstance(model, Bench) else loop_model.loop_model(model, believed, box)
 
 
+def closing_current(loop: Loop) -> float:
+    """Current [A] that closes the valve: what a bench file's null shifts ask for; else none."""
+    return -(loop.model.before + loop.model.after) if isinstance(loop, BenchLoop) else 0.0
+
+
 def step_of(loop: Loop) -> Step:
     """New space for one caller."""
     return bench_step(loop) if isinstance(loop, BenchLoop) else loop_model.loop_step()

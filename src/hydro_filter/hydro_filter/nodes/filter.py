@@ -138,9 +138,11 @@ class FilterNode(Node):
             self._message.epoch = message.epoch
 
     def _compiled(self, choice: Choice) -> Filter:
-        """Compile now, not at the first sample, and say so if it takes its time: numba keeps it for the next start."""
+        """Compile now, not at the first sample, and say so: until it is done nothing answers, so nothing is armed."""
         say = self.get_logger().info
         begin = time.monotonic()
+        if new := choice.uncompiled:
+            say(f"compiling {new}: new to this machine, some seconds, once; until then there are no corrections")
         late = threading.Timer(PATIENCE, say, ["compiling the filter; this happens once and takes up to a minute"])
         late.daemon = True
         late.start()

@@ -15,7 +15,7 @@ import numpy as np
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller.loop_decision import integral_term
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
+from hydro_filter.model.loop import Loop, closing_current, displace, follow, linearize, memories, settle, step_of
 from hydro_filter.model.loop_model import LOOP
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
@@ -28,15 +28,15 @@ QUANTILE = 0.99
 
 def displacements(loop: Loop, plant: Plant, gain: float, seed: int) -> FloatArray:
     """v_1 of a still bench, its valve closed, shape (samples, 8)."""
-    x, memory, step = plant.reset(seed), memories(loop), step_of(loop)
+    x, memory, step, closing = plant.reset(seed), memories(loop), step_of(loop), closing_current(loop)
     out = np.empty((SAMPLES, LOOP))
     for k in range(SAMPLES):
-        settle(loop, memory[0], x, 0.0, 0.0)
-        linearize(loop, memory[0]["hidden"], x, 1e-9, 0.0, gain, step)
+        settle(loop, memory[0], x, closing, 0.0)
+        linearize(loop, memory[0]["hidden"], x, 1e-9, closing, gain, step)
         displace(loop, memory[0], x, 0.0, 0.0, out[k])
         out[k] = (step.transition + np.outer(step.push, step.feedback)) @ out[k]
-        follow(loop, memory[0], x, 0.0, 0.0)
-        x = plant.step(0.0)
+        follow(loop, memory[0], x, closing, 0.0)
+        x = plant.step(closing)
     return out[100:]
 
 

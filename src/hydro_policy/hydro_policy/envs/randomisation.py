@@ -8,9 +8,9 @@ mass), the sensors' noise and the delays on the way. The box goes on believing i
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -31,6 +31,13 @@ _SPREAD = {
     "leakage_internal": 0.5, "load_cell_frequency": 0.2, "spool_frequency": 0.2, "valve_gain": 0.15,
 }  # fmt: skip
 """Largest relative change at `spread` 1; valve gains change together."""
+
+_OF_EFFECTS = {
+    "friction_coulomb.force": "friction_coulomb", "friction_stribeck.breakaway_force": "friction_stribeck",
+    "leakage_internal.coefficient": "leakage_internal", "valve_lag.bandwidth": "spool_frequency",
+    "sensor_lag.bandwidth": "load_cell_frequency",
+}  # fmt: skip
+"""Which of these changes a parameter of a bench file's effects has; the others are as the file says."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +122,17 @@ def _analytic(bench: Bench, spring: float, supply: float, factors: dict[str, flo
         viscous_friction=bench.viscous_friction * factors["viscous_friction"],
         valve_nominal_flow=bench.valve_nominal_flow * factors["valve_gain"],
         load_cell_bandwidth=bandwidth and bandwidth * factors["load_cell_frequency"],
+        effects=tuple(_changed(effect, factors) for effect in bench.effects),
     )
+
+
+def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping[str, Any]:
+    """A bench file's effect, of another size."""
+    parameters = {
+        name: value * factors.get(_OF_EFFECTS.get(f"{effect['id']}.{name}", ""), 1.0)
+        for name, value in effect["parameters"].items()
+    }
+    return {**effect, "parameters": parameters}
 
 
 def _learned(model: object, spring: float, supply: float, factors: dict[str, float]) -> StructuredModel:

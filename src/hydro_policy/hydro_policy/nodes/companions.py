@@ -39,6 +39,8 @@ class PlantOptions:
     """Link faults of the emulator, a file or a preset."""
     bench: Path | None = None
     """bench.yaml for box, simulation and filter; None: the nominal bench."""
+    model: Path | None = None
+    """What is simulated in its place, a bench file or weights of `learn`; box and filter keep to `bench`."""
     base_gains: Sequence[float] | None = None
     """K_p [1/s], K_i [1/s^2] of the box; None: the paper's. A simulated box gets them."""
     recording: Path | None = None
@@ -125,7 +127,8 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
     started.append(("hydro_filter", "filter", [*bench, "--realtime", *options.filter]))
     if options.plant == "sim":
         words = ["--realtime", "--seed", str(options.seed), *_with_base_gains(guard, options.base_gains)]
-        started.append(("hydro_sim", "sim", [*bench, *words]))
+        model = ["--model", str(options.model)] if options.model else []
+        started.append(("hydro_sim", "sim", [*bench, *model, *words]))
         return started
     port = options.port
     if options.plant == "emulator":
@@ -149,7 +152,7 @@ def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) 
 
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
-    digests = provenance.weights(options.plant, options.bench, options.policies)
+    digests = provenance.weights(options.plant, options.bench, options.policies, options.model)
     digests += provenance.of_filter(asked_filter(options.filter, options.bench)[0])
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [provenance.bench_file(options.bench), *options.attachments]

@@ -21,13 +21,14 @@ from hydro_policy.runs.run import TrainingSettings
 SCRATCH = "scratch"
 """What `--from` takes beside a run's folder: no agent."""
 
-_PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "base_gains", "filter", "rearm")
+_PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "model", "base_gains", "filter", "rearm")
 _NEEDS = {
     "hand_over": ("external",),
     "truth": ("emulator",),
     "faults": ("emulator",),
     "port": ("bench", "emulator"),
     "bench": ("sim", "emulator", "bench"),
+    "model": ("sim",),
     "base_gains": ("sim", "bench"),
     "filter": ("sim", "emulator", "bench"),
 }
@@ -47,6 +48,13 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--truth", type=Path, metavar="FILE", help="YAML of what the emulated bench is made of")
     group.add_argument("--faults", metavar="FILE", help="link faults of the emulator, a file or a preset")
     group.add_argument("--bench", type=Path, metavar="FILE", help="bench.yaml (default: the nominal bench)")
+    group.add_argument(
+        "--model",
+        type=Path,
+        metavar="FILE",
+        help="what sim simulates, while the box keeps to --bench: a bench file, or weights of `learn`; the filter's is "
+        'its own word: --filter="--model FILE --metric FILE"',
+    )
     group.add_argument(
         "--base-gains",
         nargs=2,
@@ -84,7 +92,7 @@ def as_begun(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mappi
     if said.get("plant", plant.get("plant")) != plant.get("plant"):
         return
     words = {name: value for name, value in plant.items() if name in _PLANT_WORDS}
-    result.set_defaults(**{n: Path(v) if n in ("truth", "bench") else v for n, v in words.items()})
+    result.set_defaults(**{n: Path(v) if n in ("truth", "bench", "model") else v for n, v in words.items()})
 
 
 def _absolute(value: str | Path | list[float]) -> str | list[float]:
@@ -110,7 +118,7 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
         if getattr(options, name) and options.plant not in plants:
             word = "--" + name.replace("_", "-")
             raise UserError(f"{word} is of no use with --plant {options.plant}; it goes with {' or '.join(plants)}")
-    names = ("plant", "port", "truth", "faults", "bench", "base_gains")
+    names = ("plant", "port", "truth", "faults", "bench", "model", "base_gains")
     words = tuple(shlex.split(options.filter))
     return PlantOptions(**{name: getattr(options, name) for name in names}, filter=words, **more)
 

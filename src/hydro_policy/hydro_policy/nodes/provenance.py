@@ -20,14 +20,16 @@ def bench_file(given: Path | None) -> Path:
     return given or Path(str(resources.files("hydro_sim") / "data" / "bench.yaml"))
 
 
-def weights(plant: str, bench: Path | None, policies: Iterable[Path]) -> list[str]:
+def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Path | None = None) -> list[str]:
     """key=value words: SHA-256 of the simulation's model and of each policy that the recording may show.
 
-    The sim node runs the analytic model of a bench file that it is given, and else the weights that come with it.
+    The sim node runs the model that it is given, else the analytic model of a bench file, else the weights that come
+    with it.
     """
     words = [f"policy_sha256_{path.stem}={_digest(path)}" for path in policies if path.is_file()]
     if plant == "sim":
-        words.append(f"model_sha256={_digest(shipped())}" if bench is None else "model=analytic")
+        file = model or (None if bench else shipped())
+        words.append("model=analytic" if file is None else f"model_sha256={_digest(file)}")
     return words
 
 

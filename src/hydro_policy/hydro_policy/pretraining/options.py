@@ -35,9 +35,9 @@ def parser() -> argparse.ArgumentParser:
     what = result.add_argument_group("what is simulated")
     what.add_argument(
         "--model",
-        metavar="shipped|analytic|WEIGHTS",
-        help="the learned bench that comes with hydro_sim, the analytic one, or a file of `hydro_sim learn` "
-        "(default: shipped; with --bench: analytic)",
+        metavar="shipped|analytic|FILE",
+        help="the learned bench that comes with hydro_sim, the analytic one, weights of `hydro_sim learn`, or a bench "
+        "file, as --bench (default: shipped; with --bench: analytic)",
     )
     what.add_argument("--bench", metavar="FILE", help="bench.yaml or a diagnosis' corrected.yaml to simulate")
     what.add_argument(

@@ -23,6 +23,7 @@ from hydro_policy.runs.run import TrainingSettings
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import Believed, MadeFor, unfit
+from hydro_sim.learned.any_model import is_bench
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 
@@ -35,7 +36,7 @@ class Source:
     """What is simulated; all that `--resume` needs besides config.yaml."""
 
     model: str
-    """shipped, analytic, or a weights file of `hydro_sim learn`."""
+    """shipped, analytic, a bench file, or a weights file of `hydro_sim learn`."""
     bench: str | None = None
     """bench.yaml or corrected.yaml that is simulated by the analytic model; None: the nominal bench."""
     box: str | None = None
@@ -50,6 +51,8 @@ class Source:
 
     def simulated(self) -> Bench | Learned:
         """The analytic bench or the learned model."""
+        if is_bench(self.model):
+            return Bench.load(self.model)
         if self.model == "analytic":
             return Bench.load(self.bench) if self.bench else Bench.nominal()
         return Learned.load(None if self.model == "shipped" else self.model)
@@ -73,8 +76,8 @@ class Source:
 
     @property
     def weights(self) -> Path | None:
-        """File of the learned model; None: the analytic one is simulated."""
-        if self.model == "analytic":
+        """File of the learned model; None: a bench file is simulated."""
+        if self.model == "analytic" or is_bench(self.model):
             return None
         return weights.shipped() if self.model == "shipped" else Path(self.model)
 
@@ -105,6 +108,8 @@ class Source:
 def source_of(options: argparse.Namespace) -> Source:
     """What the command line asks to be simulated."""
     model = options.model or ("analytic" if options.bench else "shipped")
+    if options.bench and is_bench(model):
+        raise UserError("--model names a bench file, and so does --bench: which of them is simulated?")
     if options.bench and model != "analytic":
         raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
     files = {key: path and os.path.abspath(path) for key, path in (("bench", options.bench), ("box", options.box))}

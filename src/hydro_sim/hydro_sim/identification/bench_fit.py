@@ -28,7 +28,7 @@ from hydro_sim.model.sensitivities import Sensitivities
 PRIOR = 10.0
 """Typical sizes, or factors of e: how far a parameter is believed to be from its value in the bench file at first."""
 STEP_MAX = 1.0
-"""Of q in one iteration."""
+"""In one iteration: a typical size, a factor of e, or all of a parameter that is larger than its typical size."""
 START_MAX = 4.0
 """Of s in one iteration."""
 SETTLED = 1e-3
@@ -70,6 +70,10 @@ class Coordinates:
         """Of all parameters."""
         one = theta[self.free]
         return np.asarray(np.where(self.logarithm, np.log(np.where(self.logarithm, one, 1.0)), one / self.scale))
+
+    def magnitude(self, q: FloatArray) -> FloatArray:
+        """How far a step of q may lead: 1 at least, and |q| of a parameter that may be 0, which then doubles."""
+        return np.asarray(np.where(self.logarithm, 1.0, np.maximum(np.abs(q), 1.0)))
 
     def slopes(self, q: FloatArray) -> FloatArray:
         """d theta/d q of the free ones."""
@@ -126,9 +130,10 @@ class Problem:
         """One iteration, in place; whether another one is worth while."""
         reduced, gradient, back = self.normal(fit)
         cost = self.cost(fit.q, fit.s)
+        reach = STEP_MAX * self.coordinates.magnitude(fit.q)
         while fit.damping < 1e8:
             damped = reduced + fit.damping * np.diag(np.diag(reduced))
-            change = np.clip(-np.linalg.solve(damped, gradient), -STEP_MAX, STEP_MAX)
+            change = np.clip(-np.linalg.solve(damped, gradient), -reach, reach)
             q = self.coordinates.q(self.coordinates.theta(fit.q + change))
             moves = -(back[:, :, -1] + back[:, :, :-1] @ (q - fit.q))
             s = fit.s + np.clip(moves, -START_MAX, START_MAX)

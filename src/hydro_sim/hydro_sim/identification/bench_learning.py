@@ -92,7 +92,7 @@ def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: 
     q, matrix = _fitted(exact, coordinates, data.training, chosen, noise, report)
     deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
     theta = coordinates.theta(q)
-    left = _least_left(exact, theta, noise, data.validation)
+    left, _ = least_left(exact, theta, noise, data.validation)
     return Result(
         bench=_with(bench, exact.model, theta), parameters=_identified(exact.model, coordinates, q, deviation),
         noise=noise, left=left,
@@ -124,13 +124,16 @@ def _fitted(
 def left_of(bench: Bench, runs: list[Run]) -> FloatArray:
     """What 70-sample predictions of a bench leave of the readings of runs, RMSE, shape (5,); starts by the filter."""
     model = BenchModel(bench, substeps=SUBSTEPS)
-    return _least_left(Sensitivities(model), model.values, noise_of(runs), runs)
+    return least_left(Sensitivities(model), model.values, noise_of(runs), runs)[0]
 
 
-def _least_left(exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]) -> FloatArray:
-    """With the trust of the filter that leaves least."""
-    found = [_left(Follower(exact, theta, noise, trust), runs) for trust in TRIED]
-    return min(found, key=lambda left: float(np.mean(np.log(left))))
+def least_left(
+    exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
+) -> tuple[FloatArray, Follower]:
+    """As `left_of`, with the trust of the filter that leaves least; and that filter."""
+    followers = [Follower(exact, theta, noise, trust) for trust in TRIED]
+    found = [(_left(follower, runs), follower) for follower in followers]
+    return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
 
 
 def _roomy(bench: Bench) -> Bench:

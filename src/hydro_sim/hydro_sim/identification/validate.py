@@ -18,9 +18,11 @@ from hydro_sim.files.pairing import Believed, refuse, unfit
 from hydro_sim.files.weights import WeightsError, shipped
 from hydro_sim.identification import curves, evaluation
 from hydro_sim.identification.analytic import AnalyticModel, left_out
-from hydro_sim.identification.evaluation import Errors, Scales, Scored
+from hydro_sim.identification.bench_prediction import BenchPrediction
+from hydro_sim.identification.evaluation import Errors, Predictor, Scales, Scored
 from hydro_sim.identification.objectives import SETTLED
-from hydro_sim.learned.model import Learned
+from hydro_sim.learned.any_model import is_bench
+from hydro_sim.learned.model import Learned, Model
 from hydro_sim.model.bench import Bench
 from hydro_sim.structured.model import StructuredModel
 
@@ -44,33 +46,44 @@ BINS = 8
 def main() -> None:
     """Entry point."""
     options = _arguments()
-    learned = Learned.load(options.model)
-    path = Path(options.model or shipped())
-    remedy = "name the bench.yaml of its box by --bench"
-    refuse(unfit(f"the model {path.name}", learned.made, Believed.of_file(options.bench), remedy))
+    model = _model(options)
     scored = _scored(options.bags, options.noise_free)
     if options.horizon > (room := _longest(scored)):
         raise UserError(f"--horizon {options.horizon}: the shortest stretch without a gap has room for {room} samples")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     if left_out(bench):
         print(left_out(bench), file=sys.stderr)
-    states = [learned.model.estimate(item.run) for item in scored]
+    runs = [item.run for item in scored]
+    learned: Predictor = BenchPrediction(model, runs) if isinstance(model, Bench) else model
+    states = [learned.estimate(item.run) for item in scored]
     analytic = AnalyticModel(bench)
-    same = isinstance(learned.model, StructuredModel)
+    same = isinstance(learned, StructuredModel)
     analytic_states = states if same else [analytic.estimate(item.run) for item in scored]
     table = table_of(learned, states, analytic, analytic_states, scored, options.horizon, options.stride)
     table.show(options.json)
     _long(learned, states, analytic, analytic_states, scored, Path(options.plots) if options.plots else None)
+    if isinstance(learned, BenchPrediction):
+        print(f"{options.model}: {learned.quality.told()}")
+
+
+def _model(options: argparse.Namespace) -> Bench | Model:
+    """What is judged; PairingError where weights are not of the box that --bench names."""
+    if is_bench(options.model):
+        return Bench.load(options.model)
+    learned, path = Learned.load(options.model), Path(options.model or shipped())
+    remedy = "name the bench.yaml of its box by --bench"
+    refuse(unfit(f"the model {path.name}", learned.made, Believed.of_file(options.bench), remedy))
+    return learned.model
 
 
 def table_of(
-    learned: Learned, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
+    learned: Predictor, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
     scored: list[Scored], horizon: int, stride: int,
 ) -> ConsoleTable:  # fmt: skip
     """Table rmse_model, a row per state."""
     how: dict[str, Any] = {"horizon": horizon, "stride": stride}
-    clean = evaluation.prediction_errors(learned.model, states, scored, recorded=False, **how)
-    noisy = evaluation.prediction_errors(learned.model, states, scored, recorded=True, **how)
+    clean = evaluation.prediction_errors(learned, states, scored, recorded=False, **how)
+    noisy = evaluation.prediction_errors(learned, states, scored, recorded=True, **how)
     other = evaluation.prediction_errors(analytic, analytic_states, scored, recorded=False, **how)
     scales = Scales.of(np.concatenate([item.reference for item in scored]))
     floor = evaluation.noise_floor(scored)
@@ -90,20 +103,20 @@ def table_of(
 
 
 def _long(
-    learned: Learned, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
+    learned: Predictor, states: list[FloatArray], analytic: AnalyticModel, analytic_states: list[FloatArray],
     scored: list[Scored], plots: Path | None,
 ) -> None:  # fmt: skip
     """Horizon curves, errors by region, and a free run: said, and drawn into the folder if there is one."""
     longest = min(LONGEST, _longest(scored))
     how: dict[str, Any] = {"recorded": False, "horizon": longest, "stride": 500}
-    mine = evaluation.prediction_errors(learned.model, states, scored, **how)
+    mine = evaluation.prediction_errors(learned, states, scored, **how)
     theirs = evaluation.prediction_errors(analytic, analytic_states, scored, **how)
     for horizon in (1, 10, 70, 200, 1000, longest):
         print(f"after {horizon / 1e3:g} s: f_l off by {mine.by_time[horizon - 1, 2]:.3g} N "
               f"(analytic {theirs.by_time[horizon - 1, 2]:.3g} N)")  # fmt: skip
     item, start = scored[0], states[0]
     begin = SETTLED
-    free = learned.model.predict(start[begin : begin + 1], item.run.u[None, begin:-1])[0]
+    free = learned.predict(start[begin : begin + 1], item.run.u[None, begin:-1])[0]
     other = analytic.predict(analytic_states[0][begin : begin + 1], item.run.u[None, begin:-1])[0]
     reference = item.reference[begin + 1 :]
     deviation = free[:, 2] - reference[:, 2]
@@ -117,7 +130,7 @@ def _long(
     noise = evaluation.noise_floor(scored)
     curves.draw_horizons(horizons, mine.by_time[rows], theirs.by_time[rows], noise, plots / "horizons.png")
     curves.draw_free_run(SAMPLE_PERIOD * np.arange(len(free)), reference, free, other, plots / "free_run.png")
-    short = evaluation.prediction_errors(learned.model, states, scored, recorded=False, horizon=70, stride=37)
+    short = evaluation.prediction_errors(learned, states, scored, recorded=False, horizon=70, stride=37)
     _regions(short, scored, plots / "regions.png")
 
 
@@ -168,7 +181,9 @@ def _aligned(path: str, states: StateArray) -> FloatArray:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="validate", description="Judge a learned bench on held-out recordings.")
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings that it was not trained on")
-    parser.add_argument("--model", metavar="WEIGHTS", help="the shipped ones by default")
+    parser.add_argument(
+        "--model", metavar="WEIGHTS", help="weights of `learn`, or a bench file; the shipped weights by default"
+    )
     parser.add_argument(
         "--noise-free", nargs="+", metavar="NPZ", help="the emulator's noise-free logs, for scoring only"
     )

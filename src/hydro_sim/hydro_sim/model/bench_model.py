@@ -94,9 +94,8 @@ class BenchModel:
         numbers = [float(getattr(bench, entry.name) or 0.0) for entry in fields(bench) if entry.metadata]
         self.values: FloatArray = np.array(numbers + [value for _, values in kinds for value in values])
         """The parameters' values in the bench file."""
-        past = _past(catalogue.delay(bench.effects))
-        labels = tuple(catalogue.label(effect) for effect in bench.terms)
-        self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
+        self.structure = structure_of(bench, substeps)
+        past = self.structure.past
         self._code = library(self.structure)
         hidden = [State(one.name, one.unit, one.scale) for kind, _ in kinds for one in kind.effect.states]
         self.states = (*_TEXTBOOK, *hidden, *(State(f"current {i} samples ago", "A", 1e-2) for i in range(past)))
@@ -191,6 +190,12 @@ class Structure:
     substeps: int
 
 
+def structure_of(bench: Bench, substeps: int = SUBSTEPS) -> Structure:
+    """What the code of a bench's model is made for: the same for all benches with these effects, in this order."""
+    labels = tuple(catalogue.label(effect) for effect in bench.terms)
+    return Structure(labels, bench.load_cell_bandwidth is None, _past(catalogue.delay(bench.effects)), substeps)
+
+
 def _made(bench: Bench, substeps: int) -> BenchModel:
     return BenchModel(bench, substeps=substeps)
 
@@ -228,11 +233,19 @@ Part = Literal["", "derivatives", "sensitivities"]
 @lru_cache(maxsize=256)
 def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
     """Compiled code of a structure; it is compiled where it first comes."""
-    name = f"{structure} {part} {_sources_digest()}"
-    code = machine_code.kept(name, lambda: _source(structure, part), said=lambda: _say(structure))
+    code = machine_code.kept(_name(structure, part), lambda: _source(structure, part), said=lambda: _say(structure))
     if part == "derivatives":
         code.bench_window.restype = ctypes.c_double
     return code
+
+
+def is_compiled(structure: Structure, part: Part = "") -> bool:
+    """Whether `library` finds its code."""
+    return machine_code.place(_name(structure, part)).exists()
+
+
+def _name(structure: Structure, part: Part) -> str:
+    return f"{structure} {part} {_sources_digest()}"
 
 
 def _say(structure: Structure) -> None:

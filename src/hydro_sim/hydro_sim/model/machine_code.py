@@ -46,7 +46,7 @@ def kept(name: str, source: Callable[[], str], *, said: Callable[[], None] = lam
     ValueError
         There is no C compiler, or it refuses; or there is no place to keep the library.
     """
-    file = folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
+    file = place(name)
     if found := _loaded(file):
         return found
     try:
@@ -63,6 +63,11 @@ def kept(name: str, source: Callable[[], str], *, said: Callable[[], None] = lam
     if found := _loaded(file):
         return found
     raise ValueError(f"{file} was compiled and cannot be loaded: set NUMBA_CACHE_DIR to a folder that allows programs")
+
+
+def place(name: str) -> Path:
+    """Where the library of a name is, once it is compiled for this machine."""
+    return folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
 
 
 def _loaded(file: Path) -> ctypes.CDLL | None:

@@ -88,7 +88,7 @@ class SimNode(PlantNode):
         believed = Bench.load(settings.box_bench) if settings.box_bench else bench
         config = declare_parameters(self, BoxConfig(), "box.")
         box, plant = Box(believed, config), _plant(settings, bench)
-        effects = ", ".join(map(label, bench.terms)) if isinstance(plant, AnalyticPlant) else ""
+        effects = ", ".join(map(label, plant.model.bench.terms)) if isinstance(plant, AnalyticPlant) else ""
         if effects:
             self.get_logger().info(f"simulates the bench file's effects: {effects}")
         self._time = Clock()
