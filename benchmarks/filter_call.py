@@ -28,7 +28,7 @@ from hydro_filter.controller.factory import CONSTANT, LEARNED, Choice, Filter, w
 from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model import dynamics
+from hydro_filter.model import analytic_kernels
 from hydro_filter.model.dynamics import AnalyticDynamics, Linearization
 from hydro_filter.model.force_law import ForceLaw
 from hydro_filter.model.sample import Sample
@@ -65,7 +65,7 @@ class DifferencedDynamics(AnalyticDynamics):
         for i in range(STATES):
             linear.state_matrix[:, i] = self._slope(state, current, i, self.steps[i], 0.0)
         linear.input_vector[:] = self._slope(state, current, 0, 0.0, STEP)
-        dynamics.state_rate(self.constants, state, current, linear.state_rate)
+        analytic_kernels.state_rate(self.constants, state, current, linear.state_rate)
         return linear
 
     def _slope(self, state: FloatArray, current: float, i: int, step: float, current_step: float) -> FloatArray:
@@ -73,7 +73,7 @@ class DifferencedDynamics(AnalyticDynamics):
         for side, sign in enumerate((1.0, -1.0)):
             probe = state.copy()
             probe[i] += sign * step
-            dynamics.state_rate(self.constants, probe, current + sign * current_step, sides[side])
+            analytic_kernels.state_rate(self.constants, probe, current + sign * current_step, sides[side])
         return (sides[0] - sides[1]) / (2.0 * (step + current_step))
 
 
