@@ -398,7 +398,20 @@ def test_on_a_plant_that_runs_policies_of_another_box_are_refused(foreign: str, 
 @pytest.mark.study
 def test_on_a_plant_that_runs_fixed_gains_are_its_own(foreign: str, tmp_path: Path) -> None:
     """It waits 45 s for a filter that never comes, as it should."""
-    done = run("evaluate", "--runs", str(tmp_path / "runs"), "--name", "a", "--rearm", "auto", "--fixed", "70", "20", "--frequencies", "2")
+    done = run(
+        "evaluate",
+        "--runs",
+        str(tmp_path / "runs"),
+        "--name",
+        "a",
+        "--rearm",
+        "auto",
+        "--fixed",
+        "70",
+        "20",
+        "--frequencies",
+        "2",
+    )
     assert done.returncode == 0, done.stderr
     (score,) = json.loads((tmp_path / "runs" / "a" / "evaluation.json").read_text())["runs"]
     assert score["proportional_gain"] == pytest.approx(70.0, abs=0.5)
