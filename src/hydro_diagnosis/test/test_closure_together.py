@@ -51,7 +51,7 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(dragged:
 
 
 def test_names_that_do_nothing_beside_a_law_are_dropped(dragged: Problem) -> None:
-    drag = closure(grammar.ALL["motion", "quadratic drag"], BENCH)  # type: ignore[arg-type]
+    drag = closure(grammar.ALL["motion", "quadratic drag"], BENCH)
     truth = (Claim(drag, {"coefficient": 600.0}), Claim(NAMES["friction_coulomb"], {"force": 8.0}))
     idle = Claim(NAMES["friction_viscous"], {"coefficient": 1.0})
     dragged.update_weights(truth)
