@@ -67,7 +67,7 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
 
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
-    """Laws beside the names that stand; if they leave something, the best of names and laws."""
+    """Laws beside the names that stand; if they leave something, names and laws that together leave nothing."""
     laws = _laws(problem)
     grown, gain = _grown(problem, base, [one for effect in laws for one in _nothing(effect)])
     one_by_one = Closed(grown, "law", gain, problem)
@@ -75,10 +75,8 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
         return one_by_one
     weighed = copy(problem)  # its weights are its own, all else is shared
     found = together(weighed, names, laws)
-    if not 0 < _terms(found) <= CLOSURES - len(problem.bench.closures):
-        return one_by_one
-    if score(weighed, fit(weighed, grown.claims)) <= score(weighed, found):
-        return one_by_one
+    if noticeable(weighed, found.residual) or not 0 < _terms(found) <= CLOSURES - len(problem.bench.closures):
+        return one_by_one  # where something remains, names may be there for want of what is missing: none is forced
     return Closed(found, "law", held_out_gain(weighed, fit(weighed, base.claims), found), weighed)
 
 
