@@ -33,7 +33,7 @@ from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.current_alignment import current_is_early, current_is_late
 from hydro_diagnosis.selection.effect_summary import describe, location_of
-from hydro_diagnosis.selection.localisation import locate, noticeable
+from hydro_diagnosis.selection.localisation import locate, locate_claims, noticeable
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess
@@ -132,11 +132,12 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     closing = []
     if assessment.remainder and not late:
         progress("modelling what has no name")
-        closed = admitted(problem, unseen, closures(problem, assessment), models, proof, simulated)
-        within = intervals(problem, closed.closed.fit) if closed else []
+        names = [effect for effect in search.library if effect.named]
+        closed = admitted(problem, unseen, closures(problem, assessment, names), models, proof, simulated)
+        within = intervals(closed.closed.problem, closed.closed.fit) if closed else []
         if closed and all_hold(closed.closed.fit.claims, within):
-            assessment, proof, bounds = _closed(problem, assessment, closed), closed.held, within
-            closing = reports(closed, bounds)
+            problem, proof, bounds = closed.closed.problem, closed.held, within
+            assessment, closing = _closed(problem, assessment, closed), reports(closed, bounds)
     effects = describe(problem, unseen, outcome, assessment, bounds)
     notes = (late, current_is_early(problem, effects), hidden)
     report = Report(
@@ -169,13 +170,15 @@ def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assess
     claims = found.closed.fit.claims
     labels = {claim.effect.label for claim in claims}
     dropped = tuple(claim for claim in assessment.dropped if claim.effect.label not in labels)
+    places = tuple(locate_claims(problem, found.closed.fit, problem.residual(())))
+    assessment = replace(assessment, fit=found.closed.fit, places=places, dropped=dropped)
     if not noticeable(problem, found.closed.fit.residual):
-        return replace(assessment, verdict="modelled", fit=found.closed.fit, remainder=(), forms=(), dropped=dropped)
+        return replace(assessment, verdict="modelled", remainder=(), forms=())
     named = any(claim.effect.named for claim in claims)
     verdict = "partly_explained" if named else assessment.verdict
     forms = tuple(free_forms(problem, found.closed.fit)[:6])
     remainder = tuple(locate(problem, found.closed.fit.residual, forms)) or assessment.remainder
-    return replace(assessment, verdict=verdict, fit=found.closed.fit, remainder=remainder, forms=forms, dropped=dropped)
+    return replace(assessment, verdict=verdict, remainder=remainder, forms=forms)
 
 
 def _unfinished(search: Search, facts: Mapping[str, Any], begun: float) -> Report:

@@ -69,7 +69,7 @@ def test_quadratic_drag_is_a_law_with_its_interval_and_closes_the_gap(dragged: l
     assert "square of speed" in report.sentence
 
     pushed = Claim(law.fit.claims[0].effect, {"coefficient": -DRAG})
-    worse = Closed(fit(problem, (pushed,), iterations=0), "law", 1.0)
+    worse = Closed(fit(problem, (pushed,), iterations=0), "law", 1.0, problem)
     assert admitted(problem, held, [worse], models, named) is None
 
 

@@ -8,18 +8,20 @@ each, all numbers, those of the names too, are estimated anew. Names that the ju
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass
 
 import numpy as np
 
 from hydro_diagnosis.closure.evidence import HeldOutBlocks, column
-from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import SearchSettings, score
+from hydro_diagnosis.selection.outcome import score
 from hydro_diagnosis.selection.verdict import Assessment
 from hydro_sim.model import grammar
 from hydro_sim.model.effects.catalogue import CLOSURES
@@ -27,12 +29,8 @@ from hydro_sim.model.laws import Law
 
 TERMS = 3
 """Of a law at most."""
-THRESHOLD = 30.0
-"""Held-out deviance that a term must gain, as a name must gain in evidence."""
 LEAST = 0.02
 """Share of what there is to gain that a term must bring: less is mimicry of another's form."""
-FORM_ERROR = SearchSettings().form_error
-"""Share of the signature of terms that stand already that their form may be off by: another must explain more."""
 CONDENSED = 0.05
 """Share of what a smooth function gains that a law may lack of it."""
 INSIDE = 0.1
@@ -48,22 +46,54 @@ class Closed:
     """law or smooth."""
     gain: float
     """Held-out deviance that it gains over the names alone."""
+    problem: Problem
+    """As it is weighed for the fit."""
 
 
-def closures(problem: Problem, assessment: Assessment) -> list[Closed]:
-    """Models of what remains, the preferred first; none where no term holds on held-out blocks."""
+def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> list[Closed]:
+    """Models of what remains, the preferred first; none where no term holds on held-out blocks.
+
+    `names`: causes that may stand beside a law though the judgement does not claim them.
+    """
     if not assessment.remainder:
         return []
-    base = assessment.fit
-    by_law, by_table = (_grown(problem, base, terms) for terms in (_laws(problem), _tables(problem)))
-    found = [Closed(one, form, gain) for (one, gain), form in ((by_law, "law"), (by_table, "smooth")) if gain > 0.0]
-    law_will_do = by_law[1] >= (1.0 - CONDENSED) * by_table[1] or not noticeable(problem, by_law[0].residual)
-    return sorted(found, key=lambda one: (one.form == "law") != law_will_do)
+    by_law = _by_law(problem, assessment.fit, names)
+    left = noticeable(by_law.problem, by_law.fit.residual)
+    below = by_law if left else Closed(assessment.fit, "smooth", 0.0, problem)
+    by_table = _by_table(below)
+    law_will_do = not left or by_law.gain >= (1.0 - CONDENSED) * by_table.gain
+    both = (by_law, by_table) if law_will_do else (by_table, by_law)
+    return [one for one in both if one.gain > 0.0]
 
 
-def _laws(problem: Problem) -> list[Claim]:
-    effects = [closure(law, problem.bench) for law in grammar.LAWS]
-    return [one for effect in effects if _visible(effect, problem) for one in _nothing(effect)]
+def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
+    """Laws beside the names that stand; if they leave something, names and laws that together leave nothing."""
+    laws = _laws(problem)
+    grown, gain = _grown(problem, base, [one for effect in laws for one in _nothing(effect)])
+    one_by_one = Closed(grown, "law", gain, problem)
+    if not names or (gain > 0.0 and not noticeable(problem, grown.residual)):
+        return one_by_one
+    weighed = copy(problem)  # its weights are its own, all else is shared
+    found = together(weighed, names, laws)
+    if noticeable(weighed, found.residual) or not 0 < _terms(found) <= CLOSURES - len(problem.bench.closures):
+        return one_by_one  # where something remains, names may be there for want of what is missing: none is forced
+    return Closed(found, "law", held_out_gain(weighed, fit(weighed, base.claims), found), weighed)
+
+
+def _by_table(below: Closed) -> Closed:
+    """Tables upon names, and upon laws that leave something; laws that do not pay beside them go."""
+    fitted, gain = _grown(below.problem, below.fit, _tables(below.problem))
+    if not gain:
+        return Closed(below.fit, "smooth", 0.0, below.problem)
+    return Closed(paying(below.problem, fitted), "smooth", below.gain + gain, below.problem)
+
+
+def _terms(found: Fit) -> int:
+    return sum(isinstance(claim.effect, Closure) for claim in found.claims)
+
+
+def _laws(problem: Problem) -> list[Closure]:
+    return [effect for effect in (closure(law, problem.bench) for law in grammar.LAWS) if _visible(effect, problem)]
 
 
 def _tables(problem: Problem) -> list[Claim]:
@@ -94,7 +124,7 @@ def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, fl
     candidates = list(terms)
     columns: list[FloatArray] = [column(problem, base, one) for one in terms]
     current, gained, taken = base, 0.0, 0
-    room = min(TERMS, CLOSURES - len(problem.bench.closures))
+    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
     while taken < room and candidates and noticeable(problem, current.residual):
         blocks = HeldOutBlocks(problem, current, columns)
         before = blocks.deviance(())
@@ -107,20 +137,9 @@ def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, fl
         others = [k for k, one in enumerate(candidates) if one.effect.label != chosen.effect.label]
         candidates, columns = [candidates[k] for k in others], [columns[k] for k in others]
         better = fit(problem, (*current.claims, chosen))
-        if score(problem, current) - score(problem, better) < THRESHOLD or _mimics(problem, current, better):
+        if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
             continue
         gained += before - after[best]
         taken += 1
         current = better
     return current, gained
-
-
-def _mimics(problem: Problem, before: Fit, after: Fit) -> bool:
-    """Whether what comes after explains no more, in any channel, than the terms before may be off by in their form."""
-    named = tuple(claim for claim in before.claims if not isinstance(claim.effect, Closure))
-    if len(named) == len(before.claims):
-        return False
-    channel = problem.layout.channel
-    signature = np.bincount(channel, np.square(problem.residual(named) - before.residual))
-    added = np.bincount(channel, np.square(before.residual) - np.square(after.residual))
-    return bool(np.all(added <= FORM_ERROR**2 * signature))

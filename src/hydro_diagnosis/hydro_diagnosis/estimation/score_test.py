@@ -32,8 +32,9 @@ def allowed(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence
 
 
 def cause(effect: Effect) -> tuple[str, ...]:
-    """What tells one cause from another: id and options, but not the form."""
-    return (effect.id, *(f"{key}={value}" for key, value in effect.options.items() if key != "form"))
+    """What tells one cause from another: id and options, but not the form unless it has no name."""
+    telling = {key: value for key, value in effect.options.items() if key != "form" or not effect.named}
+    return (effect.id, *(f"{key}={value}" for key, value in telling.items()))
 
 
 def screen(problem: Problem, fit: Fit, library: Sequence[Effect]) -> list[Prospect]:

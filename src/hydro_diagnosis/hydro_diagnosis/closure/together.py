@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names and laws in one search: what only mimicked the law that was missing gives way, what it hid is found.
+
+Where names alone leave something, the first of them may be there for want of a law, and a cause that is there may have
+been dropped with them. So the search of the names (`selection.search`) is made once more with laws among its
+candidates. Whatever stands must pay beside all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydro_diagnosis.closure.evidence import HeldOutBlocks
+from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.selection.localisation import noticeable
+from hydro_diagnosis.selection.outcome import SearchSettings, score
+from hydro_diagnosis.selection.search import Search
+
+THRESHOLD = 30.0
+"""Deviance that a term must gain on held-out blocks, and any claim in evidence."""
+FORM_ERROR = SearchSettings().form_error
+"""Share of the signature of terms that stand already that their form may be off by: another must explain more."""
+SETTINGS = SearchSettings(restarts=2, effort=4000)
+"""Less than for names alone: a law that is missing is the first that it finds."""
+
+
+def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) -> Fit:
+    """Names and laws that account for the recordings together; `problem` is weighed for them afterwards."""
+    return paying(problem, Search(problem, (*names, *laws), SETTINGS).run().fit)
+
+
+def paying(problem: Problem, found: Fit) -> Fit:
+    """The fit without claims that do not pay beside the others, the idlest dropped first."""
+    while True:
+        needed = {name for claim in found.claims for name in claim.effect.needs}
+        open_ = [claim for claim in found.claims if claim.effect.id not in needed]
+        fewer = [(claim, fit(problem, _others(found, claim))) for claim in open_]
+        idle = [one for claim, one in fewer if not _pays(problem, one, found, claim)]
+        if not idle:
+            return found
+        found = min(idle, key=lambda one: score(problem, one))
+
+
+def _others(found: Fit, claim: Claim) -> tuple[Claim, ...]:
+    return tuple(one for one in found.claims if one is not claim)
+
+
+def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
+    if score(problem, without) - score(problem, found) < THRESHOLD or mimics(problem, without, found):
+        return False
+    return not isinstance(claim.effect, Closure) or held_out_gain(problem, without, found) >= THRESHOLD
+
+
+def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
+    """Deviance of held-out blocks that goes from one fit to another."""
+    return HeldOutBlocks(problem, before, ()).deviance(()) - HeldOutBlocks(problem, after, ()).deviance(())
+
+
+def mimics(problem: Problem, before: Fit, after: Fit) -> bool:
+    """Whether what comes after explains no more, in any channel, than the terms before may be off by in their form.
+
+    Never so where something remains before and nothing after: a form that is off leaves something with any name.
+    """
+    if noticeable(problem, before.residual) and not noticeable(problem, after.residual):
+        return False
+    named = tuple(claim for claim in before.claims if not isinstance(claim.effect, Closure))
+    if len(named) == len(before.claims):
+        return False
+    channel = problem.layout.channel
+    signature = np.bincount(channel, np.square(problem.residual(named) - before.residual), len(CHANNELS))
+    added = np.bincount(channel, np.square(before.residual) - np.square(after.residual), len(CHANNELS))
+    return bool(np.all(added <= FORM_ERROR**2 * signature + THRESHOLD))

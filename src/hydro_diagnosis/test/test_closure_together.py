@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names and laws are searched together where names alone leave something, and only what pays stands."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.closure.together import mimics, paying
+from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.effects.closure import closure
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.score_test import cause
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.selection.localisation import noticeable
+from hydro_diagnosis.selection.verdict import assess
+from hydro_sim.model import grammar
+from hydro_sim.model.bench import Bench
+
+BENCH = Bench.nominal()
+NAMES = {effect.label: effect.adapted(BENCH) for effect in LIBRARY}
+DRAG = "closure:motion:quadratic drag"
+
+
+@pytest.fixture(scope="module")
+def dragged(record: Callable[..., StateArray]) -> Problem:
+    """A bench with 600 N s2/m2 of quadratic drag and 8 N of dry friction."""
+    drag = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 600.0}}
+    coulomb = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
+    states = record(replace(BENCH, closures=(drag,), effects=(coulomb,)), 3)
+    table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
+    return Problem([checked(table, BENCH).segments[0]], BENCH)
+
+
+def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(dragged: Problem) -> None:
+    nothing = fit(dragged, ())
+    names = [NAMES[label] for label in ("friction_viscous", "friction_coulomb", "moving_mass")]
+    law = closures(dragged, assess(dragged, nothing, nothing), names)[0]
+    values = {claim.effect.label: claim.values for claim in law.fit.claims}
+    assert set(values) == {DRAG, "friction_coulomb"}
+    assert values["friction_coulomb"]["force"] == pytest.approx(8.0, rel=0.05)
+    assert values[DRAG]["coefficient"] == pytest.approx(600.0, rel=0.02)
+    assert law.form == "law" and not noticeable(law.problem, law.fit.residual)
+    assert dragged.doubted != law.problem.doubted  # dry friction leaves its sign in doubt: there, not in the judgement
+
+
+def test_names_that_do_nothing_beside_a_law_are_dropped(dragged: Problem) -> None:
+    drag = closure(grammar.ALL["motion", "quadratic drag"], BENCH)
+    truth = (Claim(drag, {"coefficient": 600.0}), Claim(NAMES["friction_coulomb"], {"force": 8.0}))
+    idle = Claim(NAMES["friction_viscous"], {"coefficient": 1.0})
+    dragged.update_weights(truth)
+    found = paying(dragged, fit(dragged, (*truth, idle)))
+    assert {claim.effect.label for claim in found.claims} == {DRAG, "friction_coulomb"}
+    assert mimics(dragged, found, found)  # nothing is no more than the law's form may be off by
+    assert not mimics(dragged, fit(dragged, truth[:1]), found)
+    dragged.update_weights(())
+
+
+def test_two_laws_of_one_equation_are_two_causes() -> None:
+    laws = [closure(law, BENCH) for law in grammar.LAWS]
+    assert len({cause(law) for law in laws}) == len(laws)
