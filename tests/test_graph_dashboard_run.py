@@ -37,7 +37,7 @@ def held(probe: Probe) -> bool:
 def test_a_person_overrides_gives_back_and_ends_the_run_and_the_recording_knows_it(
     probe: Probe, tmp_path: Path
 ) -> None:
-    words = ("--plant", "emulator", "--from", "scratch", "--runs", str(tmp_path), "--name", "run")
+    words = ("--plant", "emulator", "--runs", str(tmp_path), "--name", "run")
     with trainer(*words, *SHORT) as process:
         probe.wait(lambda: bool(probe.heard[TRAINING]) and bool(probe.flags() & Flag.ARMED), 200.0)
         with dashboard() as (_, address), browser(tmp_path / "profile") as page:
