@@ -81,11 +81,14 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
 
 
 def _by_table(below: Closed) -> Closed:
-    """Tables upon names, and upon laws that leave something; laws that do not pay beside them go."""
+    """Tables upon names, and upon laws that leave something; laws that do not pay beside them go.
+
+    Names stay: a table takes the form of any of them.
+    """
     fitted, gain = _grown(below.problem, below.fit, _tables(below.problem))
     if not gain:
         return Closed(below.fit, "smooth", 0.0, below.problem)
-    return Closed(paying(below.problem, fitted), "smooth", below.gain + gain, below.problem)
+    return Closed(paying(below.problem, fitted, names_stay=True), "smooth", below.gain + gain, below.problem)
 
 
 def _terms(found: Fit) -> int:
