@@ -15,15 +15,15 @@ CORES := setup $(wildcard src/hydro_*/hydro_*)
 
 # A test's graph stays on this machine and apart from a bench that runs on the default domain.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
-test test-slow graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
+test test-slow test-exhaustive graph-repeat fast-tests colcon-test bench fuzz: export ROS_DOMAIN_ID ?= 77
 # Tests and benchmarks have nodes of their own, which no keystore knows.
-test test-slow graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
+test test-slow test-exhaustive graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
 
-.PHONY: help setup environment build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
+.PHONY: help setup environment build train prove test test-slow test-exhaustive graph-repeat check lint fast-tests colcon-test demo
 .PHONY: bench bench-peers paper fuzz fuzz-line soak firmware format reference docs coverage clean
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-12s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 setup:  ## environment, pinned wheels, built packages, compiled kernels; at once when nothing changed
 	@$(PYTHON) -m setup.bootstrap
@@ -44,8 +44,11 @@ test: lint setup  ## all checks and all tests but the studies: those of the grap
 	@$(SOURCED) .venv/bin/python -m pytest -m "not graph and not study" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
 
 test-slow: setup  ## the studies among the tests: minutes of computing each
-	@$(SOURCED) .venv/bin/python -m pytest -m "study and graph" $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
-	@$(SOURCED) .venv/bin/python -m pytest -m "study and not graph" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
+	@$(SOURCED) .venv/bin/python -m pytest -m "study and graph and not exhaustive" $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
+	@$(SOURCED) .venv/bin/python -m pytest -m "study and not graph and not exhaustive" $(BOTH_CORES) $(ARGS) || [ $$? -eq $(NONE_CHOSEN) ]
+
+test-exhaustive: setup  ## every effect of the table and every mutant of the filter in C: hours, not in CI
+	@$(SOURCED) .venv/bin/python -m pytest -m exhaustive $(BOTH_CORES) $(ARGS)
 
 graph-repeat: setup  ## the graph tests N times beside a busy process (N=100 ARGS="-k recorder")
 	@$(SOURCED) .venv/bin/python -m tests.graph_repeat --times $(N) $(ARGS)

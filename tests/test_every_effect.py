@@ -41,7 +41,7 @@ SIZES = {
 }  # fmt: skip
 """Of parameters; coefficients by the effect's first word."""
 
-pytestmark = pytest.mark.study
+pytestmark = [pytest.mark.study, pytest.mark.exhaustive]
 REFUSED = pytest.param(
     "transport_delay", marks=pytest.mark.xfail(reason="the certificate has no place for a dead time", strict=True)
 )

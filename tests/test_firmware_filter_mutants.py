@@ -92,6 +92,7 @@ def test_the_filter_itself_passes(mutation: ModuleType, trials: list[Trial], tmp
 
 
 @pytest.mark.study
+@pytest.mark.exhaustive
 @pytest.mark.timeout(4 * 3600)
 def test_mutants_of_the_default_filter_decide_otherwise(
     mutation: ModuleType, trials: list[Trial], tmp_path: Path
