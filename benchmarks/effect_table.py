@@ -107,13 +107,12 @@ def main(arguments: list[str] | None = None) -> int:
     asked = options.parse_args(arguments)
     outcomes = Outcomes(asked.columns)
     words = ["-q", "--timeout=0", "-p", "no:cacheprovider", *(["-k", asked.effects] if asked.effects else [])]
-    if asked.columns:
-        pytest.main([*words, *FILES], plugins=[outcomes])
+    status = pytest.main([*words, *FILES], plugins=[outcomes]) if asked.columns else pytest.ExitCode.OK
     found = {"tests": outcomes.tests, "cells": of(outcomes)}
     cells, tests = together([*(json.loads(file.read_text(encoding="utf-8")) for file in asked.earlier), found])
     print("\n".join(table(cells, tests)))
     finish({"tests": tests, "cells": cells}, asked.json)
-    return 0
+    return 0 if status in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED) else 1
 
 
 if __name__ == "__main__":

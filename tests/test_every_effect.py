@@ -43,7 +43,8 @@ SIZES = {
 
 pytestmark = [pytest.mark.study, pytest.mark.exhaustive]
 REFUSED = pytest.param(
-    "transport_delay", marks=pytest.mark.xfail(reason="the certificate has no place for a dead time", strict=True)
+    "transport_delay",
+    marks=pytest.mark.xfail(reason="the certificate has no place for a dead time", raises=ValueError, strict=True),
 )
 
 

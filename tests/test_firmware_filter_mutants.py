@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The default filter in C: every line and branch reached, and its mutants, by samples that Python decided about."""
+"""The default filter in C: its mutants, by samples that Python decided about; not yet run to the end."""
 
 from __future__ import annotations
 

@@ -7,11 +7,13 @@ import ctypes
 import math
 import os
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
 from hydro_filter.controller import header as filter_header
@@ -221,6 +223,25 @@ def test_both_commands_write_what_compiles(tmp_path: Path, monkeypatch: pytest.M
             module.main()
         assert ended.value.code == 0
         assert np.isfinite(many(tmp_path, "single", source, np.ones((1, width)), 4)).all()
+
+
+@pytest.mark.parametrize("change", [{"stroke": 2.0}, {"piston_area": 0.02}])
+@pytest.mark.parametrize("metric", ["constant", "learned"])
+def test_a_bench_beyond_what_the_filters_in_c_take_is_refused(
+    metric: str,
+    change: dict[str, float],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    (tmp_path / "bench.yaml").write_text(yaml.safe_dump(replace(Bench.nominal(), **change).to_mapping()))
+    words = ["--metric", metric, "--bench", str(tmp_path / "bench.yaml"), "--out", str(tmp_path / "filter_config.h")]
+    monkeypatch.setattr("sys.argv", ["header", *words])
+    with pytest.raises(SystemExit) as ended:
+        filter_header.main()
+    assert ended.value.code not in (0, None)
+    assert "they would correct nothing" in capsys.readouterr().err
+    assert not (tmp_path / "filter_config.h").exists()
 
 
 def test_a_file_that_is_no_policy_is_told_in_a_sentence(

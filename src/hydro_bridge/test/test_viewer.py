@@ -127,8 +127,8 @@ def test_calls_are_marked_with_their_answer_and_of_the_log_only_warnings(tmp_pat
 
 
 def report(folder: Path, windows: dict[str, list[list[float]]]) -> Path:
-    """What matters here of a report.json."""
-    location = {"equation": "motion", "sentence": "friction", "windows": windows}
+    """What matters here of a report.json: `hydro_diagnosis.findings.Location`."""
+    location = [{"equation": "motion", "sentence": "friction", "windows": windows}]
     (folder / "report.json").write_text(json.dumps({"location": location}))
     return folder / "report.json"
 
@@ -143,7 +143,7 @@ def test_windows_of_a_diagnosis_are_marked_where_its_report_lies_beside(
     assert "motion, for 0.50 s: friction" in (bag.parent / "run.html").read_text()
 
 
-@pytest.mark.parametrize("content", ["{", "[]", '{"location": {"windows": {"run": [[1]]}}}'])
+@pytest.mark.parametrize("content", ["{", "[]", '{"location": [{"windows": {"run": [[1]]}}]}'])
 def test_what_is_no_report_is_refused_in_a_sentence(bag: Path, content: str) -> None:
     (bag.parent / "report.json").write_text(content)
     with pytest.raises(RecordingError, match="is no report of a diagnosis"):
@@ -151,7 +151,7 @@ def test_what_is_no_report_is_refused_in_a_sentence(bag: Path, content: str) -> 
 
 
 def test_a_diagnosis_that_found_nothing_marks_nothing(bag: Path) -> None:
-    (bag.parent / "report.json").write_text('{"location": null}')
+    (bag.parent / "report.json").write_text('{"location": []}')
     assert [mark.kind for mark in read_recorded(bag, report=bag.parent / "report.json").marks] == ["armed", "trip"]
 
 

@@ -109,7 +109,7 @@ class ClosureReport:
     sentence: str
     """What such a term usually is."""
     share_closed: float
-    """Of the held-out squared error above the noise that names leave, what all terms together remove."""
+    """Of the held-out squared error above the noise that names alone leave: removed by terms and names beside them."""
     share_by_form: dict[str, float | None]
     """The same by form that was tried: what condensing a smooth function into a law costs."""
 

@@ -37,7 +37,7 @@ from hydro_diagnosis.selection.localisation import locate, locate_claims, notice
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess
-from hydro_diagnosis.validation.equations import held_out
+from hydro_diagnosis.validation.equations import equations_told, held_out
 from hydro_diagnosis.validation.heldout import Known
 from hydro_sim.model.bench import Bench
 
@@ -123,7 +123,6 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     progress("checking on held-out recordings")
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.update_weights(assessment.fit.claims)
-    hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     simulated: Known = {}
     proof, ahead = (
         held_out(problem, unseen, assessment.fit.claims, models, simulated),
@@ -136,8 +135,12 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         closed = admitted(problem, unseen, closures(problem, assessment, names), models, proof, simulated)
         within = intervals(closed.closed.problem, closed.closed.fit) if closed else []
         if closed and all_hold(closed.closed.fit.claims, within):
-            problem, proof, bounds = closed.closed.problem, closed.held, within
+            problem, bounds, before = closed.closed.problem, within, _names(assessment)
             assessment, closing = _closed(problem, assessment, closed), reports(closed, bounds)
+            ahead = ahead if _names(assessment) == before else None  # it would tell names apart that are not claimed
+            unseen.update_weights(assessment.fit.claims)
+            proof = {**closed.held, "equations": equations_told(unseen, assessment.fit.claims)}
+    hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, unseen, outcome, assessment, bounds)
     notes = (late, current_is_early(problem, effects), hidden)
     report = Report(
@@ -153,6 +156,10 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         **{**facts, "data_quality": [*facts["data_quality"], *(note for note in notes if note)]},
     )
     return Diagnosis(report, believed, problem, assessment, outcome, models)
+
+
+def _names(assessment: Assessment) -> set[str]:
+    return {claim.effect.label for claim in assessment.fit.claims if claim.effect.named}
 
 
 def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:

@@ -2,7 +2,8 @@
 """Copy numbers in compiled code.
 
 `a[:] = b` of two arrays compiles the making of an error message with it, in each function that holds it and again in
-each that calls one: two thirds of what it took to compile the networks' gradients.
+each that calls one: two thirds of what it took to compile the networks' gradients. Nothing is checked here: `into` must
+be as long as the values.
 """
 
 from __future__ import annotations

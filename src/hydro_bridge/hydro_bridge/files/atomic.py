@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from contextlib import suppress
 from pathlib import Path
 
@@ -11,22 +12,26 @@ from pathlib import Path
 def write_whole(path: Path, content: bytes) -> None:
     """Write `content` to `path`: it replaces what is there once it is on disk.
 
-    What is no plain file (/dev/stdout, a pipe, a link) is written through, as it is: its place is not taken.
+    What is no plain file (/dev/stdout, a pipe) is written through, as it is. A link stays, its file is replaced; a file
+    keeps its mode.
 
     Raises
     ------
     OSError
         It cannot be written; what was there is as it was, and nothing is left beside it.
     """
-    if path.is_symlink() or (path.exists() and not path.is_file()):
+    if path.absolute().parts[1] in ("dev", "proc") or (path.exists() and not path.is_file()):
         path.write_bytes(content)
         return
+    path = path.resolve()
     partial = path.with_name(path.name + ".partial")
     try:
         with partial.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
+        if path.exists():
+            shutil.copymode(path, partial)
         partial.replace(path)
     except OSError as error:
         with suppress(OSError):

@@ -121,7 +121,7 @@ class Companion:
         with self.process.stdout as lines:
             for line in lines:
                 self._last_line = line.strip() or self._last_line
-                with suppress(ValueError):  # the program's output is closed already
+                with suppress(ValueError, OSError):  # the program's output is closed already
                     self._output.write(f"[{self.name}] {line.rstrip()}\n")
                     self._output.flush()
 

@@ -27,15 +27,11 @@ def windows(report: Path, bag: Path) -> list[Mark]:
         The file cannot be read, or is no report of a diagnosis.
     """
     try:
-        found = json.loads(report.read_text(encoding="utf-8"))["location"] or {"windows": {}}
-        stretches = [
-            (float(begin), float(end))
-            for name, pairs in found["windows"].items()
-            if Path(name).name in (bag.name, bag.stem)
-            for begin, end in pairs
-        ]
         return [
-            Mark(begin, "window", f"{found['equation']}, for {end - begin:.2f} s: {found['sentence']}")
+            Mark(float(begin), "window", f"{place['equation']}, for {end - begin:.2f} s: {place['sentence']}")
+            for place in json.loads(report.read_text(encoding="utf-8"))["location"]
+            for name, stretches in place["windows"].items()
+            if Path(name).name in (bag.name, bag.stem)
             for begin, end in stretches
         ]
     except OSError as error:

@@ -2,7 +2,8 @@
 """Which terms close what remains: a law of few terms if one does nearly as well as a smooth function, else that.
 
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
-each, all numbers, those of the names too, are estimated anew. Names that the judgement dropped stay dropped.
+each, all numbers, those of the names too, are estimated anew. Where such laws leave something, names and laws are
+searched together (`together`): names that the judgement dropped may come back, and names that it made may go.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import score
-from hydro_diagnosis.selection.verdict import Assessment
+from hydro_diagnosis.selection.verdict import Assessment, coincidence
 from hydro_sim.model import grammar
 from hydro_sim.model.effects.catalogue import CLOSURES
 from hydro_sim.model.laws import Law
@@ -75,7 +76,8 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
         return one_by_one
     weighed = copy(problem)  # its weights are its own, all else is shared
     found = together(weighed, names, laws)
-    if noticeable(weighed, found.residual) or not 0 < _terms(found) <= CLOSURES - len(problem.bench.closures):
+    room = min(TERMS, CLOSURES - len(problem.bench.closures))
+    if noticeable(weighed, found.residual) or coincidence(found.claims) or not 0 < _terms(found) <= room:
         return one_by_one  # where something remains, names may be there for want of what is missing: none is forced
     return Closed(found, "law", held_out_gain(weighed, fit(weighed, base.claims), found), weighed)
 
@@ -85,10 +87,11 @@ def _by_table(below: Closed) -> Closed:
 
     Names stay: a table takes the form of any of them.
     """
-    fitted, gain = _grown(below.problem, below.fit, _tables(below.problem))
-    if not gain:
-        return Closed(below.fit, "smooth", 0.0, below.problem)
-    return Closed(paying(below.problem, fitted, names_stay=True), "smooth", below.gain + gain, below.problem)
+    problem, before = below.problem, below.fit
+    fitted = paying(problem, _grown(problem, before, _tables(problem))[0], names_stay=True)
+    if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
+        return Closed(before, "smooth", 0.0, problem)  # no table, or none that pays
+    return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem)
 
 
 def _terms(found: Fit) -> int:

@@ -31,7 +31,13 @@ SETTINGS = SearchSettings(restarts=2, effort=4000)
 
 def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) -> Fit:
     """Names and laws that account for the recordings together; `problem` is weighed for them afterwards."""
-    return paying(problem, Search(problem, (*names, *laws), SETTINGS).run().fit)
+    found = Search(problem, (*names, *laws), SETTINGS).run().fit
+    while True:  # the search has weighed for all that it found
+        kept = paying(problem, found)
+        if len(kept.claims) == len(found.claims):
+            return kept
+        problem.update_weights(kept.claims)
+        found = fit(problem, kept.claims)
 
 
 def paying(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:

@@ -59,11 +59,11 @@ class Assessment:
 
 def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     """Judge the fit that a search ended with against the fit of nothing."""
-    coincidence, unnamed = _coincidence(found.claims), not all(claim.effect.named for claim in found.claims)
-    if not noticeable(problem, found.residual) and not coincidence and not unnamed:
+    alike, unnamed = coincidence(found.claims), not all(claim.effect.named for claim in found.claims)
+    if not noticeable(problem, found.residual) and not alike and not unnamed:
         verdict = "explained" if found.claims else "no_mismatch"
         return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
-    kept = nothing if coincidence else _named(problem, _trusted(problem, found, nothing))
+    kept = nothing if alike else _named(problem, _trusted(problem, found, nothing))
     forms = free_forms(problem, kept)
     found_at = tuple(locate_claims(problem, found, nothing.residual))
     remainder = tuple(locate(problem, kept.residual, forms)) or found_at  # an unnamed cause may be small
@@ -151,7 +151,7 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str
         current = smaller[min(minor, key=lambda k: losses[k])]
 
 
-def _coincidence(claims: Sequence[Claim]) -> bool:
+def coincidence(claims: Sequence[Claim]) -> bool:
     """Whether both dead volumes are off alike: two errors do not agree, so it is something else (hoses that give)."""
     ratios = [claim.values["ratio"] for claim in claims if claim.effect.id == "dead_volume"]
     return len(ratios) == 2 and abs(ratios[0] - ratios[1]) < 0.05 * abs(ratios[0] - 1.0)

@@ -50,7 +50,7 @@ def held_out(
     `unseen` and `models` are the held-out recordings; noise and baseline are those of `problem`. `known`:
     what has been simulated of them already, added to.
     """
-    equations = {name: asdict(error) for name, error in equation_errors(unseen, claims).items()}
+    equations = equations_told(unseen, claims)
     if not models or not all(model.channels.keys() >= _SIMULATED for model in models):
         why = "a forward simulation needs current, position and both pressures"
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
@@ -64,6 +64,11 @@ def held_out(
         "free_run": {"seconds": FREE_RUN, **channel_errors(free.channels)},
         "equations": equations,
     }
+
+
+def equations_told(unseen: Problem, claims: Sequence[Claim]) -> dict[str, Any]:
+    """`equation_errors` as they stand in report.json under `fit.equations`."""
+    return {name: asdict(error) for name, error in equation_errors(unseen, claims).items()}
 
 
 def _unpredictable(horizon: Comparison) -> dict[str, Any]:

@@ -25,6 +25,9 @@ from hydro_sim.box.configuration import BENCH_FIELDS
 from hydro_sim.learned.any_model import model_of
 from hydro_sim.model.bench import Bench
 
+MOST_STROKE, MOST_FORCE = 0.9, 1e5
+"""m and N: `hydro_conceivable` of firmware/hydro/filter.h, with room for what an encoder shows beyond the stroke."""
+
 
 def parser() -> argparse.ArgumentParser:
     """Parser of the command line."""
@@ -75,9 +78,20 @@ def main() -> None:
     options = parser().parse_args()
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     choice = Choice(bench=bench, bench_file=options.bench, metric=options.metric, model=options.model)
+    _conceivable(bench)
     text = _constant(choice, options) if choice.constant else _learned(choice, options)
     write_whole(Path(options.out), text.encode())
     print(f"{options.out}: {options.metric} metric for bench {bench.digest}")
+
+
+def _conceivable(bench: Bench) -> None:
+    """Refuse a bench whose samples `hydro_conceivable` (firmware/hydro/filter.h) would take for none of a bench."""
+    force = bench.supply_pressure * bench.piston_area
+    if bench.stroke > MOST_STROKE or force > MOST_FORCE:
+        raise ValueError(
+            f"the filters in C are for strokes to {MOST_STROKE:g} m and forces to {MOST_FORCE:g} N; this bench has "
+            f"{bench.stroke:g} m and {force:g} N (supply pressure times piston area): they would correct nothing"
+        )
 
 
 def _constant(choice: Choice, options: argparse.Namespace) -> str:

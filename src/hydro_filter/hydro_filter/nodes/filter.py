@@ -138,7 +138,7 @@ class FilterNode(Node):
             self._message.epoch = message.epoch
 
     def _compiled(self, choice: Choice) -> Filter:
-        """Compile now, not at the first sample, and say so: until it is done nothing answers, so nothing is armed."""
+        """Compile now, not at the first sample, and say so: until it is done nothing is corrected."""
         say = self.get_logger().info
         begin = time.monotonic()
         if new := choice.uncompiled:

@@ -129,7 +129,7 @@ def _analytic(bench: Bench, spring: float, supply: float, factors: dict[str, flo
 def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping[str, Any]:
     """A bench file's effect, of another size."""
     parameters = {
-        name: value * factors.get(_OF_EFFECTS.get(f"{effect['id']}.{name}", ""), 1.0)
+        name: float(value) * factors.get(_OF_EFFECTS.get(f"{effect['id']}.{name}", ""), 1.0)
         for name, value in effect["parameters"].items()
     }
     return {**effect, "parameters": parameters}

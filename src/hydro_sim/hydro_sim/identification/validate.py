@@ -182,7 +182,7 @@ def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="validate", description="Judge a learned bench on held-out recordings.")
     parser.add_argument("bags", nargs="+", metavar="BAG", help="recordings that it was not trained on")
     parser.add_argument(
-        "--model", metavar="WEIGHTS", help="weights of `learn`, or a bench file; the shipped weights by default"
+        "--model", metavar="FILE", help="weights of `learn`, or a bench file; the shipped weights by default"
     )
     parser.add_argument(
         "--noise-free", nargs="+", metavar="NPZ", help="the emulator's noise-free logs, for scoring only"

@@ -66,8 +66,11 @@ def _list(options: argparse.Namespace) -> None:
         for owner in node_names(node):
             if not hidden(owner):
                 print(f"{owner}:")
-                for name in sorted(_names(node, owner)):
-                    print(f"  {name}")
+                try:
+                    names = sorted(_names(node, owner))
+                except UserError as error:  # a node may have none, and no service that says so
+                    names = [f"({error})"]
+                print(*(f"  {name}" for name in names), sep="\n")
 
 
 def _names(node: Node, owner: str) -> list[str]:

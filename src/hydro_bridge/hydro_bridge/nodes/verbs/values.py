@@ -28,7 +28,7 @@ def interface(name: str, kind: str) -> type[Any]:
     last = rest.removeprefix(f"{kind}/")
     try:
         found: type[Any] = getattr(import_module(f"{package}.{kind}"), last)
-    except (ImportError, AttributeError, ValueError):
+    except (ImportError, AttributeError, TypeError, ValueError):
         raise UserError(f"{name} is no {kind} type known here: package/{kind}/Name is meant") from None
     return found
 

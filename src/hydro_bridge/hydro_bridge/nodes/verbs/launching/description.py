@@ -34,12 +34,16 @@ class Substitution:
         raise NotImplementedError
 
 
-Words: TypeAlias = "str | Substitution"
+Words: TypeAlias = "str | int | float | Path | Substitution"
 
 
 def performed(words: Words, context: LaunchContext) -> str:
     """Words as they are now; raises UserError."""
-    return words.perform(context) if isinstance(words, Substitution) else str(words)
+    if isinstance(words, Substitution):
+        return words.perform(context)
+    if isinstance(words, (str, int, float, Path)):
+        return str(words)
+    raise UserError(f"{words!r}: words that need a full ROS 2 Jazzy")
 
 
 @dataclass
@@ -137,16 +141,18 @@ class DeclareLaunchArgument(LaunchDescriptionEntity):
     """An argument `name:=value`."""
 
     name: str
-    default_value: str | None = field(default=None, kw_only=True)
+    default_value: Words | None = field(default=None, kw_only=True)
     description: str = field(default="", kw_only=True)
     choices: Sequence[str] | None = field(default=None, kw_only=True)
 
     def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
         """Nothing; sets the default, and raises UserError for a value that is missing or refused."""
         values = context.launch_configurations
-        if self.name not in values and self.default_value is None:
-            raise UserError(f"{self.name}:= is needed: {self.description}")
-        value = values.setdefault(self.name, str(self.default_value))
+        if self.name not in values:
+            if self.default_value is None:
+                raise UserError(f"{self.name}:= is needed: {self.description}")
+            values[self.name] = performed(self.default_value, context)
+        value = values[self.name]
         if self.choices is not None and value not in self.choices:
             raise UserError(f"{self.name}:={value}: {', '.join(self.choices)} can be chosen")
         return ()
@@ -182,8 +188,11 @@ class OpaqueFunction(LaunchDescriptionEntity):
     function: Callable[[LaunchContext], Iterable[LaunchDescriptionEntity] | None] = field(kw_only=True)
 
     def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """What the function gives."""
-        return self.function(context) or ()
+        """What the function gives; raises UserError with what it says."""
+        try:
+            return self.function(context) or ()
+        except (RuntimeError, TypeError, AttributeError) as error:
+            raise UserError(str(error)) from None
 
 
 @dataclass

@@ -32,6 +32,9 @@ def provide() -> None:
         for one in names:
             setattr(module, one, getattr(description, one))
         sys.modules[name] = module
+        package, _, last = name.rpartition(".")
+        if package:
+            setattr(sys.modules[package], last, module)
 
 
 def load(path: Path) -> description.LaunchDescription:
@@ -48,9 +51,9 @@ def load(path: Path) -> description.LaunchDescription:
         made = scope["generate_launch_description"]()  # type: ignore[operator]
     except OSError as error:
         raise UserError(f"{path}: {error.strerror}") from None
-    except (ImportError, TypeError) as error:
+    except (ImportError, AttributeError, NameError, TypeError) as error:
         raise UserError(f"{path.name} needs a full ROS 2 Jazzy: {error}") from None
-    except (KeyError, SyntaxError):
+    except (KeyError, SyntaxError, UnicodeDecodeError):
         raise UserError(f"{path.name} is no launch file in Python") from None
     if not isinstance(made, description.LaunchDescription):
         raise UserError(f"{path.name} describes nothing to launch")
