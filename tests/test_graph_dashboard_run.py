@@ -30,6 +30,8 @@ HELD = (45.0, 5.0)
 
 
 def held(probe: Probe) -> bool:
+    if not probe.heard[GAINS]:
+        return False
     gains = probe.last(GAINS)
     return bool(np.allclose((gains.delta_kp, gains.delta_ki), HELD))
 
