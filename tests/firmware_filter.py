@@ -6,9 +6,12 @@ from __future__ import annotations
 import math
 import os
 import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 
@@ -27,6 +30,16 @@ FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
 WIDTH = len(STATE_FIELDS)
 READ = WIDTH - 1
 """Columns that a decision rests on: all of STATE but integral_gain."""
+
+
+def firmware_module(name: str) -> ModuleType:
+    """A module of firmware/test, whose modules find one another by their folder."""
+    sys.path.insert(0, str(FIRMWARE / "test"))
+    try:
+        return import_module(name)
+    finally:
+        sys.path.remove(str(FIRMWARE / "test"))
+
 
 KINDS = {"double": np.float64, "single": np.float32}
 WORDS = {"double": (), "single": ("-DHYDRO_SINGLE",)}

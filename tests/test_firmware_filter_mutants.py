@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from dataclasses import dataclass
-from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
@@ -14,7 +12,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from tests.firmware_filter import FIRMWARE, decided, drawn, recorded, shipped, written
+from tests.firmware_filter import FIRMWARE, decided, drawn, firmware_module, recorded, shipped, written
 
 PARTS = ("structured.h", "loop.h", "loop_filter.h")
 
@@ -27,11 +25,7 @@ EQUIVALENT: dict[str, str] = {}
 
 @pytest.fixture(scope="module")
 def mutation() -> ModuleType:
-    sys.path.insert(0, str(FIRMWARE / "test"))
-    try:
-        return import_module("mutation")
-    finally:
-        sys.path.remove(str(FIRMWARE / "test"))
+    return firmware_module("mutation")
 
 
 @dataclass(frozen=True)

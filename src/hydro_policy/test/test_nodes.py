@@ -150,6 +150,7 @@ def test_an_evaluation_whose_plant_cannot_start_leaves_nothing_and_takes_nobody_
         (("--ros-args", "-p", "sac.discont:=0.9"), "no parameter sac.discont; is sac.discount meant?"),
         (("--plant", "emulator", "--truth", "/nowhere"), "emulator: /nowhere cannot be read"),
         (("--plant", "emulator", "--bench", "/nowhere"), "/nowhere"),
+        (("--plant", "sim", "--model", "/nowhere"), "--model /nowhere: there is no such file"),
         (("--runs", "/dev/null"), "cannot be made"),
     ],
 )

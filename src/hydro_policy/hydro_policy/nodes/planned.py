@@ -9,6 +9,7 @@ from math import isclose
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hydro_bridge.cli.console import UserError
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_policy.evaluation.controllers import policy_file
 from hydro_policy.nodes.options import plant_options
@@ -31,9 +32,11 @@ def planned(options: argparse.Namespace) -> Believed:
     ValueError
         The bench file cannot be used.
     UserError
-        A plant that runs is told what its box is.
+        A plant that runs is told what its box is, or the model is no file.
     """
     plant_options(options)
+    if options.model is not None and not options.model.is_file():
+        raise UserError(f"--model {options.model}: there is no such file")
     if options.plant == "external":
         return Believed(digest="", source="the plant that runs")
     box = Believed.of_file(options.bench, tuple(options.base_gains or BASE))

@@ -6,7 +6,7 @@ from __future__ import annotations
 import argparse
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 
 import rclpy
@@ -29,6 +29,26 @@ def add_spin_time(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--spin-time", type=float, default=SPIN_TIME, metavar="S", help=f"s to look around at least ({SPIN_TIME:g})"
     )
+
+
+def add_list_options(parser: argparse.ArgumentParser, things: str) -> None:
+    """Add the options of a list of `things`, as upstream names them."""
+    parser.add_argument("-t", "--show-types", action="store_true", help="with their types")
+    parser.add_argument("-c", f"--count-{things}", dest="count", action="store_true", help="only how many")
+    parser.add_argument(
+        f"--include-hidden-{things}", dest="include_hidden", action="store_true", help="hidden ones, too"
+    )
+    add_spin_time(parser)
+
+
+def print_list(options: argparse.Namespace, found: Iterable[tuple[str, list[str]]]) -> None:
+    """Print names, with their types where asked for; `options` are those of `add_list_options`."""
+    shown = sorted((name, kinds) for name, kinds in found if options.include_hidden or not hidden(name))
+    if options.count:
+        print(len(shown))
+        return
+    for name, kinds in shown:
+        print(f"{name} [{', '.join(kinds)}]" if options.show_types else name)
 
 
 @contextmanager

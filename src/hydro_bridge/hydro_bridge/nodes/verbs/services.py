@@ -12,9 +12,9 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.nodes.verbs.graph import (
     PATIENCE,
     absolute,
-    add_spin_time,
+    add_list_options,
     answer_of,
-    hidden,
+    print_list,
     settle,
     visiting,
     wait_for,
@@ -27,10 +27,7 @@ GROUP, HELP = "service", "services of the running graph: list, type, call"
 def add_verbs(verbs: Any) -> None:
     """Add the group's verbs."""
     several = verbs.add_parser("list", help="names of all services")
-    several.add_argument("-t", "--show-types", action="store_true", help="with their types")
-    several.add_argument("-c", "--count-services", action="store_true", help="only how many")
-    several.add_argument("--include-hidden-services", action="store_true", help="hidden ones, too")
-    add_spin_time(several)
+    add_list_options(several, "services")
     several.set_defaults(carry_out=_list)
     kind = verbs.add_parser("type", help="a service's type")
     kind.add_argument("service")
@@ -45,13 +42,7 @@ def add_verbs(verbs: Any) -> None:
 def _list(options: argparse.Namespace) -> None:
     with visiting() as node:
         settle(node, options.spin_time)
-        found = sorted(node.get_service_names_and_types())
-    shown = [(name, kinds) for name, kinds in found if options.include_hidden_services or not hidden(name)]
-    if options.count_services:
-        print(len(shown))
-        return
-    for name, kinds in shown:
-        print(f"{name} [{', '.join(kinds)}]" if options.show_types else name)
+        print_list(options, node.get_service_names_and_types())
 
 
 def _type(options: argparse.Namespace) -> None:

@@ -16,7 +16,15 @@ from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPo
 from rclpy.task import Future
 
 from hydro_bridge.cli.console import UserError
-from hydro_bridge.nodes.verbs.graph import absolute, add_spin_time, hidden, settle, visiting, wait_for
+from hydro_bridge.nodes.verbs.graph import (
+    absolute,
+    add_list_options,
+    add_spin_time,
+    print_list,
+    settle,
+    visiting,
+    wait_for,
+)
 from hydro_bridge.nodes.verbs.values import as_csv, as_yaml, interface, part, plain, without
 from hydro_bridge.ros import spin
 
@@ -29,12 +37,7 @@ _PUBLISHER = 3.0  # s, for the first one to be found; one that comes later is he
 def add_verbs(verbs: Any) -> None:
     """Add the group's verbs."""
     several = verbs.add_parser("list", help="names of all topics")
-    several.add_argument("-t", "--show-types", action="store_true", help="with their types")
-    several.add_argument("-c", "--count-topics", action="store_true", help="only how many")
-    several.add_argument(
-        "--include-hidden-topics", action="store_true", help="those with a part that begins with _, too"
-    )
-    add_spin_time(several)
+    add_list_options(several, "topics")
     several.set_defaults(carry_out=_list)
     info = verbs.add_parser("info", help="a topic's type, and who publishes and subscribes to it")
     info.add_argument("topic")
@@ -63,13 +66,7 @@ def add_verbs(verbs: Any) -> None:
 def _list(options: argparse.Namespace) -> None:
     with visiting() as node:
         settle(node, options.spin_time)
-        found = sorted(node.get_topic_names_and_types())
-    shown = [(name, kinds) for name, kinds in found if options.include_hidden_topics or not hidden(name)]
-    if options.count_topics:
-        print(len(shown))
-        return
-    for name, kinds in shown:
-        print(f"{name} [{', '.join(kinds)}]" if options.show_types else name)
+        print_list(options, node.get_topic_names_and_types())
 
 
 def _info(options: argparse.Namespace) -> None:
