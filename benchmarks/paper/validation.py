@@ -48,7 +48,7 @@ def _cell(store: Store, name: str, chosen: str) -> Result:
         done.append(run_trial(trial, plant, corrector(store, chosen, seed)))
     each = [gammas(one.results, bench.valve_current_max) for one in done]
     settled = [one.states[min(runs.SETTLING, len(one.states) // 2) :] for one in done]
-    errors = [runs.error_of(states) for states in settled]
+    errors = [runs.tracking_error(states) for states in settled]
     units = np.array([100.0, 100.0, 1.0, 100.0, 1.0])
     return {
         "bounded": [one.bounded for one in done],
