@@ -53,9 +53,33 @@ MOST = np.array([1e5, 1e9, 1e5, 1e9, 1e8, 1e8, 1.0, 20.0, 0.1, 1e4, 1e5, 1e9, 1e
 """Magnitudes that loop_filter.h still computes with."""
 
 
+CONSTANTS = (
+    "bulk", "area", "ratio", "dead_a", "dead_b", "supply", "tank", "ka_positive", "ka_negative", "kb_positive",
+    "kb_negative", "offset", "leak", "mass", "viscous", "spring", "rest", "spool_omega", "spool_damping", "cell_omega",
+    "cell_damping", "coulomb", "stribeck", "stribeck_velocity", "bristle", "bristle_damping", "damping_velocity",
+    "gain_h", "bias_h", "gain_l", "bias_l", "stroke",
+)  # fmt: skip
+"""Members of `hydro_model` in C."""
+SET = {"tank": 2e5, "offset": 1.5e-3, "leak": 2e-12, "gain_h": 1.1, "bias_h": 7.0, "gain_l": 0.92, "bias_l": -4.0}
+"""Those that are 0 or 1 where nothing is missing."""
+
+
 def shipped() -> LoopParts:
     """The default filter's parts."""
     return loop_parts(LearnedMetric.load(), Learned.load().model, Bench.nominal())  # type: ignore[arg-type]
+
+
+def uneven(parts: LoopParts) -> LoopParts:
+    """The same on a model none of whose constants is 0, 1 or another's equal: what the shipped one leaves out shows."""
+    constants = parts.loop.model[0].copy()
+    constants *= np.linspace(0.85, 1.15, len(constants))
+    assert len(constants) == len(CONSTANTS)
+    for name, value in SET.items():
+        constants[CONSTANTS.index(name)] = value
+    smooth = constants.copy()
+    smooth[[CONSTANTS.index("bristle"), CONSTANTS.index("bristle_damping")]] = 0.0
+    rest = parts.loop.model[1:]
+    return parts._replace(loop=parts.loop._replace(model=(constants, *rest), free=(smooth, *rest)))
 
 
 def written(folder: Path, parts: LoopParts) -> Path:

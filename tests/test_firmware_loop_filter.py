@@ -25,6 +25,7 @@ from tests.firmware_filter import (
     recorded,
     replay,
     shipped,
+    uneven,
     written,
 )
 
@@ -80,6 +81,14 @@ def test_drawn_samples_are_decided_as_in_python_but_for_rounding(parts: LoopPart
     other, worst, measure = compare(replay(programs["double"], "double", rows), expected, "drawn")
     assert other == 0.0 and worst < 1e-12 and measure < 1e-9
     assert np.all(np.bincount(expected[:, 3].astype(int)) > 500), "every status is tried"
+
+
+def test_an_uneven_model_is_decided_as_in_python_but_for_rounding(parts: LoopParts, tmp_path: Path) -> None:
+    other = uneven(parts)
+    program = compiled(written(tmp_path, other), "double", "-O2")
+    for rows, label in ((drawn(20_000, 9), "uneven, drawn"), (recorded(other, 4, 10_000), "uneven, recorded")):
+        differing, worst, measure = compare(replay(program, "double", rows), decided(other, rows), label)
+        assert differing == 0.0 and worst < 1e-12 and measure < 1e-9
 
 
 def test_single_precision_stays_near(parts: LoopParts, programs: dict[str, Path]) -> None:
