@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import subprocess
 import time
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -36,6 +38,7 @@ from hydro_bridge.ros import (
 )
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
+from hydro_bridge.viewer.recorded import read_recorded
 from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim, OverrideGains
@@ -99,6 +102,18 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     assert not recording.state["flags"][-1] & Flag.ARMED
     assert len(recording["/hydro/gains"]) >= 500
     assert recording["/hydro/training"]["updates"].max() > 0  # how many is the machine's affair
+    gains, steps = recording["/hydro/gains"], recording["/hydro/policy"]
+    drawn = dict(zip(gains["step"].tolist(), gains["delta_kp"].tolist(), strict=True))
+    assert len(steps) >= 500 and set(steps["step"].tolist()) <= set(drawn)
+    apart = [drawn[row["step"]] - row["mean_delta_kp"] for row in steps]
+    assert np.std(apart) > 0.1 and len(np.unique(steps["weights"])) > 5, "drawn around the mean of weights that learn"
+    assert (steps["reward"][1:] < 0.0).sum() >= 498
+    losses = np.array(
+        [recording["/hydro/training"][name] for name in ("critic_loss", "actor_loss", "temperature_loss")]
+    )
+    assert np.isfinite(losses[:, -1]).all() and np.isnan(losses[:, 0]).all(), "none before the first update"
+    marks = [mark.text for mark in read_recorded(folder.bag).marks if mark.kind == "weights"]
+    assert re.fullmatch("weights [0-9a-f]{12}, the first to act", marks[0]) and 1 <= len(marks) < 10
     assert {"config.yaml", "bench.yaml"} <= set(recording.attachments)
     assert recording.metadata["hydro"]["model_sha256"] == sha256(shipped().read_bytes()).hexdigest()
 

@@ -26,6 +26,9 @@ class Heard:
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         raise AssertionError("a watch sends no gains")
 
+    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        raise AssertionError("a watch does not learn")
+
     def reference(self, signal: ReferenceSignal) -> None:
         self.references.append(signal)
 

@@ -80,11 +80,12 @@ class LearnerMemory:
         return SharedBlob(self._good)
 
     def status(self) -> FloatArray:
-        """[updates, entropy coefficient, checkpoints written, 1 when ready, rollbacks done]."""
+        """[updates, entropy coefficient, checkpoints written, 1 when ready, rollbacks done, the three losses]."""
         return np.frombuffer(self._status, np.float64)
 
 
 UPDATES, ENTROPY, CHECKPOINTS, READY, ROLLBACKS = range(5)  # places in status
+LOSSES = slice(5, 8)  # as `hydro_policy.sac.algorithm.Losses`
 
 
 @dataclass(frozen=True)
@@ -152,6 +153,7 @@ class Learner:
         if now - self._published >= SNAPSHOT_PERIOD:
             self._snapshot.publish(dump(self.sac))
             self._published = now
+        self._status[LOSSES] = self.sac.losses
         self._status[READY] = 1.0
 
     def roll_back(self) -> None:

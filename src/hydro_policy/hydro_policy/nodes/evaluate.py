@@ -39,6 +39,7 @@ from hydro_policy.nodes.guarding import guard_range, uncovered
 from hydro_policy.nodes.options import add_plant_options, plant_options, rearms
 from hydro_policy.nodes.planned import planned, refuse_policy, surprise
 from hydro_policy.nodes.progress import EvaluationProgress
+from hydro_policy.nodes.provenance import of_policy
 from hydro_policy.nodes.results import conditions, new_evaluation, show_results, taken_back, write_page
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.override import GainOverride
@@ -141,6 +142,8 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         node.override = GainOverride(
             guard_range(reach(controllers, grid, box.base_gains)), node.override.say, box.base_gains or BASE
         )
+        for path in options.policy:
+            node.say(of_policy(policy_file(path)))
         if not rearms(options):
             node.listen_for_enter()
         before: GridSession | None = None

@@ -44,6 +44,7 @@ from hydro_policy.nodes.authority_wait import ALONE_WITHIN, AuthorityWait
 from hydro_policy.nodes.companions import CompanionWatch
 from hydro_policy.nodes.gain_timing import GainTiming
 from hydro_policy.nodes.override_service import OverrideService
+from hydro_policy.nodes.policy_steps import PolicySteps
 from hydro_policy.nodes.sayings import Sayings
 from hydro_policy.sessions.session import Session
 from hydro_policy.supervision import requirements
@@ -94,6 +95,7 @@ class GraphNode(Node):
         self._done = Future()
         self._gains_out = 0.0
         self._gains = Gains()
+        self._steps: PolicySteps | None = None
         self._commander = Commander(self, self._on_authority, endings.ask)
         self._wait = AuthorityWait(self, self._commander, self.warn)
         self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
@@ -175,6 +177,10 @@ class GraphNode(Node):
         """From now on the session hears what the filter says, a thousand times a second."""
         self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
 
+    def tell_steps(self) -> None:
+        """From now on /hydro/policy says what the policy makes of each step."""
+        self._steps = PolicySteps(self)
+
     def listen_for_enter(self) -> None:
         """From now on Enter on the terminal arms the plant."""
         if sys.stdin is not None and sys.stdin.isatty():
@@ -184,6 +190,11 @@ class GraphNode(Node):
         """See `hydro_policy.supervision.outputs.Outputs`."""
         self._gains = self._commander.gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
+
+    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        """See `hydro_policy.supervision.outputs.Outputs`."""
+        if self._steps is not None:
+            self._steps.publish(step, mean, reward, weights)
 
     def reference(self, signal: ReferenceSignal) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""

@@ -18,6 +18,7 @@ from hydro_policy.nodes.evaluate import evaluate_on
 from hydro_policy.nodes.graph import GraphNode
 from hydro_policy.nodes.options import rearms
 from hydro_policy.nodes.progress import TrainingProgress
+from hydro_policy.nodes.provenance import of_policy
 from hydro_policy.nodes.results import conditions, show_results
 from hydro_policy.nodes.trainer_results import compared, leave_page, tell_files, timing
 from hydro_policy.nodes.trainer_start import (
@@ -47,6 +48,8 @@ def train(options: argparse.Namespace) -> int:
         run, settings = prepared.run, prepared.settings
         node.sayings.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
+        if run.policy.is_file():
+            node.say(of_policy(run.policy))
         record = begin_record(node, prepared, options)
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
         recording = start_plant(stack, options, prepared, node)
@@ -87,6 +90,7 @@ def begin_session(
         requirements=node.requirements,
     )
     node.listen_to_corrections()
+    node.tell_steps()
     return session
 
 

@@ -57,10 +57,11 @@ class Draw(NamedTuple):
 
 
 @njit(cache=True)
-def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places, noise):
+def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places, noise, losses):
     """One update for each row of `places`, shape (updates, batch), of the replay buffer's `rows`.
 
     `noise`: standard normal, shape (updates, 2, batch, actions), first for the targets, then for the actor.
+    `losses`: those of critics, actor and temperature before each update go there, shape (updates, 3).
     """
     count, kind, inputs = places.shape[1], networks.target_parameters.dtype, numbers.observations + numbers.actions
     width = network_kernel.four(inputs)
@@ -74,11 +75,12 @@ def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places
         alpha = kind.type(math.exp(entropy_adam.parameters[0]))
         _gather(numbers, rows, places[k], now, following, reward, end)
         _targets(networks, numbers, following, noise[k, 0], reward, end, alpha, actor_pass, first, second, draw, target)
-        _critics(networks, now, target, first, second)
+        losses[k, 0] = _critics(networks, now, target, first, second)
         network_kernel.adam_step(critic_adam, k + 1)
-        _actor(networks, numbers, now, noise[k, 1], alpha, actor_pass, first, second, draw)
+        losses[k, 1] = _actor(networks, numbers, now, noise[k, 1], alpha, actor_pass, first, second, draw)
         network_kernel.adam_step(actor_adam, k + 1)
         entropy_adam.gradient[0] = -(draw.log_probability.sum() / kind.type(count) + numbers.target_entropy)
+        losses[k, 2] = entropy_adam.parameters[0] * entropy_adam.gradient[0]
         network_kernel.adam_step(entropy_adam, k + 1)
         network_kernel.follow(networks.target_parameters, critic_adam.parameters, numbers.target_rate)
 
@@ -112,8 +114,8 @@ def _targets(networks, numbers, following, noise, reward, end, alpha, actor_pass
 
 @njit(cache=True)
 def _critics(networks, now, target, first, second):
-    """Gradients of 1/2 sum_i mean (Q_i(o, a) - y)^2."""
-    count = len(target)
+    """Gradients of 1/2 sum_i mean (Q_i(o, a) - y)^2, and its value."""
+    count, squares = len(target), 0.0
     share = target.dtype.type(1.0 / count)
     for member in range(2):
         way, layers, gradient = first, networks.critics[0], networks.critic_gradients[0]
@@ -123,13 +125,16 @@ def _critics(networks, now, target, first, second):
         network_kernel.forward(padded, now, way, count)
         for k in range(count):
             way.g[k] = (way.y[k] - target[k]) * share
+            squares += (way.y[k] - target[k]) ** 2
         network_kernel.backward(padded, now, way, count, gradient)
+    return 0.5 * squares / count
 
 
 @njit(cache=True)
 def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw):
-    """Gradient of mean(alpha log pi(a|o) - min_i Q_i(o, a)); draws a into the inputs' action rows."""
+    """Gradient of mean(alpha log pi(a|o) - min_i Q_i(o, a)), and its value; draws a into the inputs' action rows."""
     count, actions, n = len(draw.log_probability), numbers.actions, numbers.observations
+    loss = 0.0
     kind = draw.action.dtype.type
     zero, one, two, share = kind(0.0), kind(1.0), kind(2.0), kind(1.0 / count)
     _sample(networks.actor, numbers, now, noise, actor_pass, draw)
@@ -139,6 +144,7 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
     for k in range(count):  # only the smaller critic passes its gradient on
         smaller = first.y[k] <= second.y[k]
         first.g[k], second.g[k] = (one, zero) if smaller else (zero, one)
+        loss += alpha * draw.log_probability[k] - min(first.y[k], second.y[k])
     network_kernel.to_inputs(critic_1, first, count)
     network_kernel.to_inputs(critic_2, second, count)
     slopes = np.zeros((2, network_kernel.four(actions) * network_kernel.ROW), draw.action.dtype)
@@ -153,6 +159,7 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
             to_log_std = (to_mean * draw.deviation[j, k] - alpha) * draw.inside[j, k]
             actor_pass.g[(actions + j) * network_kernel.ROW + k] = to_log_std * share
     network_kernel.backward(network_kernel.padded(networks.actor), now, actor_pass, count, networks.actor_gradient)
+    return loss / count
 
 
 @njit(cache=True)
