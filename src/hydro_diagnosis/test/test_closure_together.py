@@ -10,7 +10,7 @@ import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.closure.together import mimics, paying
+from hydro_diagnosis.closure.together import mimics, paying, together
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import fit
@@ -26,6 +26,7 @@ from hydro_sim.model.bench import Bench
 BENCH = Bench.nominal()
 NAMES = {effect.label: effect.adapted(BENCH) for effect in LIBRARY}
 DRAG = "closure:motion:quadratic drag"
+LEAK = "closure:pressure:leak along the stroke"
 
 
 @pytest.fixture(scope="module")
@@ -36,6 +37,24 @@ def dragged(record: Callable[..., StateArray]) -> Problem:
     states = record(replace(BENCH, closures=(drag,), effects=(coulomb,)), 3)
     table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
     return Problem([checked(table, BENCH).segments[0]], BENCH)
+
+
+def test_a_large_law_of_the_forces_hides_none_of_the_flows(record: Callable[..., StateArray]) -> None:
+    """The leak gains less than the drag's form may be off by, and the cell's gain remains once both are found."""
+    drag = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 5000.0}}
+    leak = {"equation": "pressure", "form": "leak along the stroke", "parameters": {"coefficient": 1.5e-14}}
+    gain = {"id": "load_cell_gain", "cell": "load_force", "parameters": {"ratio": 1.003}}
+    states = record(replace(BENCH, closures=(drag, leak), effects=(gain,)), 3)
+    table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
+    problem = Problem([checked(table, BENCH).segments[0]], BENCH)
+    names = [NAMES[label] for label in ("friction_viscous", "load_cell_gain:load_force")]
+    found = together(problem, names, [closure(law, BENCH) for law in grammar.LAWS])
+    values = {claim.effect.label: claim.values for claim in found.claims}
+    assert set(values) == {DRAG, LEAK, "load_cell_gain:load_force"}
+    assert values[DRAG]["coefficient"] == pytest.approx(5000.0, rel=0.002)
+    assert values[LEAK]["coefficient"] == pytest.approx(1.5e-14, rel=0.05)
+    assert values["load_cell_gain:load_force"]["ratio"] == pytest.approx(1.003, abs=2e-4)
+    assert not noticeable(problem, found.residual)
 
 
 def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(dragged: Problem) -> None:
@@ -60,6 +79,13 @@ def test_names_that_do_nothing_beside_a_law_are_dropped(dragged: Problem) -> Non
     assert mimics(dragged, found, found)  # nothing is no more than the law's form may be off by
     assert not mimics(dragged, fit(dragged, truth[:1]), found)
     dragged.update_weights(())
+
+
+def test_laws_are_kin_where_they_show_in_the_same_balances() -> None:
+    by_equation = {law.equation: closure(law, BENCH).family for law in (*grammar.LAWS, *grammar.TABLES)}
+    flows = {by_equation.pop(name) for name in ("pressure", "pressure_a", "pressure_b", "actuation")}
+    forces = set(by_equation.values())
+    assert len(flows) == len(forces) == 1 and flows != forces
 
 
 def test_two_laws_of_one_equation_are_two_causes() -> None:

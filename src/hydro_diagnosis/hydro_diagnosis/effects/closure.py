@@ -49,7 +49,6 @@ class Closure(Effect):
 
     id = "closure"
     named = False
-    family = "closure"
 
     @property
     def touches(self) -> frozenset[str]:  # type: ignore[override]
@@ -58,6 +57,11 @@ class Closure(Effect):
     @property
     def equations(self) -> tuple[str, ...]:  # type: ignore[override]
         return _EQUATIONS.get(self.law.equation, (self.law.equation,))
+
+    @property
+    def family(self) -> str:  # type: ignore[override]
+        """Laws of flows cannot pass for an error in the form of a law of forces."""
+        return "closure of flows" if PRESSURE in self.touches else "closure of forces"
 
     @property
     def element(self) -> Element | None:
