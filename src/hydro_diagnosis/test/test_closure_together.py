@@ -3,12 +3,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
+from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.closure.together import mimics, paying, together
 from hydro_diagnosis.effects import LIBRARY, Claim
@@ -29,12 +34,15 @@ DRAG = "closure:motion:quadratic drag"
 LEAK = "closure:pressure:leak along the stroke"
 
 
+DRY = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
+RUBBER = {"equation": "load", "form": "hysteresis", "parameters": {"coefficient": 7.0, "path": 2e-3}}
+
+
 @pytest.fixture(scope="module")
 def dragged(record: Callable[..., StateArray]) -> Problem:
     """A bench with 600 N s2/m2 of quadratic drag and 8 N of dry friction."""
     drag = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 600.0}}
-    coulomb = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
-    states = record(replace(BENCH, closures=(drag,), effects=(coulomb,)), 3)
+    states = record(replace(BENCH, closures=(drag,), effects=(DRY,)), 3)
     table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
     return Problem([checked(table, BENCH).segments[0]], BENCH)
 
@@ -67,6 +75,41 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(dragged:
     assert values[DRAG]["coefficient"] == pytest.approx(600.0, rel=0.02)
     assert law.form == "law" and not noticeable(law.problem, law.fit.residual)
     assert dragged.doubted != law.problem.doubted  # dry friction leaves its sign in doubt: there, not in the judgement
+
+
+@pytest.mark.slow
+def test_a_diagnosis_hands_back_name_and_law_as_one_model(
+    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path
+) -> None:
+    """Dry friction beside a load that rubs: names alone leave something, and so do laws one by one."""
+    truth = replace(BENCH, closures=(RUBBER,), effects=(DRY,))
+    fitted, held, out = tmp_path / "fitted.csv", tmp_path / "held.csv", tmp_path / "out"
+    frame(record(truth, 3)).to_csv(fitted, index=False)
+    frame(record(truth, 5, waveform=Waveform.SMOOTH_STEP)).to_csv(held, index=False)
+    assert run([str(fitted), "--holdout", str(held), "--out", str(out), "--quiet"]) == 0
+    report = json.loads((out / "report.json").read_text())
+
+    assert report["verdict"] == "modelled" and report["remainder"] is None
+    (name,), (law,) = report["effects"], report["closures"]
+    assert (name["id"], law["equation"], law["form"]) == ("friction_coulomb", "load", "law")
+    for found, value in (
+        (name["parameters"]["force"], 8.0),
+        (law["terms"]["coefficient"], 7.0),
+        (law["terms"]["path"], 2e-3),
+    ):
+        assert found["value"] == pytest.approx(value, rel=0.005)
+        low, high = found["ci95"]
+        assert low < found["value"] < high and high - low < 0.02 * value
+    assert law["share_closed"] == law["share_by_form"]["law"] > 0.99
+    for channel, error in report["fit"]["holdout"].items():
+        assert error["rmse_after"] < 1.1 * error["noise_floor"], channel
+        assert error["rmse_named"] > 3.0 * error["rmse_after"], channel
+
+    corrected = Bench.load(out / "corrected.yaml")
+    assert [one["id"] for one in corrected.effects] == ["friction_coulomb"]
+    assert [one["form"] for one in corrected.closures] == ["hysteresis"]
+    real, alike, nominal = (record(bench, 7, 4.0)["piston_position"] for bench in (truth, corrected, BENCH))
+    assert np.std(alike - real) < 0.05 * np.std(nominal - real)  # one seed: the same reference and noise for all
 
 
 def test_names_that_do_nothing_beside_a_law_are_dropped(dragged: Problem) -> None:
