@@ -92,9 +92,11 @@ def run_chatter(store: Store) -> None:
 
 
 def _tables(store: Store, bench: str) -> None:
-    for seed in range(store.size.seeds):
+    seeds = range(store.size.seeds)
+    for seed in seeds:
         store.piece(f"rmse-{bench}-III-{seed}", lambda s=seed: _rmse(bench, FixedGains(90.0, 15.0), s))  # type: ignore[misc]
-        for authority in AUTHORITIES:
+    for authority in AUTHORITIES:
+        for seed in seeds:
             for who, make in (("II", _second), ("I", _first)):
                 name = f"rmse-{bench}-{authority}-{who}-{seed}"
                 store.piece(name, lambda m=make, a=authority, s=seed: m(store, bench, a, s))  # type: ignore[misc]

@@ -22,6 +22,8 @@ OPEN = """
 - II is trained on the shipped model, not on the 2x32 network: the gap from simulation to bench is the smaller for it.
 - No filter stands in the runs of Table rmse. *I* is the best policy by the run's own examinations, two runs of each
   sine, better than the one that came by more than their noise; *last policy* is what the training ended with.
+- I's actor learns at a tenth of the paper's rate, and not before an episode of the bench is there: `trainer`'s way with
+  an agent that is good already.
 - *no difference* is said of numbers that are equal to the bit.
 """
 

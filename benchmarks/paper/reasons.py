@@ -88,7 +88,11 @@ def three_epochs(store: Store) -> str:
     def shares(epoch: int) -> str:
         return f"{mean(epoch, 'stable_verified'):.0%} and {mean(epoch, 'unstable_found'):.0%}"
 
+    labels = [
+        sum(found["rollouts"][name] for (found,) in pieces(store, "metric-{}")) for name in ("stable", "unstable")
+    ]
     return (
+        f"Of the rollouts that it was trained and judged on {labels[0]} were stable and {labels[1]} unstable. "
         f"Held out, the loss is {mean(0, 'loss'):.3g} before training, {mean(3, 'loss'):.3g} after three epochs and "
         f"{mean(-1, 'loss'):.3g} after {store.size.metric_epochs}; the sign of M_c is right in {shares(3)} of the "
         f"stable and unstable samples after three, in {shares(-1)} after all."

@@ -101,7 +101,9 @@ def _metrics(store: Store) -> str:
         ]
         rows.append([str(epochs), cell([one["loss"] for one in after], 3), *shares, str(len(found))])
     head = ["epochs", "loss", "stable samples verified [%]", "unstable samples found [%]", "seeds"]
-    return captions.METRICS + "\n" + (markdown(head, rows) if rows else "not run yet\n")
+    labels = {name: sum(one["rollouts"][name] for one in found) for name in ("stable", "unstable", "neither")}
+    told = "Rollouts by label, all seeds: " + ", ".join(f"{count} {name}" for name, count in labels.items()) + ".\n"
+    return captions.METRICS + "\n" + (markdown(head, rows) + "\n" + told if rows else "not run yet\n")
 
 
 def _validation(store: Store) -> str:
