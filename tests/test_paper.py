@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.paper import metric, report
+from benchmarks.paper import metric, report, times
 from benchmarks.paper.certificate import AtRate, NetworkDynamics, NetworkMetric, paper_filter
 from benchmarks.paper.claims import CLAIMS
 from benchmarks.paper.foreign import ForeignPlant
@@ -221,6 +221,25 @@ def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
     page = (tmp_path / "paper.md").read_text()
     assert page.count("0 pieces are there") == 2
     assert "### Table" not in page
+    assert "| metrics | 0 of 5 |  | 0 of 2 |  |" in page and "All pieces of a size" not in page
+
+
+def test_a_whole_run_costs_what_its_pieces_do_or_smaller_ones_scaled(tmp_path: Path) -> None:
+    full, quick = Store(tmp_path, FULL), Store(tmp_path, QUICK)
+    for kind in times.KINDS:
+        for name in kind.names(QUICK):
+            _keep(quick, name, 36.0)
+    expected = {kind.name: len(kind.names(FULL)) * kind.work(FULL) / kind.work(QUICK) for kind in times.KINDS}
+    assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
+    _keep(full, "metric-3", 360.0)
+    expected["metrics"] = 10.0 * 5
+    assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
+
+
+def _keep(store: Store, name: str, cpu: float) -> None:
+    store.piece(name, dict)
+    file = store.folder / f"{name}.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"cpu": cpu}))
 
 
 def test_a_page_shows_what_is_there_and_judges_it(tmp_path: Path) -> None:

@@ -9,6 +9,6 @@ validation  Table val_cont: gamma_1 to gamma_5
 agents      Tables training_agent and rmse: controllers I, II, III
 foreign     a bench outside of the emulator's equations, as a plant
 claims      what the paper says, as comparisons; verdicts: what they come to; reasons: why
-report      the page; captions: what it says around its tables
+report      the page; captions: what it says around its tables; times: what the pieces cost
 =========== ==========================================================================
 """

@@ -27,6 +27,13 @@ OPEN = """
 - *no difference* is said of numbers that are equal to the bit.
 """
 
+TIMES = """
+## Time
+
+Seconds of CPU of a piece, most of them with other work on the machine. Where a full piece was not run, the whole counts
+it as the quick one scaled by its work: epochs, episodes, rollouts, seconds.
+"""
+
 MODELS = """
 ### Table rmse_model
 

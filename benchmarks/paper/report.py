@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.paper import captions, reasons
+from benchmarks.paper import captions, reasons, times
 from benchmarks.paper.claims import CLAIMS
 from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, PRINTED, TIMES, Result, Store
 from benchmarks.paper.verdicts import Claim
@@ -41,7 +41,7 @@ def write(full: Store, quick: Store, page: Path | None, json: Path | None) -> No
 
 def text(full: Store, quick: Store) -> str:
     """The whole page."""
-    parts = [captions.HEAD, _claims(full, quick), captions.OPEN]
+    parts = [captions.HEAD, _claims(full, quick), captions.OPEN, _times(full, quick)]
     for store in (full, quick):
         parts.append(_sizes(store))
         if any(store.folder.glob("*.json")):
@@ -63,6 +63,14 @@ def _why(claim: Claim, full: Store, quick: Store) -> str:
         if claim.verdict(store).count:
             return f"*{store.size.name}*: {reasons.why(claim.key, store)}"
     return ""
+
+
+def _times(full: Store, quick: Store) -> str:
+    head = ["pieces", "full: there", "CPU of one [s]", "quick: there", "CPU of one [s]"]
+    hours = {"full": times.whole(full, quick), "quick": times.whole(quick, quick)}
+    told = "; ".join(f"{name} {found:.1f} h" for name, found in hours.items() if found is not None)
+    line = f"\nAll pieces of a size, on one core: {told}.\n" if told else ""
+    return captions.TIMES + "\n" + markdown(head, times.rows(full, quick)) + line
 
 
 def _sizes(store: Store) -> str:

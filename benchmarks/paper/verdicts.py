@@ -97,6 +97,11 @@ def numbers(value: Any) -> FloatArray:
     return np.nan_to_num(np.atleast_1d(np.array(value, float)), nan=np.inf, posinf=np.inf)
 
 
+def table(store: Store, name: str, key: str) -> FloatArray:
+    """A number or numbers of a piece, a row for each seed that is there, shape (seeds, n)."""
+    return np.array([numbers(found[key]) for (found,) in pieces(store, name)])
+
+
 def bounded(case: str, chosen: str, *, as_paper: bool = True) -> Comparisons:
     """Whether each run of Table val_cont stays bounded, or with `as_paper` False whether it does not."""
 
