@@ -4,7 +4,8 @@
 Rollouts and their labels are those of `hydro_filter.training.data` on the network model without noise. The loss is eq.
 loss_metric with W_l, the regularizers and H_m as printed. A, B and K do not depend on M and are computed once, exactly;
 the paper takes differences in every epoch. What the paper leaves open: gains of K_p from -40 to 200 1/s, 200 windows a
-rollout, every fifth rollout held out.
+rollout, every fifth rollout of each label held out, from the
+second on.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.force_law import ForceLaw
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import LOAD_FORCE, STATES
-from hydro_filter.training.data import NEITHER, STABLE, DataSettings, Rollout, roll_out
+from hydro_filter.training.data import NEITHER, STABLE, UNSTABLE, DataSettings, Rollout, roll_out
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
@@ -138,7 +139,7 @@ def _lower(flat: torch.Tensor) -> torch.Tensor:
 
 @torch.no_grad()
 def judged(network: torch.nn.Module, samples: Samples) -> dict[str, float]:
-    """Loss, and the shares of samples whose sign of M_c is as their label says, on windows not trained on."""
+    """Loss, and the shares of samples whose sign of M_c is as their label says (NaN: none has it), on windows."""
     certificate, _ = growth(network, samples)
     stable = samples.stable.expand(certificate.shape)
     right = float((certificate[stable] <= 0.0).double().mean()), float((certificate[~stable] > 0.0).double().mean())
@@ -150,12 +151,13 @@ def material(model: NetworkModel, rollouts: int, seed: int) -> tuple[Samples, Sa
     plant, bench = LearnedPlant(Learned(model=model, region=Learned.load().region), noise=0.0), Bench.nominal()
     settings = DataSettings(rollouts=rollouts, gain_max=200.0, seed=seed)
     parts: tuple[list[Samples], list[Samples]] = ([], [])
-    labels = {"stable": 0, "unstable": 0, "neither": 0}
+    labels, used = {"stable": 0, "unstable": 0, "neither": 0}, {STABLE: 0, UNSTABLE: 0}
     for index in range(rollouts):
         rollout = roll_out(plant, bench, settings, index)
         labels["neither" if rollout.label == NEITHER else "stable" if rollout.label == STABLE else "unstable"] += 1
         if rollout.label != NEITHER and len(rollout.states) > SETTLED + 2 * TABLE["horizon"]:
-            parts[index % HELD_OUT == HELD_OUT - 1].append(windows(rollout, model, bench, seed + index))
+            used[rollout.label] += 1
+            parts[used[rollout.label] % HELD_OUT == 2].append(windows(rollout, model, bench, seed + index))
     training, held_out = (Samples(*(torch.cat(field) for field in zip(*part, strict=True))) for part in parts)
     return training, held_out, labels
 
@@ -164,17 +166,17 @@ def windows(rollout: Rollout, model: NetworkModel, bench: Bench, seed: int) -> S
     """Windows at random places of a rollout."""
     starts = np.random.default_rng(seed).integers(SETTLED, len(rollout.states) - TABLE["horizon"], WINDOWS)
     places = starts[:, np.newaxis] + np.arange(TABLE["horizon"])
-    dynamics, law = NetworkDynamics(model), ForceLaw(bench)
-    seen = {int(k): _normalized(Sample.of(rollout.states[k]), dynamics, law) for k in np.unique(places)}
+    dynamics, law, limit = NetworkDynamics(model), ForceLaw(bench), bench.valve_current_max
+    seen = {int(k): _normalized(Sample.of(rollout.states[k]), dynamics, law, limit) for k in np.unique(places)}
     rows = np.array([[seen[int(k)] for k in row] for row in places])
     parts = [torch.from_numpy(rows[:, :, n]) for n in range(4)]
     return Samples(*parts, torch.full((WINDOWS, 1), rollout.label == STABLE))
 
 
-def _normalized(sample: Sample, dynamics: NetworkDynamics, law: ForceLaw) -> FloatArray:
-    """z, z', v and (A + B K) v of a sample, shape (4, 8)."""
-    model, limit = dynamics.model, Bench.nominal().valve_current_max
-    linear = dynamics.linearize(sample.state, float(np.clip(sample.nominal_current, -limit, limit)))
+def _normalized(sample: Sample, dynamics: NetworkDynamics, law: ForceLaw, limit: float) -> FloatArray:
+    """z, z', v and (A + B K) v of a sample, shape (4, 8); `limit`: of the valve's current [A]."""
+    model = dynamics.model
+    linear = dynamics.linearize(sample.state, min(max(sample.nominal_current, -limit), limit))
     v = np.zeros(STATES)
     v[LOAD_FORCE] = sample.state[LOAD_FORCE] - sample.reference_force
     closed = linear.state_matrix @ v + linear.input_vector * float(law.gradient(sample) @ v)

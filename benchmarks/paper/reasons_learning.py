@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sentences of `reasons` about what is learned from data: the models, and the metric."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from benchmarks.paper.store import PRINTED, Store
+from benchmarks.paper.verdicts import numbers, pieces, table
+
+LOAD_FORCE = 2
+LABELS = ("stable", "unstable")
+
+
+def analytic_is_near(store: Store) -> str:
+    """The truth is made of the analytic model's equations."""
+    found, printed = table(store, "model-analytic", "over_range"), PRINTED["rmse_model"]["analytic"][LOAD_FORCE]
+    if not len(found) or found[0, LOAD_FORCE] > 0.1 * printed:
+        return ""
+    return (
+        "The emulated bench is built on the analytic model's equations, which therefore err by "
+        f"{found[0, LOAD_FORCE]:.1%} of f_l's range, not by {printed:.0%} as on the paper's bench."
+    )
+
+
+def network_error(store: Store) -> str:
+    """What the network comes to beside it."""
+    network, other = table(store, "model-squared-{}", "over_range"), table(store, "model-analytic", "over_range")
+    if not len(network) or not len(other):
+        return ""
+    ratio = np.exp(np.log(network.mean(0) / other[0]).mean())
+    epochs = table(store, "model-squared-{}", "best_epoch")
+    return (
+        f"The network errs {ratio:.2g} times as much as they do (geometric mean of the states) and by "
+        f"{network[:, LOAD_FORCE].mean():.2%} of f_l's range, best after {epochs.mean():.0f} epochs of two batches."
+    )
+
+
+def ours_is_identified(store: Store) -> str:
+    """Ours against the analytic model."""
+    own, other = table(store, "model-ours", "over_range"), table(store, "model-analytic", "over_range")
+    if not len(own) or not len(other):
+        return ""
+    ratios = other[0] / own[0]
+    return (
+        f"Between {ratios.min():.0f} and {ratios.max():.0f} times less: its constants are identified on the bench's "
+        "own recordings, spool and friction included, and its start states come from an observer."
+    )
+
+
+def horizon_ratio(store: Store) -> str:
+    """70 samples against one."""
+    found = pieces(store, "model-squared-{}", "model-one-step-{}")
+    if not found:
+        return ""
+    ratios = np.mean([numbers(long["over_range"]) / numbers(short["over_range"]) for long, short in found], axis=0)
+    few = " This is after 100 gradient steps, no whole training." if store.size.model_epochs <= 50 else ""
+    return f"Its errors are {ratios.min():.2f} to {ratios.max():.2f} of those of one-step training, by state.{few}"
+
+
+def three_epochs(store: Store) -> str:
+    """Loss and shares after three epochs and after all."""
+    histories = [found["history"] for (found,) in pieces(store, "metric-{}")]
+    if not histories:
+        return ""
+
+    def mean(epoch: int, key: str) -> float:
+        return float(np.mean(np.array([history[epoch][key] for history in histories], float)))
+
+    def shares(epoch: int) -> str:
+        found = [mean(epoch, key) for key in ("stable_verified", "unstable_found")]
+        return " and ".join("of none" if np.isnan(share) else f"in {share:.0%}" for share in found)
+
+    return (
+        f"Held out, the loss is {mean(0, 'loss'):.3g} before training, {mean(3, 'loss'):.3g} after three epochs and "
+        f"{mean(-1, 'loss'):.3g} after {store.size.metric_epochs}; the sign of M_c is right {shares(3)} of the stable "
+        f"and unstable samples after three, {shares(-1)} after all."
+    )
+
+
+def hardly_unstable(store: Store) -> str:
+    """A network that is not trained to the end does not show what gains do."""
+    stable, unstable = (sum(found["rollouts"][name] for (found,) in pieces(store, "metric-{}")) for name in LABELS)
+    if unstable >= 0.1 * stable:
+        return ""
+    return (
+        f"The network model calls {stable} rollouts stable and {unstable} unstable, though a quarter has K_p below 0: "
+        f"after {store.size.model_epochs} epochs it is not the bench, and its metric has nothing to tell apart."
+    )
