@@ -60,8 +60,11 @@ CONSTANTS = (
     "gain_h", "bias_h", "gain_l", "bias_l", "stroke",
 )  # fmt: skip
 """Members of `hydro_model` in C."""
-SET = {"tank": 2e5, "offset": 1.5e-3, "leak": 2e-12, "gain_h": 1.1, "bias_h": 7.0, "gain_l": 0.92, "bias_l": -4.0}
-"""Those that are 0 or 1 where nothing is missing."""
+SET = {
+    "tank": 2e5, "offset": 1.5e-3, "leak": 2e-12, "gain_h": 1.1, "bias_h": 7.0, "gain_l": 0.92, "bias_l": -4.0,
+    "stroke": 0.09375,
+}  # fmt: skip
+"""Those that are 0 or 1 where nothing is missing, and a stroke in whole powers of 2."""
 
 
 def shipped() -> LoopParts:
@@ -107,6 +110,29 @@ def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
     given = np.ascontiguousarray(rows, KINDS[precision]).tobytes()
     done = subprocess.run([str(program)], input=given, capture_output=True, check=True, timeout=300)
     return np.frombuffer(done.stdout, KINDS[precision]).reshape(len(rows), 4).astype(np.float64)
+
+
+def edges(parts: LoopParts) -> FloatArray:
+    """Samples with nothing before them, where the model has another form on each side.
+
+    The spool stands just closed; the piston presses on a stop with no force, or with less than 1 N; a chamber stands
+    above twice the supply.
+    """
+    constants = dict(zip(CONSTANTS, parts.loop.model[0], strict=True))
+    into, leaves = 2.0**-10, 1e7 * 2.0**-10 / 4e3  # m; the speed [m/s] at which the stop's damping takes its force
+    places = [(0.05, 0.0, 4e6, 6e6), (0.05, 0.0, 60e6, 6e6), (0.05, 0.0, 4e6, 60e6)]
+    for position, speed in ((-into, leaves), (constants["stroke"] + into, -leaves)):
+        places += [(position, speed + more, 4e6, 6e6) for more in (0.0, 1e-4, -1e-4)]
+    none = np.append(np.full(WIDTH, np.nan), 1.0)
+    rows = []
+    for position, speed, pressure_a, pressure_b in places:
+        for current in (-constants["offset"], 0.01, -0.01):
+            row = np.zeros(WIDTH + 1)
+            row[[4, 5, 6, 7]] = pressure_a, pressure_b, position, speed
+            row[PLACES] = current, current, 2000.0, 0.0, 150.0
+            row[WIDTH] = 1.0
+            rows += [none, row]
+    return np.array(rows)
 
 
 def decided(parts: LoopParts, rows: FloatArray) -> FloatArray:

@@ -21,6 +21,7 @@ from tests.firmware_filter import (
     compiled,
     decided,
     drawn,
+    edges,
     hostile,
     recorded,
     replay,
@@ -86,8 +87,9 @@ def test_drawn_samples_are_decided_as_in_python_but_for_rounding(parts: LoopPart
 def test_an_uneven_model_is_decided_as_in_python_but_for_rounding(parts: LoopParts, tmp_path: Path) -> None:
     other = uneven(parts)
     program = compiled(written(tmp_path, other), "double", "-O2")
-    for rows, label in ((drawn(20_000, 9), "uneven, drawn"), (recorded(other, 4, 10_000), "uneven, recorded")):
-        differing, worst, measure = compare(replay(program, "double", rows), decided(other, rows), label)
+    trials = {"drawn": drawn(20_000, 9), "at edges": edges(other), "recorded": recorded(other, 4, 10_000)}
+    for label, rows in trials.items():
+        differing, worst, measure = compare(replay(program, "double", rows), decided(other, rows), f"uneven, {label}")
         assert differing == 0.0 and worst < 1e-12 and measure < 1e-9
 
 
