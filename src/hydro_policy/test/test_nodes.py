@@ -87,6 +87,7 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
         "--name",
         "a",
         *short,
+        timeout=280.0,
     )
     assert done.returncode == 0, done.stderr
     folder = RunDirectory(tmp_path / "a")
@@ -106,12 +107,12 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     drawn = dict(zip(gains["step"].tolist(), gains["delta_kp"].tolist(), strict=True))
     assert len(steps) >= 500 and set(steps["step"].tolist()) <= set(drawn)
     apart = [drawn[row["step"]] - row["mean_delta_kp"] for row in steps]
-    assert np.std(apart) > 0.1 and len(np.unique(steps["weights"])) > 5, "drawn around the mean of weights that learn"
-    assert (steps["reward"][1:] < 0.0).sum() >= 498
-    losses = np.array(
-        [recording["/hydro/training"][name] for name in ("critic_loss", "actor_loss", "temperature_loss")]
-    )
-    assert np.isfinite(losses[:, -1]).all() and np.isnan(losses[:, 0]).all(), "none before the first update"
+    assert np.std(apart) > 0.1 and len(np.unique(steps["weights"])) > 1, "drawn around the mean of weights that learn"
+    assert (steps["reward"][1:] < 0.0).sum() >= 498 and np.isnan(steps["reward"][0])
+    told = recording["/hydro/training"]
+    losses = np.array([told[f"{name}_loss"] for name in ("critic", "actor", "temperature")])
+    learnt = np.concatenate(([False], told["updates"][:-1] > 0))
+    assert np.isfinite(losses[:, learnt]).all() and np.isnan(losses[:, told["updates"] == 0]).all()
     marks = [mark.text for mark in read_recorded(folder.bag).marks if mark.kind == "weights"]
     assert re.fullmatch("weights [0-9a-f]{12}, the first to act", marks[0]) and 1 <= len(marks) < 10
     assert {"config.yaml", "bench.yaml"} <= set(recording.attachments)

@@ -68,7 +68,7 @@ def ask(node: Node, *, arm: bool, timeout: float, whom: str = "") -> str:
     answer = client.call_async(request)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=timeout)
     if not answer.done():
-        raise UserError(f"the plant did not answer within {timeout:g} s")
+        raise UserError(f"the plant did not answer within {timeout:g} s: it may have done it or not; look at its flags")
     if not answer.result().success:
         raise UserError(f"the plant refuses: {answer.result().message}")
     return str(answer.result().message)

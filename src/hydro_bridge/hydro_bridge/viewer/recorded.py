@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -148,7 +149,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
     source = BagSource(Path(path))
     reading = _Reading(span=span)
     decoder = MessageDecoder(source)
-    tables = {
+    tables: dict[str, Callable[[Table], None]] = {
         STATE_TOPIC: lambda table: reading.take_states(as_states(table, source.path)),
         CORRECTION_TOPIC: reading.take_corrections,
         TRAINING_TOPIC: reading.take_training,

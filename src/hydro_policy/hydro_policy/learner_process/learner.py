@@ -149,11 +149,11 @@ class Learner:
         if not torch.isfinite(self.sac.actor_network.parameters.sum() + self.sac.critics.parameters.sum()):
             raise FloatingPointError(f"the networks diverged at update {self.sac.updates}")
         self._weights.publish(self.sac.actor_network.parameters.numpy().tobytes())
+        self._status[LOSSES] = self.sac.losses
         self._status[UPDATES], self._status[ENTROPY] = self.sac.updates, self.sac.entropy_coefficient
         if now - self._published >= SNAPSHOT_PERIOD:
             self._snapshot.publish(dump(self.sac))
             self._published = now
-        self._status[LOSSES] = self.sac.losses
         self._status[READY] = 1.0
 
     def roll_back(self) -> None:

@@ -171,7 +171,10 @@ class GraphNode(Node):
         executor.remove_node(self)
         executor.shutdown()
         if not answer.done() or not answer.result().success:
-            self.warn("the plant did not confirm that it is disarmed; its own watchdog remains")
+            self.warn(
+                "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms "
+                "after 10 s; to be sure, `ros2 run hydro_bridge arm --off`"
+            )
 
     def listen_to_corrections(self) -> None:
         """From now on the session hears what the filter says, a thousand times a second."""
@@ -286,7 +289,7 @@ class GraphNode(Node):
 
     def _on_authority(self, lost: str) -> None:
         if lost:
-            self.warn(f"the authority over the plant is lost: {lost}")
+            self.warn(f"the authority over the plant is lost, and nothing is sent until it is back: {lost}")
             self._override_service.close()
         else:
             self._override_service.open()
@@ -305,7 +308,7 @@ class GraphNode(Node):
             self._unarmed_since = math.inf
             return
         self._unarmed_since = min(self._unarmed_since, now := time.monotonic())
-        self.warn(f"arming: {response.message}")
+        self.warn(f"the plant was not armed: {response.message}")
         if now - self._unarmed_since > ALONE_WITHIN:
             self._fail(NotReadyError(f"the plant was not armed for {ALONE_WITHIN:g} s: {response.message}"))
 

@@ -87,7 +87,7 @@ def ask(node: Node, wanted: OverrideGains.Request) -> str:
     answer = client.call_async(wanted)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=TIMEOUT)
     if not answer.done():
-        raise UserError(f"no answer within {TIMEOUT:g} s")
+        raise UserError(f"no answer within {TIMEOUT:g} s: look at the gains in /hydro/state, or ask again")
     if not answer.result().success:
         raise UserError(answer.result().message)
     return str(answer.result().message)

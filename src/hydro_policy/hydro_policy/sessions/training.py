@@ -238,7 +238,7 @@ class TrainingSession:
         self._outputs.say(sentence, warning=True)
 
     def _pause(self, reason: str, where: str) -> None:
-        sentence = f"paused in {where} at step {self.current.steps}: {reason}"
+        sentence = f"paused in {where} at step {self.current.steps}: {reason}; it begins anew once the plant is armed"
         self.phase, self.exam = Phase.PAUSED, None
         self.progress.interruptions += 1
         self.explorer.forget()
