@@ -125,6 +125,12 @@ def test_the_loss_follows_the_label(model: NetworkModel) -> None:
     assert float((losses[True] - losses[False]).detach()) == pytest.approx(weight * value, rel=1e-6)
 
 
+def test_the_shipped_metric_says_what_it_is_worth() -> None:
+    told = metric._ours()
+    assert told["epochs"] == 0
+    assert told["stable_verified"] > 0.9 and told["unstable_found"] > 0.5
+
+
 def test_a_correction_is_held_for_ten_samples() -> None:
     class Counting:
         calls = 0

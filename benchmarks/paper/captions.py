@@ -45,7 +45,8 @@ printed; *one-step*: H = 1. The last columns: error of f_l after so many samples
 METRICS = """
 ### Table training_metric
 
-Made on rollouts of the paper's network model under fixed gains, no filter; judged on rollouts not trained on.
+Made on rollouts of the paper's network model under fixed gains, no filter; judged on rollouts not trained on. Ours is
+solved, not trained, on the shipped model, and judged on its rollouts; its loss is another one.
 """
 
 VALIDATION = """

@@ -185,6 +185,8 @@ def _normalized(sample: Sample, dynamics: NetworkDynamics, law: ForceLaw, limit:
 
 
 def _ours() -> Result:
-    """What the shipped metric's file says of its training."""
+    """What the shipped metric's file says of itself: its own loss, on its own rollouts."""
     training: dict[str, Any] = LearnedMetric.load().training
-    return {key: training[key] for key in ("command", "epochs", "best_epoch", "validation_loss", "seconds")}
+    _, _, loss, violated, _, caught = training["history"][training["best_epoch"]]
+    told = {key: training[key] for key in ("command", "epochs")}
+    return {**told, "loss": loss, "stable_verified": 1.0 - violated, "unstable_found": caught}

@@ -108,6 +108,9 @@ def _metrics(store: Store) -> str:
             for key in ("stable_verified", "unstable_found")
         ]
         rows.append([str(epochs), cell([one["loss"] for one in after], 3), *shares, str(len(found))])
+    if ours := store.kept("metric-ours"):
+        shares = [f"{100.0 * ours[key]:.2f}" for key in ("stable_verified", "unstable_found")]
+        rows.append([f"ours, as shipped: {ours['epochs']}", "", *shares, "1"])
     head = ["epochs", "loss", "stable samples verified [%]", "unstable samples found [%]", "seeds"]
     labels = {name: sum(one["rollouts"][name] for one in found) for name in ("stable", "unstable", "neither")}
     told = "Rollouts by label, all seeds: " + ", ".join(f"{count} {name}" for name, count in labels.items()) + ".\n"
