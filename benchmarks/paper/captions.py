@@ -20,6 +20,8 @@ OPEN = """
 - v has the sign of the erratum: with the printed one a correction pushes the force away from its reference.
 - A, B, K are exact slopes, where the paper takes differences; the metric's rollouts: K_p -40 to 200 1/s, without noise.
 - II is trained on the shipped model, not on the 2x32 network: the gap from simulation to bench is the smaller for it.
+- Not in Table training_agent: batch 256, target entropy -2, fixed scales of the observation, the reward's factor 0.02.
+  How much hangs on them was not measured.
 - No filter stands in the runs of Table rmse. *I* is the best policy by the run's own examinations, two runs of each
   sine, better than the one that came by more than their noise; *last policy* is what the training ended with.
 - I's actor learns at a tenth of the paper's rate, and not before an episode of the bench is there: `trainer`'s way with

@@ -19,7 +19,7 @@ def analytic_is_near(store: Store) -> str:
         return ""
     return (
         "The emulated bench is built on the analytic model's equations, which therefore err by "
-        f"{found[0, LOAD_FORCE]:.1%} of f_l's range, not by {printed:.0%} as on the paper's bench."
+        f"{100 * found[0, LOAD_FORCE]:.1f} % of f_l's range, not by {100 * printed:.0f} % as on the paper's bench."
     )
 
 
@@ -30,9 +30,10 @@ def network_error(store: Store) -> str:
         return ""
     ratio = np.exp(np.log(network.mean(0) / other[0]).mean())
     epochs = table(store, "model-squared-{}", "best_epoch")
+    share = 100.0 * network[:, LOAD_FORCE].mean()
     return (
         f"The network errs {ratio:.2g} times as much as they do (geometric mean of the states) and by "
-        f"{network[:, LOAD_FORCE].mean():.2%} of f_l's range, best after {epochs.mean():.0f} epochs of two batches."
+        f"{share:.2f} % of f_l's range, best after {epochs.mean():.0f} epochs of two batches."
     )
 
 
@@ -69,7 +70,7 @@ def three_epochs(store: Store) -> str:
 
     def shares(epoch: int) -> str:
         found = [mean(epoch, key) for key in ("stable_verified", "unstable_found")]
-        return " and ".join("of none" if np.isnan(share) else f"in {share:.0%}" for share in found)
+        return " and ".join("of none" if np.isnan(share) else f"in {100 * share:.0f} %" for share in found)
 
     return (
         f"Held out, the loss is {mean(0, 'loss'):.3g} before training, {mean(3, 'loss'):.3g} after three epochs and "
