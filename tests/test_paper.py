@@ -227,7 +227,7 @@ def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
     page = (tmp_path / "paper.md").read_text()
     assert page.count("0 pieces are there") == 2
     assert "### Table" not in page
-    assert "| metrics | 0 of 5 |  | 0 of 2 |  |" in page and "All pieces of a size" not in page
+    assert "| metrics, long | 0 of 5 |  | 0 of 2 |  |" in page and "All pieces of a size" not in page
 
 
 def test_a_whole_run_costs_what_its_pieces_do_or_smaller_ones_scaled(tmp_path: Path) -> None:
@@ -237,8 +237,8 @@ def test_a_whole_run_costs_what_its_pieces_do_or_smaller_ones_scaled(tmp_path: P
             _keep(quick, name, 36.0)
     expected = {kind.name: len(kind.names(FULL)) * kind.work(FULL) / kind.work(QUICK) for kind in times.KINDS}
     assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
-    _keep(full, "metric-3", 360.0)
-    expected["metrics"] = 10.0 * 5
+    _keep(full, "metric-long-3", 360.0)
+    expected["metrics, long"] = 10.0 * 5
     assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
 
 
