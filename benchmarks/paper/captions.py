@@ -72,5 +72,6 @@ Authority *paper*: K_p 15 to 90, K_i 5 to 15; *wide*: to 300 and 100. Bench *def
 CHATTER = """
 ### Chattering in training
 
-Of I's first two episodes: default bench, paper's authority; filters as in Table val_cont.
+Of I's first two episodes: default bench, paper's authority; filters as in Table val_cont. An episode in which the box
+trips is begun anew; a training ends after a minute for each episode, whatever it has done by then.
 """

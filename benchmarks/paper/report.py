@@ -152,8 +152,9 @@ def _chatter(store: Store) -> str:
     for chosen in ("none", "paper-short", "ours"):
         if found := _all(store, f"chatter-{chosen}-{{}}"):
             trips = sum(one["trips"] for one in found)
-            rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(len(found))])
-    body = markdown(["filter", "u' RMS [A/s]", "trips", "seeds"], rows) if rows else "not run yet\n"
+            done = sum(one["episodes"] for one in found)
+            rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(done), str(len(found))])
+    body = markdown(["filter", "u' RMS [A/s]", "trips", "episodes", "seeds"], rows) if rows else "not run yet\n"
     return captions.CHATTER + "\n" + body
 
 
