@@ -69,13 +69,14 @@ def three_epochs(store: Store) -> str:
         return float(np.mean(np.array([history[epoch][key] for history in histories], float)))
 
     def shares(epoch: int) -> str:
-        found = [mean(epoch, key) for key in ("stable_verified", "unstable_found")]
-        return " and ".join("of none" if np.isnan(share) else f"in {100 * share:.0f} %" for share in found)
+        stable, unstable = (100.0 * mean(epoch, key) for key in ("stable_verified", "unstable_found"))
+        caught = "" if np.isnan(unstable) else f" and {unstable:.0f} % of the unstable"
+        return f"{stable:.0f} % of the stable{caught}"
 
     return (
         f"Held out, the loss is {mean(0, 'loss'):.3g} before training, {mean(3, 'loss'):.3g} after three epochs and "
-        f"{mean(-1, 'loss'):.3g} after {store.size.metric_epochs}; the sign of M_c is right {shares(3)} of the stable "
-        f"and unstable samples after three, {shares(-1)} after all."
+        f"{mean(-1, 'loss'):.3g} after {store.size.metric_epochs}; the sign of M_c is right in {shares(3)} samples "
+        f"after three, in {shares(-1)} after all."
     )
 
 
@@ -87,6 +88,6 @@ def hardly_unstable(store: Store) -> str:
     if unstable >= 0.2 * stable:
         return ""
     return (
-        f"Its metric was trained on {unstable} unstable rollouts beside {stable} stable ones, though a quarter has K_p "
-        f"below 0: the network model is not the bench after {store.size.model_epochs} epochs."
+        f"Of the metric's rollouts {unstable} were unstable and {stable} stable, though a quarter has K_p below 0: the "
+        f"network model is not the bench after {store.size.model_epochs} epochs."
     )

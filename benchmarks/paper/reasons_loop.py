@@ -57,7 +57,7 @@ def handed_back(bench: str) -> Sentence:
         episodes = store.size.bench_episodes
         told = f"RMSE after {episodes} episodes, to II's: I {chosen:+.0f} %, its last policy {last:+.0f} %."
         if same:
-            told += f" In {same} of {len(found)} seeds I is II: no examination was better than that of II by its noise."
+            told += f" In {same} of {len(found)} I is II: no examination was better than that of II by its noise."
         return told
 
     return say
