@@ -125,6 +125,12 @@ def test_the_loss_follows_the_label(model: NetworkModel) -> None:
     assert float((losses[True] - losses[False]).detach()) == pytest.approx(weight * value, rel=1e-6)
 
 
+def test_the_shipped_metric_says_what_it_is_worth() -> None:
+    told = metric._ours()
+    assert told["epochs"] == 0
+    assert told["stable_verified"] > 0.9 and told["unstable_found"] > 0.5
+
+
 def test_a_correction_is_held_for_ten_samples() -> None:
     class Counting:
         calls = 0
@@ -184,7 +190,7 @@ def test_a_reason_follows_the_pieces(tmp_path: Path) -> None:
         quick = Store(tmp_path / str(number), QUICK)
         quick.piece("model-analytic", lambda e=error: {"over_range": [e] * 8})  # type: ignore[misc]
         told.append(why("model", quick))
-    assert "err by 0.4% of f_l's range, not by 91% as" in told[0]
+    assert "err by 0.4 % of f_l's range, not by 91 % as" in told[0]
     assert told[1] == MISSING
 
 
@@ -193,8 +199,8 @@ def test_an_agent_that_is_the_one_that_came_is_said_to_be(tmp_path: Path) -> Non
     quick.piece("rmse-default-paper-II-0", lambda: {"rmse": [4.0, 5.0, 8.0, 9.0]})
     quick.piece("rmse-default-paper-I-0", lambda: {"rmse": [4.0, 5.0, 8.0, 9.0], "last": [8.0, 10.0, 16.0, 18.0]})
     page = report.text(Store(tmp_path, FULL), quick)
-    assert "no difference (0 of 4, 4 equal; 1 of 2 seeds) | *quick*: RMSE after 2 episodes, to II's: I +0%" in page
-    assert "its last policy +100%. In 1 of 1 seeds I is II" in page
+    assert "no difference (0 of 4, 4 equal; 1 of 2 seeds) | *quick*: RMSE after 2 episodes, to II's: I +0 %" in page
+    assert "its last policy +100 %. In 1 of 1 I is II" in page
     assert "| default | I, paper, last policy | 8.00 | 10.00 | 16.00 | 18.00 | 1 |" in page
 
 
@@ -221,7 +227,7 @@ def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
     page = (tmp_path / "paper.md").read_text()
     assert page.count("0 pieces are there") == 2
     assert "### Table" not in page
-    assert "| metrics | 0 of 5 |  | 0 of 2 |  |" in page and "All pieces of a size" not in page
+    assert "| metrics, long | 0 of 5 |  | 0 of 2 |  |" in page and "All pieces of a size" not in page
 
 
 def test_a_whole_run_costs_what_its_pieces_do_or_smaller_ones_scaled(tmp_path: Path) -> None:
@@ -231,8 +237,8 @@ def test_a_whole_run_costs_what_its_pieces_do_or_smaller_ones_scaled(tmp_path: P
             _keep(quick, name, 36.0)
     expected = {kind.name: len(kind.names(FULL)) * kind.work(FULL) / kind.work(QUICK) for kind in times.KINDS}
     assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
-    _keep(full, "metric-3", 360.0)
-    expected["metrics"] = 10.0 * 5
+    _keep(full, "metric-long-3", 360.0)
+    expected["metrics, long"] = 10.0 * 5
     assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
 
 

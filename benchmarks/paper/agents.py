@@ -142,7 +142,10 @@ def _first(store: Store, bench: str, authority: str, seed: int) -> Result:
 def train(
     plant: Plant, start: Start, episodes: int, every: int, seed: int, corrector: Corrector | None = None
 ) -> tuple[TrainingSession, Listening]:
-    """Episodes on a bench as `trainer` does them, examined every so many (0: never), each sine twice."""
+    """Episodes on a bench as `trainer` does them, examined every so many (0: never), each sine twice.
+
+    A run that trips again and again ends after a minute for each episode, and ten more where there are examinations.
+    """
     settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed))
     settings = replace(settings, exam=replace(settings.exam, every=every, repeats=2))
     reach = settings.task.gains
@@ -150,7 +153,7 @@ def train(
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
     learner = InlineLearner(settings, start=start.agent)
     session = TrainingSession(settings, learner, graph)
-    graph.run(session, 60.0 * episodes + 600.0, learner)
+    graph.run(session, 60.0 * episodes + (600.0 if every else 0.0), learner)
     return session, graph
 
 

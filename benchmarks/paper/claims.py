@@ -15,8 +15,10 @@ def untouched(store: Store) -> list[list[Outcome]]:
 
 def converged(store: Store) -> list[list[Outcome]]:
     """Whether the loss after three epochs is within a tenth of the last, of each metric."""
-    histories = [found["history"] for (found,) in pieces(store, "metric-{}")]
-    return [[outcome(history[3]["loss"] < 1.1 * history[-1]["loss"])] for history in histories]
+    histories = [
+        (short["history"], long["history"]) for short, long in pieces(store, "metric-short-{}", "metric-long-{}")
+    ]
+    return [[outcome(short[-1]["loss"] < 1.1 * long[-1]["loss"])] for short, long in histories]
 
 
 CLAIMS = (

@@ -53,12 +53,11 @@ def handed_back(bench: str) -> Sentence:
         if not found:
             return ""
         same = sum(first["rmse"] == second["rmse"] for first, second in found)
-        chosen, last = (np.mean([_relative(a[key], b["rmse"]) for a, b in found]) for key in ("rmse", "last"))
-        told = (
-            f"RMSE after {store.size.bench_episodes} episodes, to II's: I {chosen:+.0%}, its last policy {last:+.0%}."
-        )
+        chosen, last = (100.0 * np.mean([_relative(a[key], b["rmse"]) for a, b in found]) for key in ("rmse", "last"))
+        episodes = store.size.bench_episodes
+        told = f"RMSE after {episodes} episodes, to II's: I {chosen:+.0f} %, its last policy {last:+.0f} %."
         if same:
-            told += f" In {same} of {len(found)} seeds I is II: no examination was better than that of II by its noise."
+            told += f" In {same} of {len(found)} I is II: no examination was better than that of II by its noise."
         return told
 
     return say

@@ -100,15 +100,18 @@ def _models(store: Store) -> str:
 
 
 def _metrics(store: Store) -> str:
-    rows, found = [], _all(store, "metric-{}")
-    for epochs in (0, PRINTED["training_metric"]["epochs"], store.size.metric_epochs) if found else ():
-        after = [one["history"][epochs] for one in found]
-        shares = [
-            cell(100.0 * np.array([one[key] for one in after], float), missing="none")
-            for key in ("stable_verified", "unstable_found")
-        ]
-        rows.append([str(epochs), cell([one["loss"] for one in after], 3), *shares, str(len(found))])
+    rows = []
+    for told, name, place in (("0", "short", 0), ("3", "short", -1), (str(store.size.metric_epochs), "long", -1)):
+        if found := _all(store, f"metric-{name}-{{}}"):
+            after = [one["history"][place] for one in found]
+            keys = ("stable_verified", "unstable_found")
+            shares = [cell(100.0 * np.array([one[key] for one in after], float), missing="none") for key in keys]
+            rows.append([told, cell([one["loss"] for one in after], 3), *shares, str(len(found))])
+    if ours := store.kept("metric-ours"):
+        shares = [f"{100.0 * ours[key]:.2f}" for key in ("stable_verified", "unstable_found")]
+        rows.append([f"ours, as shipped: {ours['epochs']}", "", *shares, "1"])
     head = ["epochs", "loss", "stable samples verified [%]", "unstable samples found [%]", "seeds"]
+    found = _all(store, "metric-short-{}")
     labels = {name: sum(one["rollouts"][name] for one in found) for name in ("stable", "unstable", "neither")}
     told = "Rollouts by label, all seeds: " + ", ".join(f"{count} {name}" for name, count in labels.items()) + ".\n"
     return captions.METRICS + "\n" + (markdown(head, rows) + "\n" + told if rows else "not run yet\n")
@@ -149,8 +152,9 @@ def _chatter(store: Store) -> str:
     for chosen in ("none", "paper-short", "ours"):
         if found := _all(store, f"chatter-{chosen}-{{}}"):
             trips = sum(one["trips"] for one in found)
-            rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(len(found))])
-    body = markdown(["filter", "u' RMS [A/s]", "trips", "seeds"], rows) if rows else "not run yet\n"
+            done = sum(one["episodes"] for one in found)
+            rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(done), str(len(found))])
+    body = markdown(["filter", "u' RMS [A/s]", "trips", "episodes", "seeds"], rows) if rows else "not run yet\n"
     return captions.CHATTER + "\n" + body
 
 

@@ -40,7 +40,8 @@ KINDS = (
     Kind("networks, 70 samples", ("model-squared-{}", "model-printed-{}"), lambda size: size.model_epochs),
     Kind("networks, one step", ("model-one-step-{}",), lambda size: size.model_epochs),
     Kind("other models", ("model-analytic", "model-ours")),
-    Kind("metrics", ("metric-{}",), lambda size: size.rollouts * size.metric_epochs),
+    Kind("metrics, 3 epochs", ("metric-short-{}",), lambda size: size.rollouts),
+    Kind("metrics, long", ("metric-long-{}",), lambda size: size.rollouts * size.metric_epochs),
     Kind(
         "runs of Table val_cont",
         tuple(f"validation-{case}-{chosen}-{{}}" for case in CASES for chosen in FILTERS),

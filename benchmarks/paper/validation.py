@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.paper import metric
 from benchmarks.paper.certificate import paper_filter
-from benchmarks.paper.store import CASES, FILTERS, PRINTED, Result, Store
+from benchmarks.paper.store import CASES, FILTERS, Result, Store
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.validation import cases, runs
 from hydro_filter.validation.trial import Corrector, Trial, gammas
@@ -22,10 +22,10 @@ from hydro_sim.model.bench import Bench
 
 
 def run(store: Store) -> None:
-    """Every filter in every case, seed by seed."""
-    for seed in range(store.size.seeds):
-        for name in CASES:
-            for chosen in FILTERS:
+    """Every filter in every case, seed by seed; those that need no training first."""
+    for chosen in FILTERS:
+        for seed in range(store.size.seeds):
+            for name in CASES:
                 piece = f"validation-{name}-{chosen}-{seed}"
                 store.piece(piece, lambda n=name, c=chosen, s=seed: _run(store, n, c, s))  # type: ignore[misc]
 
@@ -37,8 +37,7 @@ def corrector(store: Store, chosen: str, seed: int) -> Corrector:
         return runs.make_filter(
             runs.Task(plant="emulator", case="stable", filter=shipped, seed=seed, seconds=1.0), Bench.nominal()
         )
-    epochs = PRINTED["training_metric"]["epochs"] if chosen == "paper-short" else store.size.metric_epochs
-    return paper_filter(metric.load(store, epochs, seed), metric.model_of(store, seed))
+    return paper_filter(metric.load(store, chosen.removeprefix("paper-"), seed), metric.model_of(store, seed))
 
 
 def _run(store: Store, name: str, chosen: str, seed: int) -> Result:
