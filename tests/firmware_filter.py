@@ -137,7 +137,7 @@ def edges(parts: LoopParts) -> FloatArray:
 
 def decided(parts: LoopParts, rows: FloatArray) -> FloatArray:
     """The same by the compiled Python; what is not finite as 0, as C tells it."""
-    memory, space = memories(parts.loop), loop_decision.space(parts)
+    memory, space = memories(parts.loop), loop_decision.workspace(parts)
     made = [
         loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], bool(row[WIDTH]), space) for row in rows
     ]
@@ -160,7 +160,7 @@ def recorded(parts: LoopParts, seed: int, samples: int) -> FloatArray:
     """Samples of the emulated box on a bench that the filter corrects, a sample late, as the graph does."""
     bench = Bench.nominal()
     box, plant = Box(bench), AnalyticPlant(bench)
-    memory, space = memories(parts.loop), loop_decision.space(parts)
+    memory, space = memories(parts.loop), loop_decision.workspace(parts)
     x, rows, wanted, delta_u = plant.reset(seed), [], dict(commands(seed, samples)), 0.0
     for k in range(samples):
         command = wanted.get(k - k % 400, Command())

@@ -30,7 +30,7 @@ from hydro_bridge.signals import SAMPLE_PERIOD, Flag
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.runs.initial_agent import Start, load_start
+from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.offline import InlineLearner, OfflineGraph
@@ -102,11 +102,11 @@ def _tables(store: Store, bench: str) -> None:
                 store.piece(name, lambda m=make, a=authority, s=seed: m(store, bench, a, s))  # type: ignore[misc]
 
 
-def simulated(store: Store, authority: str, seed: int) -> Start:
+def simulated(store: Store, authority: str, seed: int) -> InitialAgent:
     """II: the agent that `pretrain` makes, made or gone on with if it is not finished."""
     folder, episodes = store.folder / f"II-{authority}-{seed}", store.size.simulated_episodes
     store.piece(f"II-{authority}-{seed}", lambda: _pretrained(folder, authority, seed, episodes))
-    return load_start(folder)
+    return load_initial_agent(folder)
 
 
 def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Result:
@@ -140,7 +140,7 @@ def _first(store: Store, bench: str, authority: str, seed: int) -> Result:
 
 
 def train(
-    plant: Plant, start: Start, episodes: int, every: int, seed: int, corrector: Corrector | None = None
+    plant: Plant, start: InitialAgent, episodes: int, every: int, seed: int, corrector: Corrector | None = None
 ) -> tuple[TrainingSession, Listening]:
     """Episodes on a bench as `trainer` does them, examined every so many (0: never), each sine twice.
 
@@ -157,7 +157,7 @@ def train(
     return session, graph
 
 
-def _controller(start: Start, parameters: Any) -> PolicyController:
+def _controller(start: InitialAgent, parameters: Any) -> PolicyController:
     made = agent(parameters, start)
     return PolicyController(made.policy, made.gains, "policy")
 

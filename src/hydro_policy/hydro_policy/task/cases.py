@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What controllers are compared on: the paper's sines, and references that no policy was trained on."""
+"""Evaluation cases: the paper's sines, and references outside of the training distribution."""
 
 from __future__ import annotations
 

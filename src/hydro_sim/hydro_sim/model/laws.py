@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a term without a name is: a law or a table in one equation, written once for arrays and symbols.
+"""Laws and tables: terms of one equation, written once for arrays and symbols.
 
 Terms are linear in their amplitudes. What one gives acts in its equation::
 
