@@ -113,14 +113,15 @@ def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
 
 
 def edges(parts: LoopParts) -> FloatArray:
-    """Samples with nothing before them, where the model has another form on each side.
+    """Samples with nothing before them, where the model or the force law has another form on each side.
 
-    The spool stands just closed; the piston presses on a stop with no force, or with less than 1 N; a chamber stands
+    The spool stands just closed; the piston at an end, or on a stop with no force, or with less than 1 N; a chamber
     above twice the supply.
     """
     constants = dict(zip(CONSTANTS, parts.loop.model[0], strict=True))
     into, leaves = 2.0**-10, 1e7 * 2.0**-10 / 4e3  # m; the speed [m/s] at which the stop's damping takes its force
-    places = [(0.05, 0.0, 4e6, 6e6), (0.05, 0.0, 60e6, 6e6), (0.05, 0.0, 4e6, 60e6)]
+    places = [(position, 0.0, 4e6, 6e6) for position in (0.05, 0.0, float(parts.loop.bench["stroke"][0]))]
+    places += [(0.05, 0.0, 60e6, 6e6), (0.05, 0.0, 4e6, 60e6)]
     for position, speed in ((-into, leaves), (constants["stroke"] + into, -leaves)):
         places += [(position, speed + more, 4e6, 6e6) for more in (0.0, 1e-4, -1e-4)]
     none = np.append(np.full(WIDTH, np.nan), 1.0)
