@@ -33,7 +33,7 @@ EQUIVALENT = {
         " / decay;"
     ): "one of two that are equal to 1e-9",
     "loop.h: hydro_real d[HYDRO_PLANT + 1][HYDRO_DIRECTIONS] = {{HYDRO_R(1)}}, none, moved;": "set two lines below",
-    "loop.h: for (int i = 1; i < HYDRO_LOOP; i++) {": "of the law's slopes, whose first is set below; no mutant elsewhere",
+    "loop.h: for (int i = 1; i < HYDRO_LOOP; i++) {": "the first is set below",
     "loop.h: hydro_real felt = gain >= loop->gain_floor ? nominal : HYDRO_R(0);": "at a corner either slope is one",
     "loop_filter.h: #define HYDRO_FACTOR (HYDRO_LOOP * (HYDRO_LOOP + 1) * 2)": "longer rows, filled with zeros",
     "loop_filter.h: #define HYDRO_FACTOR (HYDRO_LOOP * (HYDRO_LOOP + 2) / 2)": "longer rows, filled with zeros",
