@@ -64,7 +64,7 @@ def _watch(model, monitors, hidden, x, currents, highest):
     for i in range(len(x)):
         m = monitors[i]
         for k in range(x.shape[1]):
-            innovations.watch(model, 1.0, m, x[i, k], hidden[i])
+            innovations.update(model, 1.0, m, x[i, k], hidden[i])
             hidden_states.follow(model[0], x[i, k, 7], currents[i, k], hidden[i])
             for j in range(COUNT):
                 highest[j] = max(highest[j], m.sums[j, 0], m.sums[j, 1])

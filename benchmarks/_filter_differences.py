@@ -39,16 +39,16 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
     displacement.displace(loop, memory, x, reference, reference_rate, workspace.v)
     displacement.follow(loop, memory, x, current, reference_rate)
     _metric(parts.metric, x, step.state_rate, gain, value)
-    outside = network.foreign(parts.metric, gain)
+    outside = network.uncertified(parts.metric, gain)
     rate = parts.foreign_rate if outside else parts.rate
     term, law_gain = loop_decision.integral_term(
         loop.bench[0], loop.gain_floor, x, nominal, reference, reference_rate, gain
     )
-    asked = sampled.unasked(term, parts.integral_allowance) / law_gain
+    asked = sampled.excess_integral(term, parts.integral_allowance) / law_gain
     bent, slope, level, size = sampled.quadratic(
         step, value, workspace.v, current - nominal + asked, asked, rate, workspace.next_v, workspace.after_v
     )
-    share = sampled.fade(size, parts.foreign_noise_size if outside else parts.noise_size)
+    share = sampled.displacement_share(size, parts.foreign_noise_size if outside else parts.noise_size)
     slope, level = share * slope, share * share * level
     a, b, best = sampled.half_line(bent, slope, level)
     limit = loop.current_max
@@ -109,7 +109,7 @@ def linearize(loop, hidden, x, nominal, current, proportional_gain, step):
     c = loop.model[0]
     full, after, q, p = step.full, step.after, np.empty(LOOP), np.empty(LOOP)
     probe, end = np.empty(FULL), np.empty(FULL)
-    structured_kernels.lift(c, x, hidden, full)
+    structured_kernels.full_state(c, x, hidden, full)
     _advance(loop, full, current, after)
     share_a, share_b = shares(c, x[6])
     gain = hydraulic_slopes(c, full[0], full[1], full[2], hidden[0])[0]

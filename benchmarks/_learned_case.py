@@ -89,7 +89,7 @@ class Case:
             print(show, file=sys.stderr, end="\r")
             model, facts["epochs"], facts["best_epoch"] = best, last.epoch, last.best_epoch
         if isinstance(model, StructuredModel):
-            model = stages.trusted(model, data)
+            model = stages.tune_observer(model, data)
         facts["cpu"] = round(spent + time.process_time() - began, 1)
         training.finished(model, data, facts).save(self.model(row))
 
@@ -101,7 +101,7 @@ class Case:
             model = training.start(data, settings, Bench.nominal())
             assert isinstance(model, StructuredModel)
             say = partial(print, file=sys.stderr)
-            return stages.identified(model, data, settings.identify_windows, settings.seed, say), 0.0
+            return stages.fit_constants(model, data, settings.identify_windows, settings.seed, say), 0.0
         found = Learned.load(self.model(ALONE))
         assert isinstance(found.model, StructuredModel)
         width = row.hidden[0], row.hidden[1]

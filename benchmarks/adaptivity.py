@@ -23,7 +23,7 @@ from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_bridge.signals import FloatArray
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.filter_kinds import FILTERS
-from hydro_policy.envs.randomisation import Randomisation, draw
+from hydro_policy.envs.randomisation import Randomisation, draw_bench
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser, fixed
@@ -69,7 +69,7 @@ class Place:
             spring_min=self.spring, spring_max=self.spring, supply_min=self.supply, supply_max=self.supply, spread=0.0,
             noise_min=1.0, noise_max=1.0,
         )  # fmt: skip
-        return draw(only, Learned.load(None), 0).plant
+        return draw_bench(only, Learned.load(None), 0).plant
 
 
 def scheduled(samples: FloatArray) -> FloatArray:

@@ -23,12 +23,12 @@ import yaml
 from benchmarks._changing_bench import outcome, play
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, Waveform
-from hydro_filter.controller.factory import Choice, warm_up
+from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.model.sample import Sample
 from hydro_filter.precompile import FOUND
-from hydro_filter.validation.plants import changed
+from hydro_filter.validation.plants import modified_truth
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import FixedGains
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -134,14 +134,14 @@ def table_of(names: list[str], folder: Path) -> Table:
         case = CASES[name]
         model = bench_file(case, folder / f"{name.translate(FILE_NAME)}.yaml")
         file, said = metric(model, folder)
-        choice = Choice(bench=Bench.nominal(), metric=str(file), model=model)
+        choice = FilterChoice(bench=Bench.nominal(), metric=str(file), model=model)
         trouble = choice.trouble()
         if trouble:
             raise ValueError(trouble)
         made = choice.make(choice.default_settings())
         assert isinstance(made, LoopFilter)
         warm_up(made, choice.bench)
-        plant = TruthPlant(changed(case[0]))
+        plant = TruthPlant(modified_truth(case[0]))
         for gains in ((90.0, 15.0), (250.0, 15.0), (300.0, 30.0)):
             table.add(bench=name, filter="none", **row(plant, gains, None), **nothing)
             if gains[0] > 90.0:

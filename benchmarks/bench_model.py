@@ -53,9 +53,9 @@ def measured(bench: Bench, substeps: int) -> dict[str, Callable[[], float]]:
 
 def compile_seconds(bench: Bench) -> dict[str, float]:
     """s to assemble, write and compile a model that is not kept, without and with derivatives."""
-    taken, place = {}, machine_code.folder
+    taken, place = {}, machine_code.cache_folder
     with tempfile.TemporaryDirectory() as empty:
-        machine_code.folder = lambda: Path(empty)
+        machine_code.cache_folder = lambda: Path(empty)
         try:
             begin = time.perf_counter()
             model = BenchModel(bench, substeps=18)  # steps that nothing else has
@@ -65,7 +65,7 @@ def compile_seconds(bench: Bench) -> dict[str, float]:
             model.jacobian(k, y, 0.0)
             taken["derivatives"] = time.perf_counter() - begin
         finally:
-            machine_code.folder = place
+            machine_code.cache_folder = place
     return taken
 
 

@@ -32,7 +32,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_runs import Chooser, PolicyChooser
 from hydro_policy.evaluation.gain_search import Gains, GridSearch, GridSettings
-from hydro_policy.runs.initial_agent import Start, load_start
+from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters
@@ -82,14 +82,16 @@ def bench(name: str) -> TruthConfig:
     return truth_from_mapping({"profile": "default", "effects": dict(BENCHES[name])})
 
 
-def agent(parameters: FloatArray, start: Start) -> Agent:
+def agent(parameters: FloatArray, start: InitialAgent) -> Agent:
     """The policy with these parameters."""
     policy = Policy(start.sac.hidden_size, (start.sac.log_std_min, start.sac.log_std_max))
     policy.load_flat(parameters)
     return Agent(policy, start.gains)
 
 
-def train(config: TruthConfig, start: Start, episodes: int, seed: int, updates: float) -> tuple[Agent, dict[str, Any]]:
+def train(
+    config: TruthConfig, start: InitialAgent, episodes: int, seed: int, updates: float
+) -> tuple[Agent, dict[str, Any]]:
     """I: some episodes on this bench as `trainer` would do them; the best agent and the run's progress."""
     settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed, updates_per_step=updates))
     settings = replace(settings, exam=replace(settings.exam, every=2))
@@ -157,7 +159,7 @@ def run(asked: argparse.Namespace) -> Table:
     evaluation = EvaluationSettings(periods=4, multisine=True, steps=True)
     sines = replace(evaluation, multisine=False, steps=False)
     cases = [case.name for case in evaluation.cases]
-    starts = {path.name: load_start(path) for path in asked.start}
+    starts = {path.name: load_initial_agent(path) for path in asked.start}
     limits = GridSettings() if asked.kp_max is None else GridSettings(kp_max=asked.kp_max, ki_max=asked.ki_max)
     nominal = search(bench("default"), limits, sines)
     table = Table(

@@ -24,7 +24,7 @@ from benchmarks._report import percentiles
 from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_bridge.ros import request_realtime
 from hydro_bridge.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
-from hydro_filter.controller.factory import CONSTANT, LEARNED, Choice, Filter, warm_up
+from hydro_filter.controller.factory import CONSTANT, LEARNED, Filter, FilterChoice, warm_up
 from hydro_filter.controller.filter import ContractionFilter
 from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
 from hydro_filter.metric.learned import LearnedMetric
@@ -174,7 +174,7 @@ def main(arguments: list[str] | None = None) -> int:
     add_json_argument(parser)
     asked = parser.parse_args(arguments)
     bench = Bench.nominal()
-    choices = {name: Choice(bench=bench, metric=name) for name in (LEARNED, CONSTANT)}
+    choices = {name: FilterChoice(bench=bench, metric=name) for name in (LEARNED, CONSTANT)}
     learned, constant = (choice.make(choice.default_settings()) for choice in choices.values())
     assert isinstance(learned, LoopFilter)
     slow = DifferencedLoopFilter(learned.parts, learned.settings)

@@ -25,7 +25,7 @@ from hydro_sim.emulator.truth.config import truth_from_mapping
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.files import recordings
 from hydro_sim.files.recordings import READING_COLUMNS
-from hydro_sim.identification.bench_learning import Result, learn, left_of
+from hydro_sim.identification.bench_learning import Result, learn, prediction_rmse
 from hydro_sim.model.bench import Bench
 
 Entry = dict[str, Any]
@@ -129,13 +129,13 @@ def judged(case: str, count: int, seconds: float) -> dict[str, Any]:
     bench, held_out = started(case), recorded(case, seconds, 21)
     print(f"{case}: recorded, {time.process_time() - began:.1f} s of CPU", file=sys.stderr)
     data, runs = recordings.split(states), recordings.runs("held out", held_out.states)
-    before = left_of(bench, runs)
+    before = prediction_rmse(bench, runs)
     began = time.process_time()
     result = learn(bench, data, count=count, report=lambda text: print(text, file=sys.stderr, flush=True))
     spent = time.process_time() - began
     return {
         "parameters": _compared(case, result), "cpu": round(spent, 1), "noise_measured": result.noise.tolist(),
-        "over_floor": (left_of(result.bench, runs) / floor(held_out)).tolist(),
+        "over_floor": (prediction_rmse(result.bench, runs) / floor(held_out)).tolist(),
         "over_floor_before": (before / floor(held_out)).tolist(),
     }  # fmt: skip
 

@@ -151,7 +151,7 @@ def default_training() -> float:
     began = time.monotonic()
     model = training.start(data, settings, Bench.nominal())
     assert isinstance(model, StructuredModel)
-    model = stages.identified(model, data, settings.identify_windows, settings.seed, lambda _: None)
+    model = stages.fit_constants(model, data, settings.identify_windows, settings.seed, lambda _: None)
     for _ in training.steps(model, data, settings):
         pass
     return time.monotonic() - began

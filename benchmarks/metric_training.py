@@ -62,7 +62,7 @@ class Batch:
                 v, full = np.empty(LOOP), np.empty(12)
                 linearize(loop, memory[0]["hidden"], x[k], nominal, current, gain, step)
                 displace(loop, memory[0], x[k], reference, rate, v)
-                structured_kernels.lift(loop.model[0], x[k], memory[0]["hidden"], full)
+                structured_kernels.full_state(loop.model[0], x[k], memory[0]["hidden"], full)
                 made = [part.copy() for part in (step.transition, step.push, step.feedback, step.state_rate)]
                 rows.append((x[k], full, v, signals[k], *made))
             follow(loop, memory[0], x[k], current, rate)

@@ -28,7 +28,7 @@ from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_filter.controller.innovations import EQUATIONS
 from hydro_filter.controller.loop_filter import default_filter
-from hydro_filter.validation.plants import ChangingPlant, changed
+from hydro_filter.validation.plants import ChangingPlant, modified_truth
 from hydro_filter.validation.trial import Corrector
 from hydro_policy.evaluation.controllers import Controller, FixedGains, policy_controller
 from hydro_sim.model.bench import Bench
@@ -118,7 +118,7 @@ def changes(names: list[str], references: list[str]) -> Table:
     table = Table(COLUMNS, title="A bench that changes while it runs")
     for name in progress(names, label="changes", unit="bench"):
         for reference in references:
-            plant = ChangingPlant([changed({}), changed(CHANGES[name])], [CHANGE])
+            plant = ChangingPlant([modified_truth({}), modified_truth(CHANGES[name])], [CHANGE])
             for line in lines(name, plant, Bench.nominal(), reference, controllers(), CHANGE):
                 table.add(**line)
     return table
@@ -129,7 +129,7 @@ def foreign(references: list[str]) -> Table:
     table = Table(COLUMNS, title=f"A foreign bench: {dict(FOREIGN)}")
     bench = Bench.from_mapping(Bench.nominal().to_mapping() | dict(FOREIGN))
     for reference in references:
-        plant = ChangingPlant([changed({"bench": dict(FOREIGN)})], [])
+        plant = ChangingPlant([modified_truth({"bench": dict(FOREIGN)})], [])
         for line in lines("foreign", plant, bench, reference, controllers(), 0):
             table.add(**line)
     return table

@@ -25,7 +25,7 @@ import yaml
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.ros import executable_path
 from hydro_filter.metric import learned as learned_metric
-from hydro_policy.runs.initial_agent import shipped_start
+from hydro_policy.runs.initial_agent import shipped_agent
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import MadeFor
 from hydro_sim.files.stamping import stamped
@@ -152,7 +152,7 @@ def make_files(folder: Path) -> None:
     (folder / "own_metric.safetensors").write_bytes(stamped(metric, MadeFor(box=own.digest, model=other)))
     (folder / "other_metric.safetensors").write_bytes(stamped(metric, MadeFor(box=nominal.digest, model=other)))
     (folder / "unmarked_metric.safetensors").write_bytes(stamped(metric, None))
-    start = shipped_start("paper")
+    start = shipped_agent("paper")
     assert start is not None
     for name, made in (("own", MadeFor(box=own.digest, base_kp=15.0, base_ki=5.0)), ("unmarked", None)):
         shutil.copytree(start.source, folder / name)

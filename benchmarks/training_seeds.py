@@ -21,7 +21,7 @@ from hydro_bridge.cli.console import Table, add_json_argument, progress
 from hydro_policy.envs.environment import Transitions
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings, Simulated
-from hydro_policy.runs.initial_agent import Start, shipped_start
+from hydro_policy.runs.initial_agent import InitialAgent, shipped_agent
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.learned.model import Learned
@@ -53,7 +53,7 @@ class Outcome:
     """Best so far."""
 
 
-def train(source: Simulated, name: str, start: Start | None, kind: str, episodes: int, seed: int) -> Outcome:
+def train(source: Simulated, name: str, start: InitialAgent | None, kind: str, episodes: int, seed: int) -> Outcome:
     """One run."""
     training = replace(configuration(name, seed), episodes=episodes, replay_capacity=100_000)
     if start is not None:
@@ -101,7 +101,7 @@ def main() -> int:
     learned = Learned.load(None)
     truth: Callable[[], TruthPlant] = lambda: TruthPlant(profile("default"))  # noqa: E731
     for name in options.start:
-        start = shipped_start(options.configuration) if name == "shipped" else None
+        start = shipped_agent(options.configuration) if name == "shipped" else None
         for kind in options.filter:
             runs = [
                 train(

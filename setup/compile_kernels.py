@@ -43,7 +43,9 @@ def main() -> None:
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # `run_all` ends its processes
     modules = [importlib.import_module(f"{package}.precompile") for package in PACKAGES]
     folders = tuple(Path(str(importlib.import_module(name).__file__)).resolve().parent for name in FOLDERS)
-    sources = compiled.stats(compiled.imported([Path(str(m.__file__)).resolve() for m in modules], folders))
+    sources = compiled.file_stats(
+        compiled.imported_sources([Path(str(m.__file__)).resolve() for m in modules], folders)
+    )
     run_all([(module.__name__, step) for module in modules for step in module.STEPS])
     compiled_files = (path for folder in folders for kind in ("*.nbi", "*.so") for path in folder.rglob(kind))
     caches = sorted(str(path) for path in compiled_files if "__pycache__" in path.parts)

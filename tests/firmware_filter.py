@@ -53,9 +53,36 @@ MOST = np.array([1e5, 1e9, 1e5, 1e9, 1e8, 1e8, 1.0, 20.0, 0.1, 1e4, 1e5, 1e9, 1e
 """Magnitudes that loop_filter.h still computes with."""
 
 
+CONSTANTS = (
+    "bulk", "area", "ratio", "dead_a", "dead_b", "supply", "tank", "ka_positive", "ka_negative", "kb_positive",
+    "kb_negative", "offset", "leak", "mass", "viscous", "spring", "rest", "spool_omega", "spool_damping", "cell_omega",
+    "cell_damping", "coulomb", "stribeck", "stribeck_velocity", "bristle", "bristle_damping", "damping_velocity",
+    "gain_h", "bias_h", "gain_l", "bias_l", "stroke",
+)  # fmt: skip
+"""Members of `hydro_model` in C."""
+SET = {
+    "tank": 2e5, "offset": 1.5e-3, "leak": 2e-12, "gain_h": 1.1, "bias_h": 7.0, "gain_l": 0.92, "bias_l": -4.0,
+    "stroke": 0.09375,
+}  # fmt: skip
+"""Those that are 0 or 1 where nothing is missing, and a stroke in whole powers of 2."""
+
+
 def shipped() -> LoopParts:
     """The default filter's parts."""
     return loop_parts(LearnedMetric.load(), Learned.load().model, Bench.nominal())  # type: ignore[arg-type]
+
+
+def uneven(parts: LoopParts) -> LoopParts:
+    """The same on a model none of whose constants is 0, 1 or another's equal: what the shipped one leaves out shows."""
+    constants = parts.loop.model[0].copy()
+    constants *= np.linspace(0.85, 1.15, len(constants))
+    assert len(constants) == len(CONSTANTS)
+    for name, value in SET.items():
+        constants[CONSTANTS.index(name)] = value
+    smooth = constants.copy()
+    smooth[[CONSTANTS.index("bristle"), CONSTANTS.index("bristle_damping")]] = 0.0
+    rest = parts.loop.model[1:]
+    return parts._replace(loop=parts.loop._replace(model=(constants, *rest), free=(smooth, *rest)))
 
 
 def written(folder: Path, parts: LoopParts) -> Path:
@@ -85,9 +112,32 @@ def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
     return np.frombuffer(done.stdout, KINDS[precision]).reshape(len(rows), 4).astype(np.float64)
 
 
+def edges(parts: LoopParts) -> FloatArray:
+    """Samples with nothing before them, where the model has another form on each side.
+
+    The spool stands just closed; the piston presses on a stop with no force, or with less than 1 N; a chamber stands
+    above twice the supply.
+    """
+    constants = dict(zip(CONSTANTS, parts.loop.model[0], strict=True))
+    into, leaves = 2.0**-10, 1e7 * 2.0**-10 / 4e3  # m; the speed [m/s] at which the stop's damping takes its force
+    places = [(0.05, 0.0, 4e6, 6e6), (0.05, 0.0, 60e6, 6e6), (0.05, 0.0, 4e6, 60e6)]
+    for position, speed in ((-into, leaves), (constants["stroke"] + into, -leaves)):
+        places += [(position, speed + more, 4e6, 6e6) for more in (0.0, 1e-4, -1e-4)]
+    none = np.append(np.full(WIDTH, np.nan), 1.0)
+    rows = []
+    for position, speed, pressure_a, pressure_b in places:
+        for current in (-constants["offset"], 0.01, -0.01):
+            row = np.zeros(WIDTH + 1)
+            row[[4, 5, 6, 7]] = pressure_a, pressure_b, position, speed
+            row[PLACES] = current, current, 2000.0, 0.0, 150.0
+            row[WIDTH] = 1.0
+            rows += [none, row]
+    return np.array(rows)
+
+
 def decided(parts: LoopParts, rows: FloatArray) -> FloatArray:
     """The same by the compiled Python; what is not finite as 0, as C tells it."""
-    memory, space = memories(parts.loop), loop_decision.space(parts)
+    memory, space = memories(parts.loop), loop_decision.workspace(parts)
     made = [
         loop_decision.decide(parts, memory[0], row[:8].copy(), *row[PLACES], bool(row[WIDTH]), space) for row in rows
     ]
@@ -110,7 +160,7 @@ def recorded(parts: LoopParts, seed: int, samples: int) -> FloatArray:
     """Samples of the emulated box on a bench that the filter corrects, a sample late, as the graph does."""
     bench = Bench.nominal()
     box, plant = Box(bench), AnalyticPlant(bench)
-    memory, space = memories(parts.loop), loop_decision.space(parts)
+    memory, space = memories(parts.loop), loop_decision.workspace(parts)
     x, rows, wanted, delta_u = plant.reset(seed), [], dict(commands(seed, samples)), 0.0
     for k in range(samples):
         command = wanted.get(k - k % 400, Command())

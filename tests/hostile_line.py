@@ -27,7 +27,7 @@ from hydro_bridge.bags.recording import continuity, read_bag
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.ros import Companion
 from hydro_bridge.signals import Flag
-from hydro_policy.nodes.companions import PlantOptions
+from hydro_policy.nodes.startup.companions import PlantOptions
 from tests.attacks import Defended
 from tests.graph_probe import own_domain
 from tests.soak.line import Wire, resident

@@ -15,7 +15,8 @@ import pytest
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_filter.metric.design import rest_loop
-from hydro_filter.model.bench_loop import SUBSTEPS, BenchLoop
+from hydro_filter.model.bench_loop import SUBSTEPS
+from hydro_filter.model.bench_parts import BenchLoop
 from hydro_filter.model.loop import follow, loop_of, memories, settle
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_sim.files import recordings

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray
-from tests.firmware_filter import FIRMWARE, decided, drawn, firmware_module, recorded, shipped, written
+from tests.firmware_filter import FIRMWARE, decided, drawn, edges, firmware_module, recorded, shipped, uneven, written
 
 PARTS = ("structured.h", "loop.h", "loop_filter.h")
 
@@ -39,8 +39,13 @@ class Trial:
 
 @pytest.fixture(scope="module")
 def trials(tmp_path_factory: pytest.TempPathFactory) -> list[Trial]:
-    """Drawn samples, which most mutants do not survive, recorded ones, and tables of two rows and of one."""
-    parts, made = shipped(), []
+    """Drawn and recorded samples, of an uneven model and at its edges too, and with tables of two rows and of one."""
+    parts = shipped()
+    other = uneven(parts)
+    folder = written(tmp_path_factory.mktemp("uneven"), other)
+    made = [
+        Trial(folder, each, decided(other, each)) for each in (drawn(DRAWN, 6), edges(other), recorded(other, 3, 4000))
+    ]
     gains = parts.metric.gains
     for rows in (len(gains), 2, 1):
         table = np.ascontiguousarray(parts.metric.table[[*range(rows), -1]])

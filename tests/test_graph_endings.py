@@ -19,7 +19,7 @@ from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros import STATE, TRAINING
 from hydro_bridge.signals import Flag
 from hydro_msgs.msg import TrainingStatus
-from hydro_policy.nodes.trainer_start import check_run
+from hydro_policy.nodes.training.start import check_run
 from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
 from hydro_policy.runs.run import RunDirectory
 from tests.graph_probe import Probe, Trainer, own_domain, trainer

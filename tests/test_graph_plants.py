@@ -27,7 +27,7 @@ from hydro_bridge.ros import (
     seconds,
 )
 from hydro_bridge.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
-from hydro_policy.nodes.companions import PlantOptions, start_companions
+from hydro_policy.nodes.startup.companions import PlantOptions, start_companions
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import Probe, own_domain
 

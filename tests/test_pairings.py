@@ -14,12 +14,12 @@ pytest.importorskip("rclpy")
 
 from benchmarks.pairings import WRONG, Wrong, make_files
 from hydro_filter.nodes.options import arguments
-from hydro_policy.nodes.guarding import asked_filter
-from hydro_policy.nodes.planned import refuse_policy, refuse_start
-from hydro_policy.pretraining.source import Source
-from hydro_policy.runs.initial_agent import load_start
+from hydro_policy.nodes.startup.box_expectation import require_matching_agent, require_matching_policy
+from hydro_policy.nodes.startup.guard_range import requested_filter
+from hydro_policy.pretraining.source import SimulationSetup
+from hydro_policy.runs.initial_agent import load_initial_agent
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import Believed
+from hydro_sim.files.pairing import BoxIdentity
 from hydro_sim.learned.model import Learned
 
 MODULES = {
@@ -71,21 +71,23 @@ def test_a_filter_of_one_bench_throughout_is_taken(words: Sequence[str], files: 
 
 
 def test_policies_and_simulations_of_one_bench_throughout_are_taken(files: Path) -> None:
-    nominal, own = (Believed.of_file(path, (15.0, 5.0)) for path in (None, files / "own.yaml"))
+    nominal, own = (BoxIdentity.of_file(path, (15.0, 5.0)) for path in (None, files / "own.yaml"))
     for name, box in (("shipped", nominal), ("own", own)):
-        refuse_policy(files / name, box)
-        refuse_start(load_start(files / name), box)
+        require_matching_policy(files / name, box)
+        require_matching_agent(load_initial_agent(files / name), box)
     bench = str(files / "own.yaml")
-    assert Source(model="shipped").trouble() == ""
-    assert Source(model="shipped", filter="learned").trouble() == ""
-    assert Source(model="analytic", bench=bench).trouble() == "", "another plant than the box believes may be simulated"
-    assert Source(model=str(files / "own_model.safetensors"), box=bench).trouble() == ""
-    asked_filter(("--metric", "constant"), files / "own.yaml")
+    assert SimulationSetup(model="shipped").trouble() == ""
+    assert SimulationSetup(model="shipped", filter="learned").trouble() == ""
+    assert SimulationSetup(model="analytic", bench=bench).trouble() == "", (
+        "another plant than the box believes may be simulated"
+    )
+    assert SimulationSetup(model=str(files / "own_model.safetensors"), box=bench).trouble() == ""
+    requested_filter(("--metric", "constant"), files / "own.yaml")
 
 
 def test_what_is_shipped_is_for_the_shipped_bench(files: Path) -> None:
-    digest = Believed.of_file(None).digest
-    shipped = load_start(files / "shipped").made
+    digest = BoxIdentity.of_file(None).digest
+    shipped = load_initial_agent(files / "shipped").made
     model = Learned.load().made
     assert model is not None and model.box == digest
     assert shipped is not None and (shipped.box, shipped.base_kp, shipped.base_ki) == (digest, 15.0, 5.0)

@@ -41,11 +41,11 @@ def weights(store: Store, loss: str, seed: int) -> Path:
 
 def run(store: Store) -> None:
     """All networks and both other models."""
+    store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal())))
+    store.piece("model-ours", lambda: judged(Learned.load().model))
     for seed in range(store.size.seeds):
         for loss in LOSSES:
             train(store, loss, seed)
-    store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal())))
-    store.piece("model-ours", lambda: judged(Learned.load().model))
 
 
 def train(store: Store, loss: str, seed: int) -> Result:

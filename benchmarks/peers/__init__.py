@@ -11,6 +11,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import hydro_sim
-from hydro_sim.compiled import forget_stale
+from hydro_sim.compiled import remove_stale_caches
 
-forget_stale(Path(__file__).parent, Path(hydro_sim.__file__).parent)
+remove_stale_caches(Path(__file__).parent, Path(hydro_sim.__file__).parent)

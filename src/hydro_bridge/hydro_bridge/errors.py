@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the user can put right, as one sentence; and whether something can be written where the user wants it."""
+"""Errors that the user can correct, as one sentence, and checks of where output can be written."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ _NO_PLACE = frozenset({errno.ENOTDIR, errno.EROFS, errno.ENOSPC, errno.EDQUOT})
 
 
 class UserError(Exception):
-    """Something that the user can put right; the message is one sentence. `main` prints it, exit status 2."""
+    """An error that the user can correct; the message is one sentence. `main` prints it and exits with status 2."""
 
 
 class UnwritableError(UserError, argparse.ArgumentTypeError):
-    """Nothing can be written there. Argparse, too, takes it for something that the user can put right."""
+    """An output path that cannot be written to. Argparse reports it like a wrong option."""
 
 
 def of_a_file(error: Exception) -> bool:
-    """Whether it is the system's, about a file or the room for one: then it is none of ours."""
+    """Whether the operating system raised this error about a file or disk space, rather than a fault of ours."""
     return isinstance(error, OSError) and (error.filename is not None or error.errno in _NO_PLACE)
 
 
 def explained(error: Exception) -> str:
-    """What an error says to a user: one of the system's names its file, says what to do, and has no number."""
+    """Text of an error for the user; a system error names its file and the remedy, without an errno."""
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error)
     file = "" if error.filename is None else f"{error.filename}: "
@@ -34,7 +34,7 @@ def explained(error: Exception) -> str:
 
 
 def writable(path: str) -> str:
-    """`path`, if a file can be written there: found out now, not after what may be hours.
+    """Return `path` if a file can be written there: checked at the start, not after hours of work.
 
     Raises
     ------
@@ -52,7 +52,7 @@ def writable(path: str) -> str:
 
 
 def writable_folder(path: str | Path) -> Path:
-    """`path`, if it is a folder that can be written to, or one can be made there; raises UnwritableError.
+    """Return `path` if it is a writable folder or can be created; raises UnwritableError.
 
     It is not made yet: a command that refuses something else leaves nothing behind.
     """

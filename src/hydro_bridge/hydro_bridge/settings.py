@@ -31,7 +31,7 @@ import msgspec
 
 
 class SettingsError(ValueError):
-    """A setting that cannot be used; the message is one sentence that says which and what is allowed."""
+    """An invalid setting; the message is one sentence that names it and the allowed range."""
 
 
 def quantity(unit: str, low: float, high: float) -> msgspec.Meta:
@@ -41,7 +41,7 @@ def quantity(unit: str, low: float, high: float) -> msgspec.Meta:
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What is declared of one field."""
+    """Declaration of one settings field."""
 
     name: str
     hint: Any
@@ -74,7 +74,7 @@ class Setting:
 
 
 def describe(settings: type[Any]) -> dict[str, Setting]:
-    """What is declared of each field of a settings dataclass, in order."""
+    """Declarations of all fields of a settings dataclass, in order."""
     if settings not in _KNOWN:
         hints, meanings = typing.get_type_hints(settings, include_extras=True), _sentences(settings)
         entries = dataclasses.fields(settings)
@@ -88,7 +88,7 @@ _KNOWN: dict[type[Any], dict[str, Setting]] = {}
 
 
 def check(settings: Any) -> None:
-    """Raise SettingsError for the first number or word of a settings dataclass that is not as declared."""
+    """Raise SettingsError for the first value of a settings dataclass that violates its declaration."""
     for name, setting in describe(type(settings)).items():
         if isfinite(setting.low) or setting.words:
             value = getattr(settings, name)

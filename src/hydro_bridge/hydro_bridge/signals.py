@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What travels between the box and the graph: names, order and meaning, without ROS.
+"""Signals between box and graph: names, order and meaning, without ROS.
 
 One sample of the bench as a numpy record (`STATE_DTYPE`)::
 
@@ -116,7 +116,7 @@ class ReferenceSignal:
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """What goes down to the box each millisecond; the defaults are the safe command."""
+    """The command sent to the box each millisecond; the defaults are the safe command."""
 
     arm: bool = False
     """Whether the valve may follow the force law."""

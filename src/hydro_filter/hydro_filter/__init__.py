@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction certificate and the correction of the valve current that keeps it.
+"""The contraction certificate, and the correction of the valve current that enforces it.
 
 What it can and cannot do: safety.md. Stages: `model` (the loop and its exact Jacobians), `metric` (M),
 `certificate` (the half-line a du <= b and its QP), `controller` (the filter), `training` (`learn_metric`), `validation`
@@ -10,6 +10,6 @@ from pathlib import Path
 
 import hydro_bridge
 import hydro_sim
-from hydro_sim.compiled import forget_stale
+from hydro_sim.compiled import remove_stale_caches
 
-forget_stale(*(Path(file).parent for file in (__file__, hydro_bridge.__file__, hydro_sim.__file__)))
+remove_stale_caches(*(Path(file).parent for file in (__file__, hydro_bridge.__file__, hydro_sim.__file__)))

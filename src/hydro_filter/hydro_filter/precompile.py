@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What set-up runs so that no executable of this package compiles: each entry point once, on small real inputs."""
+"""Compilation at set-up: each compiled entry point of this package is called once, on small real inputs."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_filter.controller.factory import CONSTANT, LEARNED, Choice, warm_up
+from hydro_filter.controller.factory import CONSTANT, LEARNED, FilterChoice, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter, loop_parts
 from hydro_filter.metric.design import rest_loop
 from hydro_filter.metric.learned import LearnedMetric
@@ -18,7 +18,7 @@ from hydro_filter.training import levels
 from hydro_filter.training.data import DataSettings, collect
 from hydro_filter.validation.cases import CASES
 from hydro_filter.validation.plants import PLANTS
-from hydro_filter.validation.runs import FILTERS, Task, outcome
+from hydro_filter.validation.runs import FILTERS, Task, evaluate_task
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
@@ -34,7 +34,7 @@ FOUND: tuple[dict[str, Any], ...] = (
 
 
 def _filter(metric: str) -> None:
-    choice = Choice(bench=Bench.nominal(), metric=metric)
+    choice = FilterChoice(bench=Bench.nominal(), metric=metric)
     warm_up(choice.make(choice.default_settings()), choice.bench)
 
 
@@ -51,7 +51,7 @@ def _with(effects: tuple[dict[str, Any], ...]) -> Bench:
 
 def _validation() -> None:
     for plant, chosen in [("emulator", name) for name in FILTERS] + [(PLANTS[-1], FILTERS[0])]:
-        outcome(Task(plant=plant, case=next(iter(CASES)), filter=chosen, seed=0, seconds=0.1))
+        evaluate_task(Task(plant=plant, case=next(iter(CASES)), filter=chosen, seed=0, seconds=0.1))
 
 
 def _metric_learning() -> None:

@@ -12,12 +12,12 @@ import numpy as np
 import pytest
 import yaml
 
-from hydro_filter.controller.factory import Choice
+from hydro_filter.controller.factory import FilterChoice
 from hydro_filter.metric.design import rest_loop
-from hydro_filter.model.bench_loop import still, uncompiled
+from hydro_filter.model.bench_loop import effects_to_compile, rest_measurement
 from hydro_filter.model.loop import loop_of
 from hydro_sim.compilations import VARIABLE, read_compilations
-from hydro_sim.learned.any_model import model_of
+from hydro_sim.learned.any_model import load_model
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -69,7 +69,7 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(b
         {"id": "pressure_sensor_bias", "chamber": "b", "parameters": {"pressure": -2e5}},
     ]
     plain, shown = loop_of(of(LAG, LEAK), bench), loop_of(of(shift, LAG, LEAK, *off), bench)
-    x = still(shown.model)
+    x = rest_measurement(shown.model)
     _, _, readings = (model := BenchModel(of(shift, LAG, LEAK, *off))).begin(model.values)
     assert x[[0, 2, 4, 5, 6]] == pytest.approx(readings)
     for ours, theirs in zip(rest_loop(shown, 60.0)[:2], rest_loop(plain, 60.0)[:2], strict=True):
@@ -89,20 +89,20 @@ def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(
     bench: Bench, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     loop_of(of(LAG, LEAK), bench)
-    assert uncompiled(of(LAG, LEAK)) == ""
+    assert effects_to_compile(of(LAG, LEAK)) == ""
     capfd.readouterr()
     other = [{**one, "parameters": {**one["parameters"], name: value}} for one, name, value in (
         (LAG, "bandwidth", 90.0), (LEAK, "coefficient", 2e-13))]  # fmt: skip
-    assert uncompiled(of(*other)) == ""
+    assert effects_to_compile(of(*other)) == ""
     loop_of(of(*other), replace(bench, spring_stiffness=3e4))
     assert "compiling" not in capfd.readouterr().err
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    assert uncompiled(of(LAG, LEAK)) == "valve_lag, leakage_internal"
+    assert effects_to_compile(of(LAG, LEAK)) == "valve_lag, leakage_internal"
     file = tmp_path / "bench.yaml"
     file.write_text(yaml.safe_dump(of(LAG, LEAK).to_mapping()), encoding="utf-8")
-    choice = Choice(bench=bench, model=file)
+    choice = FilterChoice(bench=bench, model=file)
     assert choice.uncompiled == "the model of a bench with valve_lag, leakage_internal"
-    assert Choice(bench=bench).uncompiled == "", "the shipped model is compiled by set-up"
+    assert FilterChoice(bench=bench).uncompiled == "", "the shipped model is compiled by set-up"
 
 
 @pytest.mark.slow
@@ -127,7 +127,7 @@ def test_a_model_is_read_by_the_kind_of_its_file(tmp_path: Path) -> None:
     file = tmp_path / "corrected.yaml"
     entries = Bench.nominal().to_mapping() | {"spring_stiffness": 3e4}
     file.write_text("".join(f"{key}: {value}\n" for key, value in entries.items()), encoding="utf-8")
-    found = model_of(file)
+    found = load_model(file)
     assert isinstance(found, Bench)
     assert found.spring_stiffness == 3e4
-    assert isinstance(model_of(None), StructuredModel)
+    assert isinstance(load_model(None), StructuredModel)

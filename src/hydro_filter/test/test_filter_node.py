@@ -44,11 +44,11 @@ from hydro_bridge.signals import (  # noqa: E402
     ReferenceSignal,
     Waveform,
 )
-from hydro_filter.controller.factory import Choice  # noqa: E402
+from hydro_filter.controller.factory import FilterChoice  # noqa: E402
 from hydro_filter.controller.filter import ContractionFilter  # noqa: E402
 from hydro_filter.controller.loop_filter import LoopFilterSettings  # noqa: E402
 from hydro_filter.model.sample import Sample  # noqa: E402
-from hydro_filter.validation.plants import ChangingPlant, changed  # noqa: E402
+from hydro_filter.validation.plants import ChangingPlant, modified_truth  # noqa: E402
 from hydro_msgs.msg import BoxInfo, Correction  # noqa: E402
 from hydro_sim.model.bench import Bench  # noqa: E402
 from hydro_sim.model.plant import AnalyticPlant  # noqa: E402
@@ -241,7 +241,7 @@ def test_the_learned_filter_answers_with_the_cores_numbers_and_begins_anew_after
 ) -> None:
     """A run of the emulated bench's analytic kin under gains that have to be corrected, ten samples of it left out."""
     lenient = ("--innovation-limit", "10")  # the kin has no spool: not the learned bench
-    source, core = started("--metric", "learned", *lenient, *PATIENT), Choice(bench=Bench.nominal())
+    source, core = started("--metric", "learned", *lenient, *PATIENT), FilterChoice(bench=Bench.nominal())
     contraction_filter = core.make(LoopFilterSettings(innovation_limit=10.0))
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=4.0)
     schedule = Schedule(reference=signal, gains=(-5.0, 0.0), seconds=0.4)
@@ -323,7 +323,7 @@ def test_a_bench_that_is_not_the_models_is_told_in_every_correction_and_in_diagn
 ) -> None:
     """A stiffer spring from the beginning; each sample waits for its answer, so that the age is no matter."""
     source = started("--metric", "learned", *PATIENT)
-    plant = ChangingPlant([changed({"bench": {"spring_stiffness": 3e4}})], [])
+    plant = ChangingPlant([modified_truth({"bench": {"spring_stiffness": 3e4}})], [])
     signal = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
     records = simulate(plant, Bench.nominal(), Schedule(reference=signal, gains=(90.0, 15.0), seconds=1.0))
     for k, record in enumerate(records):

@@ -14,7 +14,7 @@ from hydro_filter.controller.innovations import EQUATIONS, RETURN
 from hydro_filter.controller.loop_filter import LoopFilter, default_filter
 from hydro_filter.model.sample import Sample
 from hydro_filter.validation.cases import CASES
-from hydro_filter.validation.plants import ChangingPlant, changed
+from hydro_filter.validation.plants import ChangingPlant, modified_truth
 from hydro_filter.validation.trial import Run, Trial, run
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
@@ -43,7 +43,7 @@ def mismatches(done: Run) -> FloatArray:
 
 
 def becoming(*changes: Mapping[str, Any], at: tuple[int, ...] = (CHANGE,)) -> ChangingPlant:
-    return ChangingPlant([changed({}), *map(changed, changes)], at)
+    return ChangingPlant([modified_truth({}), *map(modified_truth, changes)], at)
 
 
 SPRINGS = [({"bench": {"spring_stiffness": 1e3 * k}}, ("load", "motion")) for k in (10.0, 14.0, 28.0, 30.0, 50.0)]

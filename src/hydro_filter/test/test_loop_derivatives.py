@@ -106,7 +106,7 @@ def test_f_and_g_are_derivatives_of_the_models_own_sample(
     for x, hidden, current in cases:
         loop_model.linearize(loop, hidden, x, current, current, 60.0, step)
         full = np.empty(FULL)
-        structured_kernels.lift(loop.model[0], x, hidden, full)
+        structured_kernels.full_state(loop.model[0], x, hidden, full)
         after = advanced(model, free, full, current)
         gain = hydraulic_slopes(loop.model[0], after[0], after[1], after[2], hidden[0])[0]
 

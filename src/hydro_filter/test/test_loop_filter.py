@@ -40,7 +40,7 @@ def states(bench: Bench, plant: LearnedPlant) -> StateArray:
 
 def test_the_compiled_call_decides_as_the_filter_does(bench: Bench, states: StateArray) -> None:
     one, parts = default_filter(bench), default_filter(bench).parts
-    memory, workspace, corrected = np.zeros(1, MEMORY_DTYPE), loop_decision.space(parts), 0
+    memory, workspace, corrected = np.zeros(1, MEMORY_DTYPE), loop_decision.workspace(parts), 0
     for record in states:
         sample = Sample.of(record)
         signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate

@@ -22,16 +22,16 @@ from hydro_filter.training.data import (
     Rollout,
     Windows,
     certified_range,
-    joined,
+    concatenated,
     label_of,
     roll_out,
     windows_of,
 )
-from hydro_filter.training.lmi_refinement import polish
+from hydro_filter.training.lmi_refinement import refine
 from hydro_filter.training.loss import Samples
 from hydro_filter.training.metric_learning import correction
-from hydro_filter.training.options import arguments, begun
-from hydro_filter.training.training import TrainingSettings, judge, network_of, questions, train
+from hydro_filter.training.options import arguments, fixed_options
+from hydro_filter.training.training import TrainingSettings, certificate_queries, evaluate_quality, network_of, train
 from hydro_filter.validation import validate
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
@@ -62,14 +62,14 @@ def rollouts(bench: Bench) -> list[Rollout]:
 @pytest.fixture(scope="module")
 def windows(rollouts: list[Rollout], loop: LoopModel) -> Windows:
     made = [windows_of(rollout, loop, DATA, index) for index, rollout in enumerate(rollouts)]
-    return joined([each for each in made if each is not None])
+    return concatenated([each for each in made if each is not None])
 
 
 @pytest.fixture(scope="module")
 def asked(windows: Windows, loop: LoopModel, bench: Bench) -> tuple[LearnedMetric, Samples]:
     design = MetricDesign()
     metric = LearnedMetric.designed(loop, bench, design)
-    return metric, questions(windows, metric, *correction(loop, design), TrainingSettings().loss)
+    return metric, certificate_queries(windows, metric, *correction(loop, design), TrainingSettings().loss)
 
 
 def twins(growth: float) -> tuple[StateArray, StateArray]:
@@ -150,7 +150,7 @@ def test_polishing_makes_a_metric_hold_on_samples(windows: Windows, loop: LoopMo
         lower[np.tril_indices(8)] = entries
         return float(np.quantile([decay_rate(one, lower @ lower.T) for one in closed], 0.1))
 
-    before, after = slowest(metric.table[row]), slowest(polish(metric.table[row], closed, 0.4))
+    before, after = slowest(metric.table[row]), slowest(refine(metric.table[row], closed, 0.4))
     assert before < 0.0 < after
 
 
@@ -174,10 +174,10 @@ def test_learning_that_goes_on_has_the_words_that_it_was_begun_with(
     assert arguments([*words, "--resume"]).seed == 3 and "begins at its beginning" in capsys.readouterr().err
     settings = TrainingSettings(epochs=1, batch=16)
     checkpoint = tmp_path / "new" / "m.checkpoint"
-    list(train(metric, samples, samples, 10, settings, checkpoint, begun=begun(arguments(words))))
+    list(train(metric, samples, samples, 10, settings, checkpoint, begun=fixed_options(arguments(words))))
     again = arguments([*words[:2], "--resume", "--epochs", "9"])
     assert (again.seed, again.bench, again.epochs) == (3, str(Path("bench.yaml").absolute()), 9)
-    assert begun(arguments([*words, "--resume"])) == begun(again), "the same words again are fine"
+    assert fixed_options(arguments([*words, "--resume"])) == fixed_options(again), "the same words again are fine"
     with pytest.raises(UserError, match=r"m\.checkpoint goes on as it was begun, without --seed 0 \(it has 3\): leave"):
         arguments([*words[:2], "--resume", "--seed", "0"])
     checkpoint.write_text("nothing")
@@ -189,7 +189,9 @@ def test_the_network_at_zero_is_the_solved_metric(asked: tuple[LearnedMetric, Sa
     metric, samples = asked
     how = TrainingSettings().loss
     zero = metric.with_weights(np.zeros_like(metric.flat))
-    assert judge(network_of(zero), samples, metric.floor, how) == judge(network_of(metric), samples, metric.floor, how)
+    assert evaluate_quality(network_of(zero), samples, metric.floor, how) == evaluate_quality(
+        network_of(metric), samples, metric.floor, how
+    )
 
 
 def test_an_impossible_word_is_refused() -> None:

@@ -11,8 +11,8 @@ from pathlib import Path
 import hydro_bridge
 import hydro_filter
 import hydro_sim
-from hydro_sim.compiled import forget_stale
+from hydro_sim.compiled import remove_stale_caches
 
-forget_stale(
+remove_stale_caches(
     *(Path(file).parent for file in (__file__, hydro_bridge.__file__, hydro_filter.__file__, hydro_sim.__file__))
 )

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydro_policy.evaluation.policy_examination import EXAMINED, reference_rmse, surely_better, verdict
+from hydro_policy.evaluation.policy_examination import EXAMINED, reference_rmse, significantly_better, verdict
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import TrainingSettings
 from hydro_policy.sac.algorithm import Sac
@@ -80,7 +80,11 @@ def test_fixed_gains_that_were_stopped_in_one_repeat_count_as_no_tracking_there(
     ],
 )
 def test_better_is_better_by_more_than_the_noise(score: float, errors: list[float], better: bool) -> None:
-    assert surely_better(score, 1.0, errors) is better
+    assert significantly_better(score, 1.0, errors) is better
+
+
+def test_a_run_knows_its_noise_unless_told_otherwise() -> None:
+    assert TrainingSettings().exam.evaluation.repeats > 1
 
 
 def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better() -> None:

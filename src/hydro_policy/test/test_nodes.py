@@ -42,20 +42,20 @@ from hydro_bridge.viewer.recorded import read_recorded
 from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim, OverrideGains
-from hydro_policy.nodes.companions import PlantOptions, commands
-from hydro_policy.nodes.graph import GraphNode
-from hydro_policy.nodes.guarding import uncovered
-from hydro_policy.nodes.options import plant_options
-from hydro_policy.nodes.planned import surprise
+from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.nodes.startup.box_expectation import box_mismatch
+from hydro_policy.nodes.startup.companions import PlantOptions, commands
+from hydro_policy.nodes.startup.guard_range import protection_gap
+from hydro_policy.nodes.startup.options import plant_options
 from hydro_policy.nodes.trainer import DEMO, asked
 from hydro_policy.nodes.trainer import parser as trainer_parser
 from hydro_policy.runs.checkpoint import load_checkpoint
-from hydro_policy.runs.initial_agent import shipped_start
+from hydro_policy.runs.initial_agent import shipped_agent
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.mdp import BASE, GainRange
-from hydro_sim.files.pairing import Believed, MadeFor
+from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.files.weights import shipped
 from hydro_sim.model.bench import Bench
 
@@ -277,7 +277,7 @@ def test_a_newcomer_waits_until_the_plant_gives_it_the_authority(
             plant.gives = True
         session.finished = session.samples > 5 or now > 20.0
 
-    node.drive(session, each_tick)  # type: ignore[arg-type]
+    node.run_session(session, each_tick)  # type: ignore[arg-type]
     assert seen == [(0, 0)], "nothing reached the session, and nothing could leave, while another commanded"
     assert plant.asked > 2 and session.samples > 5
     assert capfd.readouterr().err.count("the_first commands this plant; newcomer waits") == 1
@@ -302,7 +302,7 @@ def test_an_override_that_the_full_disk_keeps_no_record_of_is_answered_and_ends_
         session.finished = time.monotonic() > began + 20.0
 
     with pytest.raises(OSError, match=r"No space left on device: 'run\.json'"):
-        node.drive(session, each_tick)  # type: ignore[arg-type]
+        node.run_session(session, each_tick)  # type: ignore[arg-type]
     while not answers[0].done() and time.monotonic() < began + 20.0:
         plant.executor.spin_once(timeout_sec=0.1)
     assert not answers[0].result().success
@@ -324,7 +324,7 @@ def test_samples_of_two_plants_are_not_believed_and_it_is_said_once(
             plant.states[-1].publish(BenchState(flags=int(Flag.TRIPPED)))
         session.finished = now > 6.0
 
-    node.drive(session, each_tick)  # type: ignore[arg-type]
+    node.run_session(session, each_tick)  # type: ignore[arg-type]
     assert before and session.samples <= before[0] + 3, "those that came before the second was found"
     assert capfd.readouterr().err.count("nodes publish /hydro/state") == 1
 
@@ -351,9 +351,9 @@ def test_companions_of_each_plant() -> None:
 
 def test_a_range_that_the_filter_does_not_cover_is_told() -> None:
     wide = GainRange(delta_kp_max=285.0)
-    assert uncovered(wide, ()) == "" and uncovered(GainRange(), ("--metric", "constant")) == ""
-    assert "constant metric does not protect from high gains" in uncovered(wide, ("--metric=constant",))
-    assert "bypassed" in uncovered(wide, ("--bypass",))
+    assert protection_gap(wide, ()) == "" and protection_gap(GainRange(), ("--metric", "constant")) == ""
+    assert "constant metric does not protect from high gains" in protection_gap(wide, ("--metric=constant",))
+    assert "bypassed" in protection_gap(wide, ("--bypass",))
 
 
 @pytest.mark.parametrize(
@@ -409,7 +409,7 @@ def test_companions_get_the_bench_and_the_base_gains_of_the_run() -> None:
 
 
 def test_on_a_plant_that_runs_policies_of_another_box_are_refused(foreign: str, tmp_path: Path) -> None:
-    shipped = str(shipped_start("paper").source)  # type: ignore[union-attr]
+    shipped = str(shipped_agent("paper").source)  # type: ignore[union-attr]
     refused = run("trainer", "--runs", str(tmp_path / "runs"))
     assert refused.returncode == 2 and f"the box believes {foreign}" in refused.stderr.splitlines()[-1]
     assert not (tmp_path / "runs").exists()
@@ -457,14 +457,14 @@ def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything
 ) -> None:
     rclpy.init()
     other, node = rclpy.create_node("plant"), GraphNode("newcomer", realtime=False)
-    node.unfit = partial(surprise, Believed.of_file(None, BASE))
+    node.box_fault = partial(box_mismatch, BoxIdentity.of_file(None, BASE))
     try:
         state = other.create_publisher(BenchState, STATE, STATE_QOS)
         if told is not None:
             other.create_publisher(BoxInfo, BOX, BOX_QOS).publish(told)
         ticking = node.create_timer(0.05, lambda: state.publish(BenchState()))
         with pytest.raises((CompanionError, NotReadyError), match=sentence):
-            node.meet()
+            node.wait_for_plant()
         node.destroy_timer(ticking)
         assert node.timing.response.count == 0
     finally:

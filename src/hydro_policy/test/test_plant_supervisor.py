@@ -206,7 +206,7 @@ def test_under_gains_that_a_person_holds_a_plant_is_not_idle_but_after_them_it_i
     run(watch, ARMED, 1.1, 9.0)
     assert heard.armings == []
     override.release()
-    assert watch.unfit(9.0), "nothing acts between the release and the next tick"
+    assert watch.unready(9.0), "nothing acts between the release and the next tick"
     run(watch, ARMED, 9.0, 9.1)
     assert heard.armings == [False]
 

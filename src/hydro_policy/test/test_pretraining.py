@@ -18,13 +18,13 @@ import yaml
 
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
+from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_runs import fixed
 from hydro_policy.pretraining.examination import REFERENCE_GAINS, TRIPPED, Examination
 from hydro_policy.pretraining.options import parser
 from hydro_policy.pretraining.run import resumed, training_settings
-from hydro_policy.pretraining.source import load_source, source_of
+from hydro_policy.pretraining.source import load_simulation_setup, simulation_setup
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
@@ -115,7 +115,7 @@ def test_a_drawn_learned_bench_has_the_constants_that_were_drawn() -> None:
     before, _ = learned_constants.values(model.table, model.theta)
     limits = Randomisation()
     for seed in range(20):
-        drawn = draw(limits, learned, seed)
+        drawn = draw_bench(limits, learned, seed)
         assert isinstance(drawn.plant, LearnedPlant)
         changed = drawn.plant.learned.model
         assert isinstance(changed, StructuredModel)
@@ -132,16 +132,16 @@ def test_a_drawn_learned_bench_has_the_constants_that_were_drawn() -> None:
 
 
 def test_a_drawn_analytic_bench_has_the_spring_that_was_drawn() -> None:
-    drawn = draw(Randomisation(spring_min=7e3, spring_max=7e3), BENCH, 0)
+    drawn = draw_bench(Randomisation(spring_min=7e3, spring_max=7e3), BENCH, 0)
     assert isinstance(drawn.plant, AnalyticPlant)
     assert drawn.plant.model.bench.spring_stiffness == pytest.approx(7e3)
 
 
 def test_a_soft_spring_is_asked_for_no_more_than_it_can_carry() -> None:
-    drawn = draw(Randomisation(spring_min=5e3, spring_max=5e3), BENCH, 0)
+    drawn = draw_bench(Randomisation(spring_min=5e3, spring_max=5e3), BENCH, 0)
     sine = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0, frequency=1.0)
     assert drawn.within_reach(sine).amplitude == pytest.approx(0.8 * 0.5 * BENCH.stroke * 5e3)
-    stiff = draw(Randomisation(spring_min=4e4, spring_max=4e4), BENCH, 0)
+    stiff = draw_bench(Randomisation(spring_min=4e4, spring_max=4e4), BENCH, 0)
     assert stiff.within_reach(sine) == sine
 
 
@@ -161,9 +161,9 @@ def test_drawn_benches_of_an_examination_bear_the_reference_gains_and_a_trip_cou
     evaluation = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5)
     asked: list[int] = []
 
-    def drawn(number: int) -> Drawn:
+    def drawn(number: int) -> RandomisedBench:
         asked.append(number)
-        return draw(wild, BENCH, number)
+        return draw_bench(wild, BENCH, number)
 
     examination = Examination(fleet, BENCH, evaluation, drawn, 4)
     assert len(asked) > 4, "some were passed over"
@@ -180,7 +180,7 @@ def test_an_examination_on_benches_that_bear_no_gains_ends_and_knows_what_no_tra
     alone = Examination(fleet, BENCH, evaluation)
     assert alone.reference == pytest.approx(300.0 / math.sqrt(2.0))
     assert alone(fixed(np.array(REFERENCE_GAINS))).score == TRIPPED
-    drawn = Drawn(plant=AnalyticPlant(WILD), spring=2e4, gain_delay=1, dead_time=0, stroke=WILD.stroke)
+    drawn = RandomisedBench(plant=AnalyticPlant(WILD), spring=2e4, gain_delay=1, dead_time=0, stroke=WILD.stroke)
     with pytest.raises(ValueError, match="of 50 drawn benches too few bear"):
         Examination(fleet, BENCH, evaluation, lambda number: drawn, 1)
 
@@ -188,7 +188,7 @@ def test_an_examination_on_benches_that_bear_no_gains_ends_and_knows_what_no_tra
 def test_a_network_cannot_be_randomised() -> None:
     learned = replace(Learned.load(None), model=object())  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="no constants"):
-        draw(Randomisation(), learned, 0)
+        draw_bench(Randomisation(), learned, 0)
 
 
 def test_many_gains_are_those_of_one_action_each() -> None:
@@ -200,12 +200,12 @@ def test_many_gains_are_those_of_one_action_each() -> None:
 def test_the_command_line_says_how_long_how_large_and_on_what() -> None:
     words = ["--configuration", "wide", "--randomise", "--episodes", "320", "--hidden", "64", "--steps", "900"]
     options = parser().parse_args(["--out", "run", *words])
-    settings = training_settings(options, source_of(options))
-    assert source_of(options).randomise
+    settings = training_settings(options, simulation_setup(options))
+    assert simulation_setup(options).randomise
     assert (settings.episodes, settings.sac.hidden_size, settings.task.steps_per_episode) == (320, 64, 900)
     assert settings.replay_capacity == 288_000 and settings.task.gains.delta_kp_max == 285.0
     options.steps = 1800
-    assert training_settings(options, source_of(options)).replay_capacity == 576_000, (
+    assert training_settings(options, simulation_setup(options)).replay_capacity == 576_000, (
         "as much as is played is remembered"
     )
 
@@ -245,8 +245,10 @@ def test_a_bench_file_with_hidden_states_is_trained_on_and_gone_on_with(tmp_path
     words = ["--episodes", "2", "--steps", "60", "--benches", "2", "--model", str(file), "--randomise"]
     ended = pretrain("--out", str(run), *words)
     assert ended.returncode == 0, ended.stderr
-    assert load_source(run).simulated() == Bench.load(file)
-    assert load_source(run).made_for().model == "", "a policy is for the box's bench, not for what was simulated"
+    assert load_simulation_setup(run).simulated() == Bench.load(file)
+    assert load_simulation_setup(run).made_for().model == "", (
+        "a policy is for the box's bench, not for what was simulated"
+    )
     done = pretrain("--resume", str(run), *words)
     assert done.returncode == 0, done.stderr
 
@@ -254,7 +256,7 @@ def test_a_bench_file_with_hidden_states_is_trained_on_and_gone_on_with(tmp_path
 def test_randomisation_changes_the_sizes_of_a_bench_files_effects_and_nothing_of_its_structure() -> None:
     lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
     gap = {"id": "valve_deadband", "parameters": {"half_width": 3e-4}}
-    plants = [draw(Randomisation(), replace(Bench.nominal(), effects=(lag, gap)), seed).plant for seed in (1, 2)]
+    plants = [draw_bench(Randomisation(), replace(Bench.nominal(), effects=(lag, gap)), seed).plant for seed in (1, 2)]
     benches = [plant.model.bench for plant in plants if isinstance(plant, AnalyticPlant)]
     bandwidths = {bench.effects[0]["parameters"]["bandwidth"] for bench in benches}
     assert len(bandwidths) == 2 and all(0.9 * 110.0 <= value <= 1.1 * 110.0 for value in bandwidths)
@@ -267,8 +269,8 @@ def test_a_run_that_goes_on_is_refused_what_it_was_not_begun_with(tmp_path: Path
     begun = ["--configuration", "wide", "--seed", "3", "--steps", "60", "--bench", str(bench), "--randomise"]
     options = parser().parse_args(["--out", str(tmp_path / "run"), *begun])
     run = RunDirectory(tmp_path / "run").create()
-    run.save_settings(training_settings(options, source_of(options)))
-    source_of(options).save(run.path)
+    run.save_settings(training_settings(options, simulation_setup(options)))
+    simulation_setup(options).save(run.path)
     going_on = ["--resume", str(run.path)]
     settings, source = resumed(run, going_on)
     assert resumed(run, [*going_on, *begun]) == (settings, source), "the same words again are fine"

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
-from hydro_policy.runs.initial_agent import AGENT, load_start
+from hydro_policy.runs.initial_agent import AGENT, load_initial_agent
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.algorithm import Sac
 from hydro_policy.sac.policy import Policy, load_policy
@@ -134,7 +134,7 @@ def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past
     policy = Policy(16)
     policy.load_flat(actor_parameters(dump(sac)))
     policy.save(RunDirectory(tmp_path).policy, GainRange(delta_kp_max=285.0), {"task": {"trip_penalty": 100.0}})
-    start = load_start(tmp_path)
+    start = load_initial_agent(tmp_path)
     np.testing.assert_array_equal(actor_parameters(start.agent), actor_parameters(dump(sac)))
     again = Sac(OBSERVATIONS, ACTIONS, settings)
     restore(again, start.agent)
@@ -143,7 +143,7 @@ def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past
     assert adopted.sac.hidden_size == 16 and adopted.task.trip_penalty == 100.0
     assert adopted.task.gains == GainRange(delta_kp_max=285.0)
     with pytest.raises(ValueError, match=r"holds no learner\.safetensors"):
-        load_start(tmp_path / "nowhere")
+        load_initial_agent(tmp_path / "nowhere")
     (tmp_path / AGENT).write_bytes(b"no agent")
     with pytest.raises(ValueError, match="is not an agent"):
-        load_start(tmp_path)
+        load_initial_agent(tmp_path)

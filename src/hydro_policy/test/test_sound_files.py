@@ -17,10 +17,10 @@ from safetensors import safe_open
 from safetensors.numpy import save_file
 
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_policy.nodes.trainer_start import begin_checkpoint, check_run
+from hydro_policy.nodes.training.start import begin_checkpoint, check_run
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.checkpoint import load_checkpoint
-from hydro_policy.runs.initial_agent import AGENT, load_start, shipped_start
+from hydro_policy.runs.initial_agent import AGENT, load_initial_agent, shipped_agent
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import load_policy
@@ -29,7 +29,7 @@ from hydro_sim.learned.model import Learned
 SHIPPED = Path(str(resources.files("hydro_policy") / "data" / "pretrained_paper"))
 FILES: dict[str, tuple[Path, Callable[[Path], object]]] = {
     "policy": (SHIPPED / "policy.safetensors", load_policy),
-    "agent": (SHIPPED / AGENT, lambda path: load_start(path.parent)),
+    "agent": (SHIPPED / AGENT, lambda path: load_initial_agent(path.parent)),
     "metric": (Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors")), LearnedMetric.load),
     "model": (Path(str(resources.files("hydro_sim") / "data" / "default_weights.safetensors")), Learned.load),
 }
@@ -128,7 +128,7 @@ def test_a_policy_whose_header_makes_no_sense_is_refused(entry: str, value: obje
 @pytest.fixture
 def run(tmp_path: Path) -> RunDirectory:
     """A run that was killed as soon as its first checkpoint was there."""
-    made, start = RunDirectory(tmp_path / "run").create(), shipped_start("paper")
+    made, start = RunDirectory(tmp_path / "run").create(), shipped_agent("paper")
     assert start is not None
     settings = start.adopted(configuration("paper"))
     begin_checkpoint(made, settings, start)
@@ -203,14 +203,14 @@ def test_a_record_that_is_damaged_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_a_resumed_run_gets_its_own_plant_back(tmp_path: Path) -> None:
-    from hydro_policy.nodes.options import plant_words
+    from hydro_policy.nodes.startup.options import plant_options_as_yaml
     from hydro_policy.nodes.trainer import asked, parser
 
     truth = tmp_path / "truth.yaml"
     truth.touch()
     begun = ["--plant", "emulator", "--truth", str(truth), "--faults", "clean", "--filter=--contraction-rate 2"]
     run = RunDirectory(tmp_path / "run").create()
-    run.save_settings(configuration("paper"), plant_words(parser().parse_args(begun)))
+    run.save_settings(configuration("paper"), plant_options_as_yaml(parser().parse_args(begun)))
     assert run.load_settings() == configuration("paper")
 
     def plant(*words: str) -> Namespace:

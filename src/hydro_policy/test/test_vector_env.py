@@ -181,7 +181,7 @@ def compiled_constant() -> Callable[[Sample], float]:
 def compiled_learned() -> Callable[[Sample], float]:
     """delta_u [A] of a sample by the learned metric's compiled call."""
     parts = default_filter(BENCH).parts
-    memory, workspace = np.zeros(1, MEMORY_DTYPE), loop_decision.space(parts)
+    memory, workspace = np.zeros(1, MEMORY_DTYPE), loop_decision.workspace(parts)
 
     def correct(sample: Sample) -> float:
         signals = sample.nominal_current, sample.valve_current, sample.reference_force, sample.reference_rate

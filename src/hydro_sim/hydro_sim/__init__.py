@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench as a model, and what runs in its box. No module here but those under `nodes` knows ROS.
+"""The bench as a model, and the box's software. Only `nodes` knows ROS.
 
 Stages: `model` (textbook equations, effects, sensors), `box` (what the MicroLabBox runs), `simulation` (both put
 together); `excitation`, `files`, `neural`, `structured`, `learned`, `identification` (a bench learnt from recordings);
@@ -10,7 +10,7 @@ from pathlib import Path
 
 import hydro_bridge
 from hydro_sim.compilations import record_compilations
-from hydro_sim.compiled import forget_stale
+from hydro_sim.compiled import remove_stale_caches
 
 record_compilations()
-forget_stale(*(Path(file).parent for file in (__file__, hydro_bridge.__file__)))
+remove_stale_caches(*(Path(file).parent for file in (__file__, hydro_bridge.__file__)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write down what is compiled while a process runs: it should be nothing, as set-up compiles (`make setup`).
+"""Records compilations at run time; there should be none after set-up (`make setup`).
 
 Where the environment variable HYDRO_COMPILATIONS names a file, each compilation appends one line of JSON to it:
 
@@ -22,7 +22,7 @@ VARIABLE = "HYDRO_COMPILATIONS"
 
 
 def record_compilations() -> None:
-    """Begin, if the environment asks for it. Call it once, before anything is compiled."""
+    """Start recording if the environment asks for it. Call it once, before anything is compiled."""
     name = os.environ.get(VARIABLE)
     if not name:
         return
@@ -43,7 +43,7 @@ def record_compilations() -> None:
 
 
 def read_compilations(file: Path) -> list[dict[str, Any]]:
-    """What was recorded; nothing if there is no such file."""
+    """Recorded compilations; empty if there is no such file."""
     return [json.loads(line) for line in file.read_text().splitlines()] if file.exists() else []
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keep numba's file caches honest.
+"""Removal of stale numba caches.
 
 numba recompiles a cached function when the function's own file changes, not when a function it calls does: after an
-edit of `hydraulics.py` the cached `plant.advance` would go on with the old equations. `forget_stale` empties the cache
-of every module that imports a changed source, directly or through others.
+edit of `hydraulics.py` the cached `plant.advance` would go on with the old equations. `remove_stale_caches`
+empties the cache of every module that imports a changed source, directly or through others.
 
 A function with fastmath must not call a cached one without: numba compiles that one with the caller's fastmath if it
 comes first, and caches it so, for every other caller.
@@ -25,7 +25,7 @@ Stats = dict[str, list[int]]
 """Source file -> time of its last change [ns] and size [bytes]."""
 
 
-def forget_stale(*packages: Path) -> bool:
+def remove_stale_caches(*packages: Path) -> bool:
     """Delete the cached compilations under the first folder that a changed source has made stale.
 
     Call it in a package's `__init__`, before its compiled modules load. Where the folder cannot be written numba keeps
@@ -42,7 +42,7 @@ def forget_stale(*packages: Path) -> bool:
     """
     packages = tuple(package.resolve() for package in packages)  # a built package is a link to its sources
     stamp = packages[0] / "__pycache__" / STAMP
-    present = stats(path for package in packages for path in package.rglob("*.py"))
+    present = file_stats(path for package in packages for path in package.rglob("*.py"))
     with contextlib.suppress(OSError):
         stamp.parent.mkdir(exist_ok=True)
         with stamp.open("a+") as file:
@@ -54,7 +54,10 @@ def forget_stale(*packages: Path) -> bool:
                 return False
             for kept in (_imports, _source):  # from before the change
                 kept.cache_clear()
-            modules = {str(module): stats(imported([module], packages)) for module in _compiled_modules(packages[0])}
+            modules = {
+                str(module): file_stats(imported_sources([module], packages))
+                for module in _compiled_modules(packages[0])
+            }
             file.truncate(0)  # first: cut short anywhere after this, everything counts as stale
             for module, sources in modules.items():
                 if before["modules"].get(module) != sources:
@@ -64,13 +67,13 @@ def forget_stale(*packages: Path) -> bool:
     return False
 
 
-def stats(paths: Iterable[Path]) -> Stats:
-    """What tells whether files have changed."""
+def file_stats(paths: Iterable[Path]) -> Stats:
+    """Size and time of files, to detect changes."""
     found = {str(path): path.stat() for path in sorted(paths)}
     return {path: [stat.st_mtime_ns, stat.st_size] for path, stat in found.items()}
 
 
-def imported(modules: Iterable[Path], packages: tuple[Path, ...]) -> set[Path]:
+def imported_sources(modules: Iterable[Path], packages: tuple[Path, ...]) -> set[Path]:
     """Sources of `packages` that the modules import from, directly or through others, and themselves.
 
     A package's `__init__` counts where something is imported from it, not where it only stands around a module.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The one place for plots: style, colors, the units people read, and the plot of a run.
+"""Shared plotting: style, colors, display units, and the plot of a run.
 
 Figures are drawn without a screen (Agg) and saved; nothing here touches matplotlib's global state, so that a
 notebook's own style stays.
@@ -111,7 +111,7 @@ def figure(
 
 
 def draw(axes: Axes, states: StateArray, field: str, *, error_of: str | None = None, **style: Any) -> None:
-    """Draw a field over time in the unit people read; with `error_of`, that field minus this one."""
+    """Draw a field over time in its display unit; with `error_of`, that field minus this one."""
     name, unit, factor = UNITS[field]
     values = states[field] if error_of is None else states[error_of] - states[field]
     axes.plot(states["time"], factor * values, label=style.pop("label", name), **style)

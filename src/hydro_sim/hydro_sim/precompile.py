@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What set-up runs so that no executable of this package compiles: each entry point once, on small real inputs."""
+"""Compilation at set-up: each compiled entry point of this package is called once, on small real inputs."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def learned(structure: str, hidden: tuple[int, ...] = (32, 32)) -> Learned:
     settings = training.Settings(structure=structure, hidden=hidden, batch=64, stride=500, adam=replace(few, epochs=1))
     model = training.start(data, settings, Bench.nominal())
     if isinstance(model, StructuredModel):
-        stages.left(model, data)
+        stages.prediction_rms(model, data)
     *_, (_, trained) = training.steps(model, data, settings)
     return training.finished(trained, data, {})
 

@@ -52,7 +52,7 @@ def test_deadband_spring_and_a_closure_that_is_not_there_are_found(data: recordi
     assert result.quality.over_noise < 1.2
     assert result.bench.effects[0]["parameters"]["ratio"] == pytest.approx(ratio.value, rel=1e-6)
     assert result.bench.closures[0]["form"] == "quadratic drag" and "id" not in result.bench.closures[0]
-    assert learn_bench.stated(result).unfit == ""
+    assert learn_bench.with_quality(result).unfit == ""
 
 
 def test_what_is_far_larger_than_its_typical_size_is_found() -> None:

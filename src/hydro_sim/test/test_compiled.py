@@ -6,11 +6,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-from hydro_sim.compiled import forget_stale
+from hydro_sim.compiled import remove_stale_caches
 
 INNER = "from numba import njit\n@njit(cache=True)\ndef inner(): return {value}\n"
 OUTER = "from numba import njit\nfrom toy.inner import inner\n@njit(cache=True)\ndef outer(): return inner()\n"
-INIT = "from pathlib import Path\nfrom hydro_sim.compiled import forget_stale\nforget_stale(Path(__file__).parent)\n"
+INIT = """from pathlib import Path
+from hydro_sim.compiled import remove_stale_caches
+remove_stale_caches(Path(__file__).parent)
+"""
 
 
 def made(package: Path, **sources: str) -> Path:
@@ -21,7 +24,7 @@ def made(package: Path, **sources: str) -> Path:
 
 
 def test_an_edit_in_a_called_module_reaches_its_callers(tmp_path: Path) -> None:
-    """Without `forget_stale` the second process prints 1 again: numba looks at the caller's file only."""
+    """Without `remove_stale_caches` the second process prints 1 again: numba looks at the caller's file only."""
     package = made(tmp_path / "toy", __init__=INIT, outer=OUTER)
     printed = []
     for value in (1, 22):
@@ -42,7 +45,7 @@ def test_only_what_imports_an_edited_source_is_forgotten(tmp_path: Path) -> None
         for cache in caches:
             cache.touch()
         made(package, **edited)
-        changed = forget_stale(package)
+        changed = remove_stale_caches(package)
         assert changed or not edited
         return [cache.exists() for cache in caches]
 
@@ -59,9 +62,9 @@ def test_only_what_imports_an_edited_source_is_forgotten(tmp_path: Path) -> None
 def test_sources_of_another_package_count(tmp_path: Path) -> None:
     below = made(tmp_path / "below", __init__="", constants="A = 1")
     above = made(tmp_path / "above", __init__="", kernel="from numba import njit\nfrom below.constants import A\n")
-    forget_stale(above, below)
+    remove_stale_caches(above, below)
     cache = above / "__pycache__" / "kernel.f-1.py311.nbi"
     cache.touch()
     made(below, constants="A = 22")
-    assert forget_stale(above, below) and not cache.exists()
-    assert not forget_stale(above, below)
+    assert remove_stale_caches(above, below) and not cache.exists()
+    assert not remove_stale_caches(above, below)

@@ -22,7 +22,7 @@ from hydro_bridge.serial.stream import Decoder, SequenceTracker
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import Command, Flag, ReferenceSignal, Waveform
 from hydro_sim.box.box import EMULATED_BOX, BoxConfig, Integral, box_info
-from hydro_sim.emulator.control import ControlPipe, obey
+from hydro_sim.emulator.control import ControlPipe, execute
 from hydro_sim.emulator.line.faults import FaultyLine, LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal
@@ -253,17 +253,17 @@ def test_a_place_taken_by_a_file_is_refused_and_the_file_kept(tmp_path: Path) ->
 
 
 def test_orders_are_obeyed_or_refused_in_one_sentence(link: BoxLink, machine: Machine) -> None:
-    obey("corrupt 0.25", machine, link, 0.0)
-    obey("duplicate 0.5", machine, link, 0.0)
+    execute("corrupt 0.25", machine, link, 0.0)
+    execute("duplicate 0.5", machine, link, 0.0)
     assert link.up.faults == link.down.faults == LinkFaults(corrupt=0.25, duplicate=0.5)
-    obey("clear", machine, link, 0.0)
+    execute("clear", machine, link, 0.0)
     assert link.up.faults == LinkFaults()
     machine.tick()
-    obey("reboot", machine, link, 0.0)
+    execute("reboot", machine, link, 0.0)
     assert machine.time == 0.0 and int(machine.tick()["sequence"]) == 0
     for order in ("", "melt", "corrupt", "corrupt 2", "corrupt x", "clear 1", "unplug -1"):
         with pytest.raises(SettingsError, match="order"):
-            obey(order, machine, link, 0.0)
+            execute(order, machine, link, 0.0)
 
 
 def test_orders_come_through_the_pipe_line_by_line(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_both_engines_give_the_same_gradients_of_a_training():
         parameters = target.model.flat + 0.01 * np.random.default_rng(3).standard_normal(len(target.model.flat))
         target.refresh(parameters)
         results = []
-        for one in (engines.Compiled(), engines.OnTorch("cpu")):
+        for one in (engines.CompiledEngine(), engines.TorchEngine("cpu")):
             target.engine = one
             results.append(next(target.gradients(parameters, 0)))
         (loss, gradient), (other_loss, other_gradient) = results
@@ -116,5 +116,5 @@ def test_engines_are_those_of_the_machine(monkeypatch):
 
 
 def test_the_quickest_engine_is_taken():
-    slow, fast = engines.OnTorch("cpu"), engines.Compiled()
-    assert engines.quickest((slow, fast), lambda one: time.sleep(0.3 if one is slow else 0.0)) is fast
+    slow, fast = engines.TorchEngine("cpu"), engines.CompiledEngine()
+    assert engines.fastest_engine((slow, fast), lambda one: time.sleep(0.3 if one is slow else 0.0)) is fast

@@ -129,7 +129,7 @@ def test_training_stops_when_validation_no_longer_gets_better(data):
 def test_identification_finds_the_benchs_constants(data):
     chosen = training.Settings(identify_windows=90)
     start = training.start(data, chosen, Bench.nominal())
-    model = stages.identified(start, data, chosen.identify_windows, chosen.seed, lambda _: None)
+    model = stages.fit_constants(start, data, chosen.identify_windows, chosen.seed, lambda _: None)
     c, _ = constants.values(model.table, model.theta)
     found = {entry.name: value for entry, value in zip(model.table, c, strict=True)}
     assert found["friction_coulomb"] == pytest.approx(12.0, rel=0.05)
@@ -140,12 +140,12 @@ def test_identification_finds_the_benchs_constants(data):
 
 def test_readings_are_weighed_by_what_the_model_leaves_of_them(data):
     shipped = Learned.load().model
-    np.testing.assert_allclose(stages.left(shipped, data) / observer.READING_NOISE, 1.0, rtol=0.1)
+    np.testing.assert_allclose(stages.prediction_rms(shipped, data) / observer.READING_NOISE, 1.0, rtol=0.1)
     names = [entry.name for entry in shipped.table]
     theta = shipped.theta.copy()
     theta[names.index("viscous_friction")] += 0.7
     wrong = shipped.with_parameters(theta, shipped.flat)
-    left = stages.left(wrong, data) / observer.READING_NOISE
+    left = stages.prediction_rms(wrong, data) / observer.READING_NOISE
     assert left[0] > 2.0 and (left >= 1.0).all()
     objective = StructuredObjective(replace(wrong, left=left), *[Windows(data.validation, 70, 35)] * 2, batch=1, seed=0)
     np.testing.assert_array_equal(objective.weights, 1.0 / left)
@@ -270,10 +270,10 @@ def test_learn_that_goes_on_is_refused_what_it_was_not_begun_with(words, sentenc
 def test_learn_goes_on_with_what_it_was_begun_with_and_what_may_change(begun, monkeypatch, capsys):
     words = ["learn", "/no/recording", "--out", str(begun), "--resume", "--batch", "256"]
     monkeypatch.setattr("sys.argv", [*words, "--epochs", "20"])
-    kept = learn.going_on(learn.parser().parse_args())
+    kept = learn.resumed(learn.parser().parse_args())
     assert kept.settings == settings(adam=replace(settings().adam, epochs=20))
     begun.with_suffix(".checkpoint").unlink()
-    assert learn.going_on(learn.parser().parse_args()) is None
+    assert learn.resumed(learn.parser().parse_args()) is None
     assert "begins at its beginning" in capsys.readouterr().err
 
 

@@ -39,20 +39,20 @@ def test_a_damaged_library_is_compiled_anew(apart: Path) -> None:
 
 def test_the_compiler_may_come_with_words(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "cc -DANSWER=42")
-    assert machine_code.kept("words", lambda: "int answer(void) { return ANSWER; }\n").answer() == 42
+    assert machine_code.cached_library("words", lambda: "int answer(void) { return ANSWER; }\n").answer() == 42
 
 
 def test_a_compiler_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("CC", "no-such-compiler -O2")
     with pytest.raises(ValueError, match="no C compiler found"):
-        machine_code.kept("none", lambda: SOURCE)
+        machine_code.cached_library("none", lambda: SOURCE)
 
 
 def test_a_place_that_cannot_be_written_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
     monkeypatch.setattr(machine_code, "folder", lambda: tmp_path / "file" / "models")
     with pytest.raises(ValueError, match="set NUMBA_CACHE_DIR to a folder"):
-        machine_code.kept("nowhere", lambda: SOURCE)
+        machine_code.cached_library("nowhere", lambda: SOURCE)
 
 
 def test_arrays_that_are_not_the_models_are_refused() -> None:

@@ -18,12 +18,12 @@ from hydro_bridge.serial.frames import BoxInfo
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_sim.box.box import BoxConfig, box_info, with_base_gains
 from hydro_sim.files import recordings, weights
-from hydro_sim.files.pairing import Believed, MadeFor, unfit
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch
 from hydro_sim.files.stamping import header_of, stamp_of, stamped
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 
-BOX = Believed(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral="bumpless")
+BOX = BoxIdentity(digest="a", source="a.yaml", base_gains=(15.0, 5.0), integral="bumpless")
 
 
 def test_a_digest_is_of_the_numbers_not_of_how_they_are_written(bench: Bench, tmp_path: Path) -> None:
@@ -37,22 +37,22 @@ def test_a_digest_is_of_the_numbers_not_of_how_they_are_written(bench: Bench, tm
 
 def test_what_was_made_for_this_box_fits_and_each_difference_is_one_sentence() -> None:
     made = MadeFor(box="a", model="m", base_kp=15.0, base_ki=5.0, integral="bumpless")
-    assert unfit("it", made, BOX, "remedy", model="m") == ""
-    assert unfit("it", replace(made, base_kp=None, base_ki=None, integral=""), BOX, "remedy", model="m") == ""
-    assert unfit("it", None, BOX, "remedy").startswith("it does not say which bench it was made for: remedy")
+    assert mismatch("it", made, BOX, "remedy", model="m") == ""
+    assert mismatch("it", replace(made, base_kp=None, base_ki=None, integral=""), BOX, "remedy", model="m") == ""
+    assert mismatch("it", None, BOX, "remedy").startswith("it does not say which bench it was made for: remedy")
     for wrong, sentence in (
         (replace(made, box="b"), "it was made for bench b, the box believes a (a.yaml): remedy"),
         (replace(made, model="n"), "it was made for model n, it is to be used with model m: remedy"),
         (replace(made, base_ki=8.0), "it was made for a box with base K_i 8, this one has 5: remedy"),
         (replace(made, integral="paper"), "it was made for the paper integral, the box runs the bumpless one: remedy"),
     ):
-        assert unfit("it", wrong, BOX, "remedy", model="m") == sentence
+        assert mismatch("it", wrong, BOX, "remedy", model="m") == sentence
 
 
 def test_what_was_trained_on_any_bench_needs_the_same_base_gains_alone() -> None:
     made = MadeFor(box="b", base_kp=15.0, base_ki=5.0, any_bench=True)
-    assert unfit("it", made, BOX, "remedy") == ""
-    assert "base K_p" in unfit("it", made, replace(BOX, base_gains=(30.0, 5.0)), "remedy")
+    assert mismatch("it", made, BOX, "remedy") == ""
+    assert "base K_p" in mismatch("it", made, replace(BOX, base_gains=(30.0, 5.0)), "remedy")
 
 
 def test_a_stamp_changes_no_tensor_and_no_digest_of_a_model(tmp_path: Path) -> None:
@@ -106,10 +106,10 @@ def _bag(folder: Path, bench: Bench | None) -> Path:
 def test_recordings_say_what_their_box_believed_and_two_benches_make_no_model(bench: Bench, tmp_path: Path) -> None:
     own = replace(bench, spring_stiffness=4e4)
     silent, mine, theirs = (_bag(tmp_path / name, b) for name, b in (("s", None), ("m", own), ("t", bench)))
-    assert recordings.believed([silent]) == ""
-    assert recordings.believed([silent, mine]) == own.digest
+    assert recordings.believed_bench([silent]) == ""
+    assert recordings.believed_bench([silent, mine]) == own.digest
     with pytest.raises(recordings.DataError, match="believed different benches"):
-        recordings.believed([mine, theirs])
+        recordings.believed_bench([mine, theirs])
 
 
 def test_a_file_that_is_no_bench_is_one_sentence(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 import yaml
 
-from hydro_sim.learned.any_model import model_of
+from hydro_sim.learned.any_model import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.quality import Quality
 
@@ -41,10 +41,10 @@ def test_the_filter_refuses_a_file_by_its_worst_reading(tmp_path: Path) -> None:
     file = tmp_path / "learnt.yaml"
     file.write_text(yaml.safe_dump(replace(bench, learned=learned).to_mapping()), encoding="utf-8")
     with pytest.raises(ValueError, match="240 times the noise of piston_position"):
-        model_of(file)
+        load_model(file)
     learned["worst"] = 2.0
     file.write_text(yaml.safe_dump(replace(bench, learned=learned).to_mapping()), encoding="utf-8")
-    assert isinstance(model_of(file), Bench)
+    assert isinstance(load_model(file), Bench)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all commands share on the terminal: progress, tables, and errors as one sentence with exit status 2.
+"""Shared by all commands: progress bars, tables, and errors as one sentence with exit status 2.
 
 Tables and results go to standard output, progress and messages to standard error: output can be piped.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be said to a command that goes on with what was begun: that it stays what it is.
+"""The rules of --resume: a resumed run keeps the options that it was started with.
 
 run.resume                      goes on with the settings that it was begun with
 run.resume --seed 3             fine if it has this seed, else refused: nothing that is said is ignored
@@ -21,14 +21,14 @@ _UNSAID = object()
 
 
 def given(parser: argparse.ArgumentParser, words: Sequence[str]) -> dict[str, Any]:
-    """What `words` say, by the options' names; options that are left to their defaults are not among them."""
+    """Options given explicitly in `words`, by name; those left at their defaults are omitted."""
     names = vars(parser.parse_args(words))
     said = vars(parser.parse_args(words, argparse.Namespace(**dict.fromkeys(names, _UNSAID))))
     return {name: value for name, value in said.items() if value is not _UNSAID}
 
 
 def refuse_changes(parser: argparse.ArgumentParser, words: Sequence[str], what: str, begun: Mapping[str, Any]) -> None:
-    """Refuse words that say otherwise than `what` was begun with.
+    """Raise UserError if `words` contradict the options that `what` was started with.
 
     Parameters
     ----------

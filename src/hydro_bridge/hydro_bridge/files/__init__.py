@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are checked as they are read and whole when they are written: bench.yaml, tensors, atomic replacement.
+"""Files with validated input and atomic output: bench.yaml, settings, tensors.
 
 May import `errors` and `signals`; everything may import it.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are whole or not there, whatever ends the writer: kill -9, a full disk, a power cut."""
+"""Atomic file replacement: complete or absent after kill -9, a full disk or a power failure."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write `content` to `path`: it replaces what is there once it is on disk.
+    """Write `content` to `path` atomically: it replaces the old file once it is on disk.
 
     What is no plain file (/dev/stdout, a pipe) is written through, as it is. A link stays, its file is replaced; a file
     keeps its mode.
@@ -43,7 +43,7 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def flush_folder(folder: Path) -> None:
-    """Bring the names in a folder to disk: a rename, too, is lost by a power cut until then."""
+    """Flush a folder's entries to disk: until then a power failure can undo a rename."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -75,7 +75,7 @@ def unknown_key(key: str, known: list[str], where: str) -> str:
 
 
 def to_mapping(settings: Any) -> dict[str, Any]:
-    """Plain data of a settings dataclass, ready for YAML; what is off (None, no entries) is left out."""
+    """Plain data of a settings dataclass, ready for YAML; None and empty entries are left out."""
     result: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers out of files that become a policy, a metric, a model or an agent: all there, of the right shape, finite.
+"""Validation of tensors read from policy, metric, model and agent files: present, of the right shape, finite.
 
 Whether files belong to one another is another question; this one is whether they are sound. Everything that is read as
 weights passes here before anything is done with it.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge's end of the serial line: its state machine, how long things take on it, the box's clock.
+"""The bridge's end of the serial line: state machine, latencies, clock synchronisation.
 
 May import `serial` and `safety`; knows no ROS.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box's clock mapped to ROS time, by way of the host's monotonic clock, which nobody sets.
+"""Clock synchronisation: box time to ROS time by way of the host's monotonic clock.
 
 ::
 

@@ -42,7 +42,7 @@ _READ_TIMEOUT = 0.02
 
 
 class LinkState(Enum):
-    """Where the state machine stands."""
+    """States of the connection."""
 
     CLOSED = "closed"
     OPEN = "open"
@@ -51,7 +51,7 @@ class LinkState(Enum):
 
 @dataclass
 class LinkReport:
-    """What happened since the link was made, besides what `LinkCounts` counts of the bytes."""
+    """Statistics of a link since it was created; `LinkCounts` has those of the byte stream."""
 
     reconnects: int = 0
     """Connections after the first."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is said of a box at each connection: which limits it narrows, and what a box of version 1 cannot tell."""
+"""Log messages at each connection: which limits the box narrows, and what a version 1 box cannot report."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ MISSED = (
 
 
 def remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None) -> list[str]:
-    """Sentences for the log; none of a box of version 2 that allows all that the guard was set to."""
+    """Sentences for the log; none for a version 2 box that allows everything the guard is set to."""
     said = [] if details else [MISSED]
     allowed = narrowed(wanted, info)
     changed = [

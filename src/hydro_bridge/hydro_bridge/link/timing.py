@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How long things take on the line, from the sequence numbers that travel on it."""
+"""Latencies on the serial line, from the sequence numbers of states and commands."""
 
 from __future__ import annotations
 

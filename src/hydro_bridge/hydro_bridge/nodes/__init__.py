@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Executables: `bridge`, `recorder`, `replayer`. They move messages; what is computed stands in the modules above."""
+"""Executables: `bridge`, `recorder`, `replayer` and others. They move messages and hold no mathematics."""

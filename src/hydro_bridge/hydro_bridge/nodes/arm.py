@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arms the plant that runs, for whoever has the authority over it, or disarms it, and says what the plant answered.
+"""Arms or disarms the running plant on behalf of the node that commands it, and prints the plant's answer.
 
 ros2 run hydro_bridge arm            # exit status 0 once the box confirms, 2 with the plant's reason if it refuses
 ros2 run hydro_bridge arm --for trainer    # only if the trainer commands it

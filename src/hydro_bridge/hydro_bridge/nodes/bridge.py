@@ -29,7 +29,7 @@ from hydro_bridge.signals import Flag, flag_names
 
 
 class BridgeSide(Link):
-    """A link that can say on /diagnostics how it is doing."""
+    """A link with its status for /diagnostics."""
 
     foreign = ""
     """How the box differs from its bench file, if it does."""

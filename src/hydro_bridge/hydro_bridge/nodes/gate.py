@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whose commands a plant node takes: the holder's, with the epoch of the session, from the one publisher of a topic.
+"""Filters the commands that reach a plant: only the authority's, with its session's epoch, from a single publisher.
 
 ::
 

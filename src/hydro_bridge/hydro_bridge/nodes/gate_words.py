@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a plant node's gate says: who commands, on /hydro/authority; and in the log what was done and refused."""
+"""Announcements about authority: the holder on /hydro/authority, grants and refusals in the log."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _NEWCOMERS = 50
 
 
 class GateWords:
-    """The words on one authority.
+    """Announces one authority.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS side of every plant that takes commands: the bridge's serial line and the simulation differ behind it only.
+"""The ROS interface of every plant: the bridge's serial line and the simulation stand behind the same node.
 
 ::
 
@@ -49,7 +49,7 @@ from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, ReferenceSign
 
 
 class PlantSide(Protocol):
-    """What a plant node moves messages for; it runs in a thread of its own."""
+    """The plant behind a plant node; it runs in its own thread."""
 
     guard: CommandGuard
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Makes the keys of the graph: an SROS2 keystore in which each executable may do what it does, and nothing else.
+"""Creates an SROS2 keystore that grants each executable exactly the topics and services it uses.
 
 ros2 run hydro_bridge secure KEYSTORE          # keys and policy, for the domain of ROS_DOMAIN_ID; network.md
 ros2 run hydro_bridge secure --policy FILE     # the policy alone, which needs no sros2

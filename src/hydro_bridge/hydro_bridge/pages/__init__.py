@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pages that people open from disk: one template engine, one style sheet, everything inside one file."""
+"""Self-contained HTML pages: one template engine, one style sheet."""
 
 from hydro_bridge.pages.render import data_uri, environment
 from hydro_bridge.pages.results import Section, results_page

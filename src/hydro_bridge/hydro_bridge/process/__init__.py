@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every process of ours has in common: its start, its end by a signal, real-time limits, latencies.
+"""Shared by all processes: start-up, termination by signals, real-time limits, latency statistics.
 
 May import nothing of hydro but `errors`; every executable may import it.
 """

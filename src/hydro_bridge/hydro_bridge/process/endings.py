@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a program ends when somebody wants it to: SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal or ssh session closed).
+"""Termination by signals: SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal or ssh session was closed).
 
 All three mean the same: disarm, write what is to be kept, end the companions, leave with status 128 + number. Before
 anything has begun (imports) `leaves_at_once`; from then on each raises `Ended`, a KeyboardInterrupt, or is taken by
@@ -26,7 +26,7 @@ Handlers = Mapping[int, Any]
 
 
 class Ended(KeyboardInterrupt):
-    """Somebody wants this program to end, by the signal `number`; `sentence` says why, if that is not plain."""
+    """Termination was requested by the signal `number`; `sentence` gives the reason where it is not obvious."""
 
     def __init__(self, number: int, sentence: str = "") -> None:
         super().__init__(sentence)
@@ -34,7 +34,7 @@ class Ended(KeyboardInterrupt):
 
 
 def answer(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Handlers:
-    """Let `handler` answer the three signals; what did so before, for `restore`. In other threads than main: nothing.
+    """Install `handler` for the three signals and return the previous handlers for `restore`; main thread only.
 
     A SIGHUP that is ignored stays so: whoever started us with nohup wants us to outlive the terminal.
     """
@@ -45,13 +45,13 @@ def answer(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) ->
 
 
 def restore(before: Handlers) -> None:
-    """Let what answered before answer again."""
+    """Reinstall the previous signal handlers."""
     for number, handler in before.items():
         signal.signal(number, handler)
 
 
 def end(number: int, _: FrameType | None = None) -> None:
-    """Raise `Ended`: the answer of a program that runs. In a process that was forked off it: die, as by default."""
+    """Signal handler of a running program: raise `Ended`. A forked child dies, as by default."""
     if os.getpid() != _program:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
@@ -60,12 +60,12 @@ def end(number: int, _: FrameType | None = None) -> None:
 
 
 def ask() -> None:
-    """End this program as Ctrl-C does: for those who ask it by a message."""
+    """Terminate this program as Ctrl-C would, on request by a message."""
     os.kill(os.getpid(), signal.SIGINT)
 
 
 def leave(number: int, _: FrameType | None = None) -> None:
-    """Go at once, with a sentence: the answer while nothing has begun that would have to be put in order."""
+    """Signal handler during start-up: exit at once with a sentence; there is nothing to clean up yet."""
     let_go_of_terminal()
     with suppress(OSError):
         os.write(2, f"ended by {signal.Signals(number).name} while starting: nothing had begun\n".encode())
@@ -74,7 +74,7 @@ def leave(number: int, _: FrameType | None = None) -> None:
 
 @contextmanager
 def raised() -> Iterator[None]:
-    """Within, each of the signals raises `Ended`.
+    """Context in which each of the signals raises `Ended`.
 
     Where Python cannot raise (finalizers, the compiler's callbacks into Python) it drops an exception: it comes again.
     """
@@ -101,7 +101,7 @@ def raised() -> Iterator[None]:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Within, signals change nothing: for disarming and the last checkpoint, whose waits end by themselves."""
+    """Context in which signals are ignored: for disarming and the last checkpoint, whose waits are bounded."""
     before = answer(signal.SIG_IGN)
     try:
         yield
@@ -110,7 +110,7 @@ def undisturbed() -> Iterator[None]:
 
 
 def let_go_of_terminal() -> None:
-    """Put /dev/null in the place of a terminal that has gone: the next word to it would be an error."""
+    """Replace a closed terminal by /dev/null: writing to it would raise."""
     for stream in (0, 1, 2):
         try:
             termios.tcgetattr(stream)
@@ -124,7 +124,7 @@ def let_go_of_terminal() -> None:
 
 
 def complain(sentence: str) -> None:
-    """Say on standard error what ends this program; where nobody reads that any more, nobody."""
+    """Print to standard error why the program ends, if it can still be written to."""
     with suppress(OSError, ValueError):
         print(f"error: {sentence}", file=sys.stderr, flush=True)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Percentiles of a duration that is measured a thousand times a second."""
+"""Percentiles of a duration measured a thousand times a second."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _BINS = 20_000
 
 @dataclass
 class Latency:
-    """Histogram of durations in bins of 1 us up to 20 ms; what is longer falls into the last bin."""
+    """Histogram of durations in bins of 1 us up to 20 ms; longer ones count in the last bin."""
 
     count: int = 0
     longest: float = 0.0

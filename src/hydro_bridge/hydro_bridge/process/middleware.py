@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the middleware that the environment asks for is installed: ROS itself ends in its own words, or a traceback.
+"""Check that the middleware named by the environment is installed; ROS itself would end in a traceback.
 
 Imports nothing of ROS.
 """
@@ -15,7 +15,7 @@ _CHOOSER = "rmw_implementation"  # stands in the index, too, and is none
 
 
 def missing() -> str:
-    """Why no node can start here, in a sentence; empty where the middleware is there, or the default is meant."""
+    """Why no node can start, in a sentence; empty if the middleware is installed or the default."""
     wanted = os.environ.get(RMW, "")
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
     installed = sorted({path.name for prefix in prefixes for path in (prefix / _INDEX).glob("*")} - {_CHOOSER})

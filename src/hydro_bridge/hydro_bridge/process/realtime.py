@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What keeps a process that runs by SCHED_FIFO from hanging the machine: a limit on how long it may run on end.
+"""A limit on uninterrupted run time, so that a SCHED_FIFO process cannot hang the machine.
 
 A real-time thread that spins leaves its core to nobody, not even to the shell that would end it. RLIMIT_RTTIME counts
 the CPU time of a real-time thread since it last slept. At `RUN_MAX` the kernel sends SIGXCPU: the process becomes an
@@ -25,7 +25,7 @@ KILLED_AT = 3.0
 
 
 class RanTooLong(Ended):
-    """A real-time process did not pause: something in it spins."""
+    """A real-time process ran too long without blocking: something in it spins."""
 
 
 def limit_run() -> None:

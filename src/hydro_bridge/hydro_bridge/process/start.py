@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The beginning that all executables share, before anything that takes its time is imported.
+"""The start of all executables, before slow imports.
 
 In a package's setup.py:  "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer"
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all nodes share: topics, messages <-> plain types, parameters, diagnostics, spinning, companion processes."""
+"""Shared by all nodes: topics, messages <-> plain types, parameters, diagnostics, spinning, companion processes."""
 
 from __future__ import annotations
 

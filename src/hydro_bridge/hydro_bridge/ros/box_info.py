@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hearing what the plant node says of its box."""
+"""Subscription to the box's description on /hydro/box."""
 
 from __future__ import annotations
 
@@ -15,5 +15,5 @@ from hydro_msgs.msg import BoxInfo
 
 
 def listen_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
-    """Call `on_box` with what the plant node says of its box: as soon as it is found, and when that changes."""
+    """Call `on_box` with the box's description: as soon as the plant node is found, and whenever it changes."""
     return node.create_subscription(BoxInfo, BOX, lambda message: on_box(box_from_message(message)), BOX_QOS)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node commands a plant: it asks for the authority, keeps it, and publishes gains and references under it.
+"""Commanding a plant: a node requests the authority, keeps it, and publishes gains and references under it.
 
 Nothing is published, not even a publisher is there, before the plant has given the authority; nor after it is lost.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a node is doing, once a second on /diagnostics."""
+"""A node's status, once a second on /diagnostics."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Level(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Status:
-    """How a node is doing: a level, a sentence, and numbers by name."""
+    """A node's status: a level, a sentence, and values by name."""
 
     level: Level = Level.OK
     message: str = ""
@@ -33,7 +33,7 @@ class Status:
 
 
 class DiagnosticsPublisher:
-    """Asks `collect` once a second, by the steady clock, and publishes what it says."""
+    """Publishes the status that `collect` returns, once a second of the steady clock."""
 
     def __init__(self, node: Node, collect: Callable[[], Status], *, hardware_id: str = "hydro") -> None:
         self._node, self._collect, self._hardware_id = node, collect, hardware_id

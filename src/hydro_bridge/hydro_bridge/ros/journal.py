@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Words of a node for recordings and tools alone: on /rosout, and not on the terminal, where they stand already."""
+"""Log messages for recordings and tools only: on /rosout, not on the terminal, which shows them already."""
 
 from __future__ import annotations
 

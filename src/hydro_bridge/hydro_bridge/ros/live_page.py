@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live page beside a run: a dashboard that starts and ends with it, and whose address is on the terminal.
+"""The live page of a run: a dashboard that starts and ends with it; its address is printed on the terminal.
 
 HYDRO_DASHBOARD=off, or --no-dashboard, and none is started: so in tests and CI.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages <-> plain types. A conversion runs a thousand times a second: message objects are used again."""
+"""Messages <-> plain types. Message objects are reused, because conversions run a thousand times a second."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def seconds(stamp: Any) -> float:
 
 
 def reference_from_message(message: ReferenceMessage) -> ReferenceSignal | None:
-    """Plain reference; None for a waveform that is not known."""
+    """Plain reference; None for an unknown waveform."""
     if message.waveform not in tuple(Waveform):
         return None
     return ReferenceSignal(
@@ -76,7 +76,7 @@ _NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.def
 
 
 def box_to_message(box: KnownBox, stamp: Any) -> BoxMessage:
-    """Message of what is known of a box; `stamp` is a builtin_interfaces/Time."""
+    """Message that describes a box; `stamp` is a builtin_interfaces/Time."""
     numbers = {name: float(getattr(box.info, name)) for name in _NUMBERS}
     texts = {name: getattr(box, name) for name in ("plant", "bench_digest", "bench", "integral")}
     message = BoxMessage(firmware=box.info.name, **texts, **numbers)
@@ -85,7 +85,7 @@ def box_to_message(box: KnownBox, stamp: Any) -> BoxMessage:
 
 
 def box_from_message(message: BoxMessage) -> KnownBox:
-    """What a message says of a box."""
+    """A box's description from its message."""
     numbers = {name: getattr(message, name) for name in _NUMBERS}
     info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
     texts = {name: getattr(message, name) for name in ("plant", "bench_digest", "bench")}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two nodes of one name in a graph: each tells its user once."""
+"""Detection of duplicate node names; each node warns its user once."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far nodes look for one another, by what means, and how soon they find each other (network.md).
+"""Discovery range, transport and discovery time of the nodes (network.md).
 
 On this machine only, unless the user says otherwise. The one place for it is ROS's own variable, `RANGE`. LOCALHOST
 stops Fast DDS from multicasting, but not from listening on all addresses, and adds shared memory, in which a plant's
@@ -26,7 +26,7 @@ _OLD_RANGE = "ROS_LOCALHOST_ONLY"  # goes before `RANGE` where it is set; deprec
 
 
 def stay_on_this_machine() -> None:
-    """Set the environment of this process and of those it starts; before ROS is. What the user has set stays.
+    """Restrict ROS to this machine, for this process and its children, before ROS starts; the user's own settings win.
 
     Raises
     ------

@@ -48,7 +48,7 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
 
 
 def refuse_unknown_parameters(node: Node) -> None:
-    """Call it once all are declared: ROS itself ignores what it does not know, and so a limit that is misspelt.
+    """Raise for parameters that were set but not declared; ROS ignores them, and with them a misspelt limit.
 
     Raises
     ------

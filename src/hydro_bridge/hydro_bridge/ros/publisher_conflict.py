@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Topics that one node at a time may publish: two trainers' gains, or two plants' states, would alternate unnoticed."""
+"""Detection of several publishers on a topic that allows one: two trainers' gains would alternate unnoticed."""
 
 from __future__ import annotations
 

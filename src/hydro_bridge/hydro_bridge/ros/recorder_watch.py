@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the recorder that writes a folder has samples: it says so once a second on /diagnostics."""
+"""Whether the recorder of a folder receives samples, from its status on /diagnostics."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ WITHIN = 60.0
 
 
 class RecorderWatch:
-    """Hears one recorder.
+    """Watches one recorder.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a process can ask of the kernel so that a millisecond stays a millisecond."""
+"""Real-time scheduling of a process."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ PRIORITY = 20
 
 
 def request_realtime(*, realtime: bool, priority: int = PRIORITY, inherited: bool = True) -> str:
-    """Take the garbage collector out of the way and, if asked, run this process by SCHED_FIFO; says what came of it.
+    """Freeze the garbage collector and, if asked, switch to SCHED_FIFO; returns a sentence with the outcome.
 
     Call it after everything long-lived is made: the collector no longer walks it. Without the right to SCHED_FIFO
     (CAP_SYS_NICE, or rtprio in limits.conf) the process stays an ordinary one. One that runs on end by it is ended

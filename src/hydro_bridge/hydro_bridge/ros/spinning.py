@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running a node until somebody ends it."""
+"""Running a node until a signal or shutdown."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], li
 
 
 def start_ros(ros: Sequence[str] = ()) -> None:
-    """Start ROS without its signal handlers: ours leave time to disarm.
+    """Start ROS without its signal handlers; ours leave time to disarm.
 
     See `network` for how far it reaches, `keys.enclave` for the keys it takes where security is on.
 
@@ -59,7 +59,7 @@ def start_ros(ros: Sequence[str] = ()) -> None:
 
 
 def spin(node: Node, until: Future | None = None) -> bool:
-    """Carry the node's callbacks on an EventsExecutor until a signal or shutdown; then return, to be cleaned up.
+    """Run the node's callbacks on an EventsExecutor until a signal or shutdown.
 
     Signals are SIGINT, SIGTERM and SIGHUP. The context stays valid, so the caller can still publish and disarm. Call it
     from the main thread.
@@ -99,7 +99,7 @@ def spin(node: Node, until: Future | None = None) -> bool:
 
 
 def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
-    """Start ROS, make the node, spin it, and take all down again in order.
+    """Start ROS, create the node, spin it, and shut down in order.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may command a plant: one holder at a time, by name, and the epoch that its commands must carry. Knows no ROS.
+"""Authority over a plant: one named holder at a time, and the epoch that its commands must carry. No ROS.
 
 ::
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is known of a box: what it says of itself, and which bench its force law believes. Goes out on /hydro/box."""
+"""Description of a box: its own HELLO and DETAILS, and the bench file of its force law. Published on /hydro/box."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class KnownBox:
 
 
 def told(ready: Callable[[], bool]) -> Requirement:
-    """That the plant's node says what its box is; it does so once, latched, before the first sample."""
+    """Requirement that the plant's node has described its box; it does so once, latched, before the first sample."""
     hint = "its node says it on /hydro/box"
     return Requirement(name="what the box says of itself", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
 
@@ -56,7 +56,7 @@ def told(ready: Callable[[], bool]) -> Requirement:
 def known_box(
     info: BoxInfo, bench: Mapping[str, Any] | None, plant: str, details: BoxDetails | None = None
 ) -> KnownBox:
-    """A box by what it says and by the bench file that belongs to it; where the two differ the box is believed.
+    """Describe a box by its own reports and its bench file; where the two differ, the box's values are used.
 
     So the digest is that of the file only if the box does not contradict it. A box of version 2 gives its own digest;
     where the file has another, its numbers are not known.
@@ -72,7 +72,7 @@ def known_box(
 
 
 def differences(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:
-    """Where a box differs from its bench file and from what is expected here, both numbers named; or nothing."""
+    """Differences between a box, its bench file and the expectation here, with both values; empty if none."""
     found = []
     believed = details.bench_digest if details else ""
     if believed and bench is not None and believed != bench_file.digest(bench):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may go to the valve: every command of every plant node is put together here, finite, clamped and fresh.
+"""The command guard: every command to a box is assembled here, finite, clamped and fresh.
 
 The guard believes nobody. A value that is not finite is dropped, one out of range is clamped, an old one is replaced
 by the safe one (base gains, no correction); each is counted, and each change is told once in a sentence
@@ -32,7 +32,7 @@ MISMATCHED = "the filter says that its model is not this bench's: no correction,
 
 @dataclass(kw_only=True)
 class GuardCounts:
-    """How often the guard had to step in, since it was made."""
+    """How often the guard intervened."""
 
     commands: int = 0
     not_finite: int = 0
@@ -58,7 +58,7 @@ class GuardCounts:
 
 @dataclass(kw_only=True)
 class CommandGuard:
-    """Collects gains, correction, reference and arming; `command` gives what may be sent now.
+    """Collects gains, correction, reference and arming; `command` returns what may be sent now.
 
     Times are seconds of any one monotonic clock. Nothing here is locked: use it from one thread or under one lock.
     """

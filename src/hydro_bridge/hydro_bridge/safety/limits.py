@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guard's settings, and which references are within them: what is let through is what a box takes."""
+"""The guard's settings, and which references they allow."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def within_narrow(gains: tuple[float, float]) -> tuple[float, float]:
 
 
 def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
-    """Limits that neither the settings nor the box exceed."""
+    """The tighter of the settings' and the box's limits."""
     return replace(
         wanted,
         delta_kp_min=max(wanted.delta_kp_min, box.delta_kp_min),
@@ -74,7 +74,7 @@ def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
 
 
 def unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
-    """Why a reference may not go down, as it is or as float32, which a box gets; empty if it may."""
+    """Why a reference is rejected, as given or as the float32 that a box receives; empty if it is accepted."""
     return _unfit(signal, limits) or _unfit(_on_the_line(signal), limits)
 
 
@@ -101,5 +101,5 @@ def _on_the_line(signal: ReferenceSignal) -> ReferenceSignal:
 
 
 def with_frequency(signal: ReferenceSignal) -> ReferenceSignal:
-    """The reference; a HOLD, which has no frequency, gets one that every box takes."""
+    """The reference with a frequency that every box accepts, for a HOLD, which has none."""
     return replace(signal, frequency=ReferenceSignal().frequency) if signal.waveform == Waveform.HOLD else signal

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What must be there before a plant is armed: each waited for, told, and given up after its time. Knows no ROS.
+"""Requirements before arming: each is awaited, reported, and given up after a timeout. No ROS.
 
 ::
 
@@ -21,12 +21,12 @@ HINT_AFTER = 8.0
 
 
 class NotReadyError(Exception):
-    """Something never came without which nothing may be armed; the message is one clear sentence."""
+    """A requirement for arming was not met in time; the message is one clear sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """Something that must be there before a plant is armed."""
+    """A requirement for arming."""
 
     name: str
     """As in "waiting for the learner"."""
@@ -43,7 +43,7 @@ class Requirement:
 
 
 class Readiness:
-    """Whether all that will act is there.
+    """Tracks whether all requirements for arming are met.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a frame of the serial line can be, and what can be wrong with one."""
+"""Frames of the serial line, and their errors."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class CheckSumError(MalformedError):
 
 
 class UnknownFrameError(MalformedError):
-    """A frame type of this version that is not known here: skipped, so that a newer box may add some."""
+    """An unknown frame type of this protocol version: skipped, so that newer boxes may add some."""
 
 
 class WrongVersionError(MalformedError):
@@ -51,7 +51,7 @@ INTEGRAL_FORMS = ("", "paper", "bumpless")
 
 @dataclass(frozen=True, kw_only=True)
 class BoxInfo:
-    """What a box says about itself in its HELLO; the bridge never sends more than these limits allow."""
+    """A box's HELLO: identity and limits; the bridge never exceeds these."""
 
     name: str = ""
     """Firmware and its version, at most 32 bytes of UTF-8."""
@@ -83,7 +83,7 @@ FEEDBACKS = ("", "load", "hydraulic")
 
 @dataclass(frozen=True, kw_only=True)
 class BoxDetails:
-    """What a box says about itself from version 2 on, in DETAILS; 0 or empty: not told."""
+    """A box's DETAILS, from protocol version 2 on; 0 or empty: not reported."""
 
     epoch: int = 0
     """Of its power-on, [1, 2^32 - 1]: another one means that the box was restarted."""
@@ -114,7 +114,7 @@ class BoxDetails:
 
 
 class Hello(NamedTuple):
-    """Who is there and which versions it speaks; `info` is None from the host."""
+    """HELLO: identity and protocol versions; `info` is None from the host."""
 
     sequence: int
     time_us: int
@@ -124,7 +124,7 @@ class Hello(NamedTuple):
 
 
 class State(NamedTuple):
-    """One sample: `values` in STATE_FIELDS order, flags, and the sequence of the newest command that the box has.
+    """One sample: `values` in STATE_FIELDS order, flags, and the sequence number of the box's latest command.
 
     From version 2 on also how many values, and how many references, the box refused since its power-on.
     """
@@ -139,7 +139,7 @@ class State(NamedTuple):
 
 
 class Details(NamedTuple):
-    """What a box says about itself besides its HELLO."""
+    """The DETAILS frame."""
 
     sequence: int
     time_us: int

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial port: exclusive, low latency, never blocked by a write, and it may come and go."""
+"""The serial port: exclusive, low latency, non-blocking writes, may be unplugged and plugged again."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class PortSettings:
 
 
 class Port:
-    """One serial port that may come and go. Not locked: one thread reads, and writes are the caller's to serialize."""
+    """A serial port that may be unplugged. Not thread-safe: one thread reads, and the caller serializes writes."""
 
     def __init__(self, settings: PortSettings) -> None:
         self.settings = settings
@@ -125,7 +125,7 @@ class Port:
 
 
 def no_port(path: str) -> str | None:
-    """What there is at `path` instead of a serial port; None if it is one, cannot be told, or is not there."""
+    """What `path` is instead of a serial port; None if it is one, is absent, or cannot be determined."""
     try:
         mode = os.stat(path).st_mode
     except OSError:

@@ -86,7 +86,7 @@ def encode_state(
     last_command: int,
     refused: tuple[int, int] | None = None,
 ) -> bytes:
-    """Frame of one sample, of version 2 if it says what was refused, else of version 1.
+    """Frame of one sample: version 2 if it counts refusals, else version 1.
 
     Parameters
     ----------
@@ -169,7 +169,7 @@ def decode(encoded: bytes) -> Frame:
 
 
 def negotiate(hello: Hello) -> int:
-    """The version that both ends speak.
+    """The highest protocol version that both ends speak.
 
     Raises
     ------

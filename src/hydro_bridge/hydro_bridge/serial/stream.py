@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a stream of bytes to frames, whatever happens on the way: nothing raises, everything is counted.
+"""Stream decoder: bytes to frames. Damage never raises; it is counted.
 
 `Decoder` cuts the stream at the delimiters and checks each piece; `SequenceTracker` tells new samples from repeated
 and late ones.
@@ -24,7 +24,7 @@ _WRAP = 1 << 32
 
 @dataclass(kw_only=True)
 class LinkCounts:
-    """What came over the line since it was opened first."""
+    """Statistics of the byte stream since the line was first opened."""
 
     bytes: int = 0
     frames: int = 0
@@ -50,7 +50,7 @@ class LinkCounts:
 
 @dataclass
 class Decoder:
-    """Cuts bytes into frames. Memory is bounded: of a piece without delimiter at most `MAX_ENCODED` bytes are kept."""
+    """Splits bytes into frames, in bounded memory: at most `MAX_ENCODED` bytes are kept without a delimiter."""
 
     counts: LinkCounts = field(default_factory=LinkCounts)
     foreign_version: int | None = None
@@ -106,7 +106,7 @@ class Decoder:
 
 @dataclass
 class SequenceTracker:
-    """Tells which sequence numbers are new.
+    """Detects new, repeated and missing sequence numbers.
 
     A number up to `window` behind the newest is a duplicate or late; one further behind, or more than `leap` ahead,
     means that the sender was restarted.

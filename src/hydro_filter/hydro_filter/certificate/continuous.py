@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate of eq. cont_require_6 along the force error: the half-line a du <= b that it leaves.
+"""The certificate of eq. cont_require_6 along the force error, as a constraint a du <= b on the correction.
 
     M_c = v' (M' + sym(M (A + B K)) + 2 lambda M) v          holds if M_c <= 0
     a   = 2 v' M B                                           M_c with du is a du - b
@@ -34,7 +34,7 @@ from hydro_filter.model.state import LOAD_FORCE, STATES
 
 
 class HalfLine(NamedTuple):
-    """Corrections that satisfy the certificate: a du <= b. NaN if anything that went in was not finite."""
+    """Corrections that satisfy the certificate: a du <= b. NaN if any input was not finite."""
 
     a: float
     """1/A/s: the certificate's slope in du."""

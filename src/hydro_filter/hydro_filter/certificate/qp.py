@@ -38,7 +38,7 @@ AGREEMENT = 1e-6
 
 
 class Correction(NamedTuple):
-    """What the QP decided."""
+    """Solution of the QP."""
 
     delta_u: float
     """A; 0 if not finite, infeasible, or nothing had to be done."""
@@ -84,7 +84,7 @@ def closed_form_kernel(a, b, low, high):
 
 @dataclass
 class QpCounts:
-    """How OSQP fared."""
+    """Statistics of OSQP."""
 
     solved: int = 0
     infeasible: int = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate for a filter that acts sample by sample, and late: v'Mv over the correction's own sample.
+"""The sampled certificate, with the delay of the correction: decay of v'Mv over the sample it acts in.
 
 A correction that is decided at x_k reaches the valve with u_{k+1}. So the displacement is first moved to then, with the
 current that is known, and the certificate asks about the sample after it::
@@ -9,8 +9,8 @@ current that is known, and the certificate asks about the sample after it::
     M_c(du) = ( v_2' (M + T M') v_2 - exp(-2 lambda T) v_1' M v_1 ) / T  <=  margin       [1/s], quadratic in du
 
 As T -> 0 this is eq. cont_require_6 without a projection. w is what the integral asks for beyond what it is there for
-(`unasked`). The quadratic's interval of admissible du is exact; the QP gets its nearer end as half-line a du <= b,
-whose smallest solution is the interval's.
+(`excess_integral`). The quadratic's interval of admissible du is exact; the QP gets its nearer end as half-line
+a du <= b, whose smallest solution is the interval's.
 """
 
 from __future__ import annotations
@@ -79,14 +79,14 @@ def half_line(bent, slope, level):
 
 
 @njit(cache=True)
-def unasked(term, allowance):
-    """What of the law's integral I [N/s] is beyond `allowance` [N/s]."""
+def excess_integral(term, allowance):
+    """Part of the law's integral I [N/s] beyond `allowance` [N/s]."""
     return term - min(max(term, -allowance), allowance)
 
 
 @njit(cache=True)
-def fade(size, floor):
-    """Share, 0 to 1, of a displacement with v'Mv = size that counts: none up to `floor`, all from twice that."""
+def displacement_share(size, floor):
+    """Weight, 0 to 1, of a displacement with v'Mv = size: 0 up to `floor`, 1 from twice that."""
     if size <= floor:
         return 0.0
     if not floor > 0.0:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each equation of a bench file's model is off by: the same five as `innovations` has, from the model's own rates.
+"""Equation errors of a bench file's model: the same five as in `innovations`, from the model's own rates.
 
 The load's prediction is the followed state of its amplifier, driven by the measured positions. Dry friction that holds
-may have any force up to its level: below `bench_kernels.CREEP` it has the one that fits best.
+may have any force up to its level: below `bench_displacement.CREEP` it has the one that fits best.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ import numpy as np
 from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_filter.model.bench_kernels import CREEP, hydraulic_slopes, lift, rates_at
-from hydro_filter.model.bench_loop import NONE
+from hydro_filter.model.bench_displacement import CREEP
+from hydro_filter.model.bench_parts import NONE
+from hydro_filter.model.bench_states import held_rates, hydraulic_slopes, model_state
 from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
 
 F_H, F_L, P_A, P_B, X_P = range(5)
@@ -22,8 +23,8 @@ F_H, F_L, P_A, P_B, X_P = range(5)
 
 
 @njit(cache=True)
-def show(model, m, x, hidden):
-    """What the load cell shows at the middle sample; a valve without lag steps there, and is taken at its mean."""
+def load_cell_reading(model, m, x, hidden):
+    """Load-cell reading at the middle sample; a valve without lag steps there, and its mean is used."""
     p, n = model, len(model.rest)
     m.cell = m.hidden[p.cell]
     if p.spool == NONE:
@@ -32,11 +33,11 @@ def show(model, m, x, hidden):
 
 @njit(cache=True)
 def errors(model, m, x, error, size):
-    """Of each equation at the middle sample: its error, and the size of what it moves; both shape (5,)."""
+    """Error of each equation at the middle sample, and the scale of its left-hand side; both shape (5,)."""
     p, n, readings = model, len(model.rest), m.middle
     y, state, slopes, measured = np.empty(n), np.empty(len(p.from_whole)), np.empty(p.slopes), np.zeros(STATES)
     measured[PRESSURE_A], measured[PRESSURE_B], measured[POSITION] = readings[P_A], readings[P_B], readings[X_P]
-    lift(p, m.hidden, measured, y, False)
+    model_state(p, m.hidden, measured, y, False)
     speed = (x[POSITION] - m.last[X_P]) / (2.0 * SAMPLE_PERIOD * p.gain[4])
     y[3] = speed
     for i in range(len(state)):
@@ -44,17 +45,17 @@ def errors(model, m, x, error, size):
     opening = m.hidden[n]
     bend = (x[POSITION] - 2.0 * readings[X_P] + m.last[X_P]) / (SAMPLE_PERIOD**2 * p.gain[4])
     _, _, _, soft_a, soft_b = hydraulic_slopes(p, state, opening)
-    rates_at(p, y, opening, True, slopes)
+    held_rates(p, y, opening, True, slopes)
     rate_a, rate_b, pull = slopes[0], slopes[1], slopes[3]
     error[1] = p.mass * (bend - pull)
     if p.holds and abs(speed) < CREEP:
         y[3] = state[3] = math.copysign(CREEP, speed)
-        rates_at(p, y, opening, True, slopes)
+        held_rates(p, y, opening, True, slopes)
         whole = slopes[3]
-        rates_at(p, state, 0.0, False, slopes)
+        held_rates(p, state, 0.0, False, slopes)
         level = p.mass * abs(slopes[3] - whole)
         y[3] = state[3] = speed
-        rates_at(p, state, 0.0, False, slopes)
+        held_rates(p, state, 0.0, False, slopes)
         free = p.mass * (bend - slopes[3])
         error[1] = free - min(max(free, -level), level)
     pushed = p.gain[0] * p.area * (y[0] - p.ratio * y[1])

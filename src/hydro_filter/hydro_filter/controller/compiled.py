@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter with the constant metric as one compiled call, for compiled loops such as the fleet's.
+"""The filter with the constant metric as one compiled call, for vectorised environments.
 
 ::
 
@@ -30,7 +30,7 @@ from hydro_filter.model.state import LOAD_FORCE, STATES
 
 
 class FilterParts(NamedTuple):
-    """A `Certificate` as the kernels take it."""
+    """A `Certificate` in the form of the kernels."""
 
     metric: FloatArray
     """M, shape (8, 8)."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which filter runs: the learned metric on the learned model, or the constant one on the analytic model.
+"""Factory of filters: the learned metric on the learned model, or the constant one on the analytic model.
 
 =============== ============================================= ==========================================
 metric          learned (a file of `learn_metric`)            constant (solved for the bench file)
@@ -27,13 +27,13 @@ from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, loop_parts
 from hydro_filter.metric import learned as learned_metric
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.bench_loop import uncompiled
+from hydro_filter.model.bench_loop import effects_to_compile
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import Believed, MadeFor, unfit
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch
 from hydro_sim.files.weights import WeightsError
-from hydro_sim.learned.any_model import digest, is_bench, model_of
+from hydro_sim.learned.any_model import digest, is_bench_file, load_model
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import rest_state
@@ -47,8 +47,8 @@ Filter = ContractionFilter | LoopFilter
 
 
 @dataclass(frozen=True, kw_only=True)
-class Choice:
-    """A filter by what was asked for."""
+class FilterChoice:
+    """The filter that the options ask for."""
 
     bench: Bench
     """What the box believes."""
@@ -78,7 +78,7 @@ class Choice:
             return {"metric": "constant, solved for the bench file", "model": "analytic, the bench file"}
         return {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
 
-    def trouble(self, box: Believed | None = None) -> str:
+    def trouble(self, box: BoxIdentity | None = None) -> str:
         """Why metric, model and bench do not belong together, in one sentence; empty where they do.
 
         Parameters
@@ -93,12 +93,12 @@ class Choice:
         """
         if self.constant:
             return ""
-        box = box or Believed(digest=self.bench.digest, source=self.source)
+        box = box or BoxIdentity(digest=self.bench.digest, source=self.source)
         model, metric, digest = self.stamps
         learn = f"learn one from its recordings with `ros2 run hydro_sim learn`, {WAYS_ON}"
         learn_metric = f"make one with `ros2 run hydro_filter learn_metric` and its --bench and --model, {WAYS_ON}"
         path = self.files["model"]  # a bench file is for whom its metric was made
-        return ("" if is_bench(path) else unfit(f"the model {path.name}", model, box, learn)) or unfit(
+        return ("" if is_bench_file(path) else mismatch(f"the model {path.name}", model, box, learn)) or mismatch(
             f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest
         )
 
@@ -107,11 +107,11 @@ class Choice:
         """What model and metric were made for, and the model's digest, as the files were when first asked for."""
         model, metric = self.files["model"], self.files["metric"]
         made = LearnedMetric.load(metric).made
-        return None if is_bench(model) else Learned.load(model).made, made, digest(model)
+        return None if is_bench_file(model) else Learned.load(model).made, made, digest(model)
 
     def foreign(self, box: KnownBox) -> str:
         """Why this filter does not belong to a box that runs; empty where it does, or where it is not known."""
-        theirs = Believed.of_box(box)
+        theirs = BoxIdentity.of_box(box)
         if theirs.digest and theirs.digest != self.bench.digest:
             mine = f"the filter was started for bench {self.bench.digest} ({self.source})"
             return f"{mine}, the box believes {theirs.told}: start it with the bench.yaml of this box (--bench)"
@@ -129,9 +129,9 @@ class Choice:
     @property
     def uncompiled(self) -> str:
         """What has to be compiled before it can run, for people; empty where set-up or an earlier start has done it."""
-        if self.constant or not is_bench(self.files["model"]):
+        if self.constant or not is_bench_file(self.files["model"]):
             return ""
-        effects = uncompiled(Bench.load(self.files["model"]))
+        effects = effects_to_compile(Bench.load(self.files["model"]))
         return effects and f"the model of a bench with {effects}"
 
     def make(self, settings: Settings) -> Filter:
@@ -147,12 +147,12 @@ class Choice:
         if isinstance(settings, FilterSettings):
             return ContractionFilter.for_bench(self.bench, settings)
         files = self.files
-        metric, model = LearnedMetric.load(files["metric"]), model_of(files["model"])
+        metric, model = LearnedMetric.load(files["metric"]), load_model(files["model"])
         return LoopFilter(loop_parts(metric, model, self.bench, settings), settings)
 
 
 def warm_up(contraction_filter: Filter, bench: Bench) -> None:
-    """Run what a filter can come across, so that nothing is compiled later; afterwards it is as new."""
+    """Run all code paths of a filter, so that nothing is compiled later; then reset it."""
     still, x = rest_state(bench.constants()[0]), np.zeros(STATES)
     x[PRESSURE_A], x[PRESSURE_B], x[POSITION] = still[:3]
     limit = bench.valve_current_max

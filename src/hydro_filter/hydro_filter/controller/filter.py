@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction filter: one bench sample in, one correction of the valve current out, whatever the sample holds.
+"""The contraction filter: one bench sample in, one correction of the valve current out; never raises on a sample.
 
     sample ──> Certificate ──> a, b ──> QpFilter ──> delta_u, status
                  Metric, Dynamics, Controller          bounds: what the valve has left
@@ -28,7 +28,7 @@ from hydro_sim.model.bench import Bench
 
 @dataclass(frozen=True, kw_only=True)
 class FilterSettings:
-    """How the filter decides."""
+    """Settings of the filter."""
 
     contraction_rate: Annotated[float, quantity("1/s", 0.0, 50.0)] = 0.1
     """lambda of the certificate; the paper's 0.1."""
@@ -41,7 +41,7 @@ class FilterSettings:
 
 
 class Result(NamedTuple):
-    """What the filter says about one sample."""
+    """Result of one sample."""
 
     delta_u: float
     """A, finite, 0 unless status is MODIFIED or RELAXED."""

@@ -15,14 +15,14 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.settings import check
 from hydro_filter.controller import loop_header
 from hydro_filter.controller.compiled import FilterParts, filter_parts
-from hydro_filter.controller.factory import CONSTANT, Choice
+from hydro_filter.controller.factory import CONSTANT, FilterChoice
 from hydro_filter.controller.filter import ContractionFilter, FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilterSettings, loop_parts
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.state import LOAD_FORCE
 from hydro_sim.box.c_text import header_file, reals
 from hydro_sim.box.configuration import BENCH_FIELDS
-from hydro_sim.learned.any_model import model_of
+from hydro_sim.learned.any_model import load_model
 from hydro_sim.model.bench import Bench
 
 MOST_STROKE, MOST_FORCE = 0.9, 1e5
@@ -77,7 +77,7 @@ def main() -> None:
     """Entry point."""
     options = parser().parse_args()
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    choice = Choice(bench=bench, bench_file=options.bench, metric=options.metric, model=options.model)
+    choice = FilterChoice(bench=bench, bench_file=options.bench, metric=options.metric, model=options.model)
     _conceivable(bench)
     text = _constant(choice, options) if choice.constant else _learned(choice, options)
     write_whole(Path(options.out), text.encode())
@@ -94,7 +94,7 @@ def _conceivable(bench: Bench) -> None:
         )
 
 
-def _constant(choice: Choice, options: argparse.Namespace) -> str:
+def _constant(choice: FilterChoice, options: argparse.Namespace) -> str:
     if choice.model is not None:
         raise ValueError("--model: the constant metric has none, it keeps to the bench file")
     usual, rate, floor = FilterSettings(), options.contraction_rate, options.noise_floor
@@ -107,7 +107,7 @@ def _constant(choice: Choice, options: argparse.Namespace) -> str:
     return header(filter_parts(certificate), choice.bench.digest)
 
 
-def _learned(choice: Choice, options: argparse.Namespace) -> str:
+def _learned(choice: FilterChoice, options: argparse.Namespace) -> str:
     if options.noise_floor is not None:
         raise ValueError("--noise-floor: a learned metric brings its own level of the noise")
     if trouble := choice.trouble():
@@ -115,7 +115,7 @@ def _learned(choice: Choice, options: argparse.Namespace) -> str:
     usual, rate = LoopFilterSettings(), options.contraction_rate
     settings = LoopFilterSettings(contraction_rate=usual.contraction_rate if rate is None else rate)
     files = choice.files
-    parts = loop_parts(LearnedMetric.load(files["metric"]), model_of(files["model"]), choice.bench, settings)
+    parts = loop_parts(LearnedMetric.load(files["metric"]), load_model(files["model"]), choice.bench, settings)
     told = ", ".join(f"{name} {word}" for name, word in choice.describe().items())
     return loop_header.header(
         parts, f"Written by `ros2 run hydro_filter filter_header` for the bench {choice.bench.digest}: {told}."

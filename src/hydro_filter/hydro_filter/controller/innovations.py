@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the learned model is still this bench's: what it predicts of the next sample, against what comes.
+"""Model monitor: whether the model still fits the bench, by its one-step prediction errors.
 
 Of three samples in a row the middle one gives the model's state, and the outer two what became of it. Taken this way
 each equation stands alone, and the lag of the box's velocity is in none of them. The error of each, T = 1 ms::
@@ -31,9 +31,9 @@ from numba.extending import overload
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.controller import bench_errors
-from hydro_filter.model.bench_loop import BENCH_MEMORY_DTYPE, BenchLoop
+from hydro_filter.model.bench_parts import BENCH_MEMORY_DTYPE, BenchLoop
 from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL_RATE, lag
-from hydro_filter.model.loop import Loop, of_bench
+from hydro_filter.model.loop import Loop, is_bench_file_loop
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
 from hydro_sim import copies
 from hydro_sim.structured import physics, rollout
@@ -107,21 +107,21 @@ BENCH_MONITOR_DTYPE = np.dtype(
 
 
 def monitor_of(loop: Loop) -> npt.NDArray[np.void]:
-    """A monitor that has seen nothing, shape (1,)."""
+    """A new monitor, shape (1,)."""
     return np.zeros(1, BENCH_MONITOR_DTYPE if isinstance(loop, BenchLoop) else MONITOR_DTYPE)
 
 
 @njit(cache=True)
-def begin(m):
-    """As at the start or after a gap: only what was told stays. `m`: one record of `MONITOR_DTYPE`."""
+def reset(m):
+    """Reset at the start or after a gap; a reported fault is kept. `m`: one record of `MONITOR_DTYPE`."""
     m.seen = m.held = 0
     m.sums[:] = 0.0
     m.runs[:] = 0
 
 
 @njit(cache=True)
-def watch(model, limit, m, x, hidden):
-    """Take in sample x, shape (8,), and the hidden states (3,) that belong to it; `limit` scales what is allowed.
+def update(model, limit, m, x, hidden):
+    """Process sample x, shape (8,), with its hidden states (3,); `limit` scales the allowed errors.
 
     `model` is `StructuredModel.compiled`, or a bench file's `BenchParts`. `m.broken` afterwards says which equation
     does not hold.
@@ -142,7 +142,7 @@ def _show(model, m, x, hidden):
 
 @overload(_show, inline="always")
 def _shown(model, m, x, hidden):
-    return (bench_errors.show if of_bench(model) else amplify).py_func
+    return (bench_errors.load_cell_reading if is_bench_file_loop(model) else amplifier_reading).py_func
 
 
 def _errors(model, m, x, error, size):
@@ -151,12 +151,12 @@ def _errors(model, m, x, error, size):
 
 @overload(_errors, inline="always")
 def _found(model, m, x, error, size):
-    return (bench_errors.errors if of_bench(model) else errors).py_func
+    return (bench_errors.errors if is_bench_file_loop(model) else errors).py_func
 
 
 @njit(cache=True)
-def amplify(model, m, x, hidden):
-    """What the load cell's amplifier shows at the middle sample."""
+def amplifier_reading(model, m, x, hidden):
+    """Output of the load cell's amplifier at the middle sample."""
     c = model[0]
     if m.seen == 0:
         m.cell, m.cell_rate = (x[LOAD_FORCE] - c[BIAS_L]) / c[GAIN_L], 0.0
@@ -167,7 +167,7 @@ def amplify(model, m, x, hidden):
 
 @njit(cache=True)
 def errors(model, m, x, error, size):
-    """Of each equation at the middle sample: its error, and the size of what it moves; both shape (5,)."""
+    """Error of each equation at the middle sample, and the scale of its left-hand side; both shape (5,)."""
     c, layers, center, scale, _ = model
     s, slope, inputs, r = np.empty(STATES), np.empty(8), np.empty(INPUTS), np.empty(OUTPUTS)
     first, second = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
@@ -217,7 +217,7 @@ def _judge(model, limit, m, x):
 
 
 def sentence(m: np.void) -> str:
-    """Which equation does not hold, and how far it is off; empty where all do."""
+    """Which equation is violated, and by how much; empty if none is."""
     if not m["broken"]:
         return ""
     place = int(m["broken"]) - 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter with the learned metric: one sample of a bench in, one correction out, in one compiled call.
+"""The filter with the learned metric: one sample in, one correction out, in one compiled call.
 
 ::
 
@@ -31,7 +31,7 @@ from hydro_sim.model.hydraulics import input_gain, velocity_term
 
 
 class LoopParts(NamedTuple):
-    """What `decide` reads."""
+    """Inputs of `decide` that do not change from sample to sample."""
 
     loop: Loop
     metric: MetricParts
@@ -47,8 +47,8 @@ class LoopParts(NamedTuple):
     """N/s that the law's integral I may ask for: what disturbances take on stable runs."""
 
 
-class Space(NamedTuple):
-    """Scratch of one caller; `space` makes it."""
+class Workspace(NamedTuple):
+    """Scratch arrays of one caller; created by `workspace`."""
 
     step: Step
     value: MetricValue
@@ -58,7 +58,7 @@ class Space(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """What `decide` says."""
+    """Result of `decide`."""
 
     delta_u: float
     """A."""
@@ -71,7 +71,7 @@ class Decision(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """What is to be solved for one sample: `a du <= b`, `low <= du <= high`, and M_c as a function of du."""
+    """The QP of one sample: `a du <= b`, `low <= du <= high`, and M_c as a function of du."""
 
     a: float
     b: float
@@ -84,9 +84,9 @@ class Problem(NamedTuple):
     """A, the du with the smallest M_c."""
 
 
-def space(parts: LoopParts) -> Space:
-    """New scratch for one caller."""
-    return Space(step_of(parts.loop), metric_value(parts.metric), np.zeros(LOOP), np.zeros(LOOP), np.zeros(LOOP))
+def workspace(parts: LoopParts) -> Workspace:
+    """Allocate a workspace."""
+    return Workspace(step_of(parts.loop), metric_value(parts.metric), np.zeros(LOOP), np.zeros(LOOP), np.zeros(LOOP))
 
 
 @njit(cache=True, inline="always")
@@ -100,21 +100,21 @@ def integral_term(bench, gain_floor, x, nominal_current, reference, reference_ra
 
 @njit(cache=True, inline="always")
 def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace):
-    """The problem of one sample, all finite, of an armed bench. Moves the memory on."""
+    """Build the QP of one finite sample of an armed bench, and advance the memory."""
     loop, value, step = parts.loop, workspace.value, workspace.step
     settle(loop, memory, x, current, reference_rate)
     linearize(loop, memory.hidden, x, nominal, current, gain, step)
     displace(loop, memory, x, reference, reference_rate, workspace.v)
     follow(loop, memory, x, current, reference_rate)
     network.evaluate(parts.metric, x, step.state_rate, gain, value)
-    outside = network.foreign(parts.metric, gain)
+    outside = network.uncertified(parts.metric, gain)
     rate = parts.foreign_rate if outside else parts.rate
     term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, reference, reference_rate, gain)
-    asked = sampled.unasked(term, parts.integral_allowance) / law_gain
+    asked = sampled.excess_integral(term, parts.integral_allowance) / law_gain
     bent, slope, level, size = sampled.quadratic(
         step, value, workspace.v, current - nominal + asked, asked, rate, workspace.next_v, workspace.after_v
     )
-    share = sampled.fade(size, parts.foreign_noise_size if outside else parts.noise_size)
+    share = sampled.displacement_share(size, parts.foreign_noise_size if outside else parts.noise_size)
     slope, level = share * slope, share * share * level
     a, b, best = sampled.half_line(bent, slope, level)
     limit = loop.current_max
@@ -123,21 +123,21 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
 
 
 @njit(cache=True)
-def judge(problem, change):
+def certificate_before_after(problem, change):
     """M_c [1/s] before and with a change of the current [A]."""
     after = problem.bent * change * change + 2.0 * problem.slope * change + problem.level
     return problem.level / SAMPLE_PERIOD, after / SAMPLE_PERIOD
 
 
 @njit(cache=True)
-def beyond(nominal, change, limit):
+def correction_of(nominal, change, limit):
     """delta_u [A]: sat(u_nom + delta_u) = sat(u_nom) + change."""
     return change + (min(max(nominal, -limit), limit) - nominal) if change != 0.0 else 0.0
 
 
 @njit(cache=True)
-def nearest(problem):
-    """The change [A] with the smallest M_c where none restores the certificate, and its status."""
+def least_violation(problem):
+    """The change [A] with the smallest M_c, for when none restores the certificate, and its status."""
     change = min(max(problem.best, problem.low), problem.high)
     removed = problem.level - (problem.bent * change * change + 2.0 * problem.slope * change + problem.level)
     if removed < qp.LEAST_IMPROVEMENT * problem.level:
@@ -147,7 +147,7 @@ def nearest(problem):
 
 @njit(cache=True)
 def finite(x, nominal, current, reference, reference_rate, gain):
-    """Whether all that a decision rests on is finite."""
+    """Whether all inputs of a decision are finite."""
     good = math.isfinite(nominal) and math.isfinite(current) and math.isfinite(reference)
     good = good and math.isfinite(reference_rate) and math.isfinite(gain)
     for i in range(STATES):
@@ -157,7 +157,7 @@ def finite(x, nominal, current, reference, reference_rate, gain):
 
 @njit(cache=True, inline="always")
 def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, armed, workspace):
-    """Decide about a sample: `Decision`.
+    """Decide the correction of one sample.
 
     Parameters
     ----------
@@ -177,14 +177,14 @@ def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, 
         Whether the valve follows the law; if not there is nothing to correct.
     """
     if not finite(x, nominal, current, reference, reference_rate, gain):
-        displacement.begin(memory)
+        displacement.reset(memory)
         return Decision(0.0, math.nan, math.nan, qp.NAN)
     problem = build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace)
     if not armed:
         return Decision(0.0, 0.0, 0.0, qp.PASS)
     if math.isnan(problem.a) and math.isfinite(problem.best):
-        change, status = nearest(problem)
+        change, status = least_violation(problem)
     else:
         change, status = qp.closed_form_kernel(problem.a, problem.b, problem.low, problem.high)
-    before, after = judge(problem, change)
-    return Decision(beyond(nominal, change, parts.loop.current_max), before, after, status)
+    before, after = certificate_before_after(problem, change)
+    return Decision(correction_of(nominal, change, parts.loop.current_max), before, after, status)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter with the learned metric as an object, as the node runs it.
+"""The filter with the learned metric as an object, for the node.
 
 ::
 
@@ -42,7 +42,7 @@ from hydro_sim.structured.model import StructuredModel
 
 @dataclass(frozen=True, kw_only=True)
 class LoopFilterSettings:
-    """How the filter decides."""
+    """Settings of the filter."""
 
     contraction_rate: Annotated[float, quantity("1/s", 0.0, 10.0)] = 0.1
     """lambda for gains of the certified range; the paper's 0.1."""
@@ -61,7 +61,10 @@ class LoopFilterSettings:
         check(self)
 
 
-judge, nearest, beyond = (each.py_func for each in (loop_decision.judge, loop_decision.nearest, loop_decision.beyond))
+certificate_before_after, least_violation, correction_of = (
+    each.py_func
+    for each in (loop_decision.certificate_before_after, loop_decision.least_violation, loop_decision.correction_of)
+)
 """Of one sample's numbers: a compiled call would take longer than they do."""
 
 
@@ -70,8 +73,8 @@ NOT_FINITE, FITS, BROKEN = range(3)
 
 
 @njit(cache=True)
-def boxed(parts, workspace, monitor, limit):
-    """All of them where compiled code finds them: to hand seventy arrays over takes as long as all the rest."""
+def packed(parts, workspace, monitor, limit):
+    """Pack all arguments into memory for compiled code: passing seventy arrays takes as long as the decision."""
     box = numba.typed.List()
     box.append((parts, workspace, monitor, limit))
     return box
@@ -79,13 +82,13 @@ def boxed(parts, workspace, monitor, limit):
 
 @njit(cache=True)
 def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
-    """How the sample is, and its `Problem`; moves the memory, shape (1,), and the monitor's on."""
+    """Validity of a sample, and its `Problem`; advances the memory, shape (1,), and the monitor."""
     parts, workspace, monitor, limit = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
-        displacement.begin(memory[0])
-        innovations.begin(monitor[0])
+        displacement.reset(memory[0])
+        innovations.reset(monitor[0])
         return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-    innovations.watch(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
+    innovations.update(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
     p = loop_decision.build_problem(parts, memory[0], x, nominal, current, reference, reference_rate, gain, workspace)
     state = BROKEN if monitor[0].broken != 0 else FITS
     return state, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
@@ -110,7 +113,7 @@ class LoopFilter:
         self.qp = QpFilter()
         self.memory = memories(parts.loop)
         self.monitor = innovations.monitor_of(parts.loop)
-        self._box = boxed(parts, loop_decision.space(parts), self.monitor, self.settings.innovation_limit)
+        self._box = packed(parts, loop_decision.workspace(parts), self.monitor, self.settings.innovation_limit)
 
     @property
     def mismatch(self) -> str:
@@ -124,8 +127,8 @@ class LoopFilter:
 
     def skip(self) -> None:
         """Samples are missing before the next one. What was found out about the model stays."""
-        displacement.begin(self.memory[0])
-        innovations.begin(self.monitor[0])
+        displacement.reset(self.memory[0])
+        innovations.reset(self.monitor[0])
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
         """Decide about a sample that is `age` [s] old."""
@@ -137,7 +140,7 @@ class LoopFilter:
             return Result(0.0, math.nan, math.nan, status)
         problem = Problem(*numbers)  # also of an old sample: the memory moves on
         if self.settings.bypass:
-            before, _ = judge(problem, 0.0)
+            before, _ = certificate_before_after(problem, 0.0)
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
         if state == BROKEN:  # a certificate of another bench says nothing
             return Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
@@ -146,19 +149,19 @@ class LoopFilter:
         if not sample.armed:
             return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
         if math.isnan(problem.a) and math.isfinite(problem.best):
-            change, number = nearest(problem)
+            change, number = least_violation(problem)
             status = CorrectionStatus(number)
         else:
             change, status = self.qp.solve(problem.a, problem.b, problem.low, problem.high)
-        before, after = judge(problem, change)
-        delta_u = beyond(nominal, change, self.parts.loop.current_max)
+        before, after = certificate_before_after(problem, change)
+        delta_u = correction_of(nominal, change, self.parts.loop.current_max)
         return Result(delta_u, before, after, status)
 
 
 def loop_parts(
     metric: LearnedMetric, model: StructuredModel | Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopParts:
-    """What `decide` reads, of a metric, the learned model that it was trained on, and what the box believes."""
+    """Inputs of `decide`: a metric, the model that it was trained on, and the bench that the box is configured for."""
     chosen, levels = settings or LoopFilterSettings(), metric.thresholds
     return LoopParts(
         loop=loop_of(model, bench),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the filter did, for people: counts of statuses, missing samples, how long it took."""
+"""Filter statistics for people: counts of statuses, missing samples, durations."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ TROUBLE = (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.INFEAS
 
 @dataclass
 class FilterStatistics:
-    """Since the node began; `trouble` compares with the last time it was asked."""
+    """Statistics since the node started; `trouble` compares with its previous call."""
 
     statuses: Counter[CorrectionStatus] = field(default_factory=Counter)
     missing: int = 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Contraction metrics M: constant (Lyapunov), gain-scheduled and network, and how they are solved.
+"""Contraction metrics M: constant (Lyapunov), gain-scheduled and network, and their design.
 
 May import `model`.
 """

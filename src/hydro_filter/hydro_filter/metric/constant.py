@@ -88,7 +88,7 @@ class ConstantMetric:
 
 @dataclass(frozen=True, kw_only=True)
 class MetricDesign:
-    """For which loop the constant metric is solved. The defaults cover K_p from 45 to 90 over the whole stroke."""
+    """Loops for which the constant metric is solved. The defaults cover K_p from 45 to 90 over the whole stroke."""
 
     proportional_gain: float = 60.0
     """1/s, the loop at which the equation is solved, (0, 200]."""

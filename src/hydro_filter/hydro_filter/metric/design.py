@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metrics solved, not learned: of the loop about the still bench, one for each gain and one for all others.
+"""Metrics solved for the loop linearized at rest: one for each gain of a table, and one for all other gains.
 
 In the certified range of K_p, the frozen loop F + G K is what the metric must decay along, by itself: P solves the
 discrete Lyapunov equation of that loop, sped up by a part of its own decay. Outside, the correction closes the loop,
@@ -19,7 +19,8 @@ from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.network import ENTRIES
-from hydro_filter.model.bench_loop import BenchLoop, still
+from hydro_filter.model.bench_loop import rest_measurement
+from hydro_filter.model.bench_parts import BenchLoop
 from hydro_filter.model.loop import Loop, closing_current, linearize, memories, settle, step_of
 from hydro_filter.model.loop_model import LOOP
 from hydro_sim.model.hydraulics import rest_state
@@ -27,7 +28,7 @@ from hydro_sim.model.hydraulics import rest_state
 
 @dataclass(frozen=True, kw_only=True)
 class MetricDesign:
-    """For which loops metrics are solved."""
+    """Loops for which metrics are solved."""
 
     gain_low: Annotated[float, quantity("1/s", 1.0, 100.0)] = 10.0
     """The certified range's lower end."""
@@ -48,7 +49,7 @@ class MetricDesign:
 
 
 class Table(NamedTuple):
-    """What `network.MetricParts` holds of a design."""
+    """A design in the form of `network.MetricParts`."""
 
     gains: FloatArray
     table: FloatArray
@@ -60,7 +61,7 @@ def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatAr
     x: FloatArray = np.zeros(8)
     step, memory, closing = step_of(loop), memories(loop)[0], closing_current(loop)
     if isinstance(loop, BenchLoop):
-        x = still(loop.model)
+        x = rest_measurement(loop.model)
         settle(loop, memory, x, closing, 0.0)
     else:
         x[4:7] = rest_state(loop.bench[0])[:3]
@@ -69,7 +70,7 @@ def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatAr
 
 
 def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
-    """P of a closed loop, shape (8, 8), sped up by a share of its own decay.
+    """Lyapunov solution P of a closed loop, shape (8, 8), for a share of its own decay rate.
 
     Raises
     ------

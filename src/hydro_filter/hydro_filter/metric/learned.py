@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learned metric as an object, with what the filter needs beside it, and its file (safetensors).
+"""The learned metric as an object, its thresholds, and its file (safetensors).
 
 M(x, K_p) is `metric.network`'s. The thresholds beside it were measured with it, on held-out runs, and belong to it:
 what of a displacement is noise, what the law's integral asks for on stable runs, for which contraction rate it was
@@ -38,7 +38,7 @@ ARRAYS = ("center", "scale", "low", "high", "gains", "table")
 
 @dataclass(frozen=True, kw_only=True)
 class Thresholds:
-    """What was measured on held-out runs; `training.levels`."""
+    """Thresholds measured on held-out runs by `training.levels`."""
 
     noise_size: Annotated[float, quantity("-", 0.0, 1e6)] = 0.0
     """v'Mv of the noise for gains of the certified range."""
@@ -161,5 +161,5 @@ def _check(arrays: Mapping[str, FloatArray], floor: float, thresholds: Threshold
 
 
 def shipped() -> Path:
-    """The metric that comes with this package."""
+    """The metric shipped with this package."""
     return Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors"))

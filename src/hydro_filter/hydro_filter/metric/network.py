@@ -39,7 +39,7 @@ GAIN_UNIT = 100.0
 
 
 class MetricParts(NamedTuple):
-    """What the kernels take."""
+    """The metric in the form of the kernels."""
 
     layers: mlp.Layers
     """10 inputs, 36 outputs."""
@@ -60,7 +60,7 @@ class MetricParts(NamedTuple):
 
 
 class MetricValue(NamedTuple):
-    """M and M' at one state, and scratch; `metric_value` makes it."""
+    """M and M' at one state, and scratch; created by `metric_value`."""
 
     matrix: FloatArray
     """M on loop coordinates in units of their scale, shape (8, 8)."""
@@ -77,14 +77,14 @@ class MetricValue(NamedTuple):
 
 
 def metric_value(parts: MetricParts) -> MetricValue:
-    """New space for one caller."""
+    """Allocate a `MetricValue`."""
     h1, h2 = parts.layers.b1.shape[0], parts.layers.b2.shape[0]
     shapes = ((LOOP, LOOP), (LOOP, LOOP), INPUTS, INPUTS, h1, h1, h2, h2, ENTRIES, ENTRIES)
     return MetricValue(*(np.zeros(shape) for shape in shapes))
 
 
 @njit(cache=True, inline="always")
-def foreign(parts, gain):
+def uncertified(parts, gain):
     """Whether K_p [1/s] lies outside of the certified range; NaN does."""
     return not parts.gains[0] <= gain <= parts.gains[-1]
 
@@ -92,7 +92,7 @@ def foreign(parts, gain):
 @njit(cache=True, inline="always")
 def evaluate(parts, x, state_rate, gain, value):
     """Fill `value` at x (8,) along x' (8,), both in SI units, for K_p [1/s]."""
-    layers, outside = parts.layers, foreign(parts, gain)
+    layers, outside = parts.layers, uncertified(parts, gain)
     for i in range(STATES):
         seen = min(max(x[i], parts.low[i]), parts.high[i])
         value.inputs[i] = (seen - parts.center[i]) / parts.scale[i]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the loop is beside where it should be: the displacement v of the whole loop from its reference trajectory.
+"""Displacement v of the loop's state from its reference trajectory.
 
 The paper projects v on the force error (eq. v), and what makes high gains unstable then has no place in the
 certificate. Here v = (q - q_r) / scale over all loop coordinates (`loop_model`), with q_r from f_r, f_r', f_r'' and
@@ -65,15 +65,15 @@ BEND_MAX = 2e5
 
 
 @njit(cache=True)
-def begin(memory):
-    """Forget, as at the start or after a gap; `memory`: one record of `MEMORY_DTYPE`."""
+def reset(memory):
+    """Reset at the start or after a gap; `memory`: one record of `MEMORY_DTYPE`."""
     memory.hidden[:] = 0.0
     memory.reference_rate, memory.running = 0.0, False
 
 
 @njit(cache=True, inline="always")
 def settle(loop, memory, x, current, reference_rate):
-    """Take in the first sample: hidden states that the current and velocity of now lead to."""
+    """Initialise from the first sample, with hidden states in equilibrium."""
     if not memory.running:
         hidden_states.steady(loop.model[0], x[VELOCITY], current, memory.hidden)
         memory.reference_rate, memory.running = reference_rate, True
@@ -81,13 +81,13 @@ def settle(loop, memory, x, current, reference_rate):
 
 @njit(cache=True, inline="always")
 def follow(loop, memory, x, current, reference_rate):
-    """Move the memory to the next sample, over which the valve holds `current` [A]."""
+    """Advance the memory by one sample, during which the valve holds `current` [A]."""
     hidden_states.follow(loop.model[0], x[VELOCITY], current, memory.hidden)
     memory.reference_rate = reference_rate
 
 
 @njit(cache=True)
-def bend(memory, reference_rate):
+def second_derivative(memory, reference_rate):
     """f_r'' [N/s^2] from two samples of f_r'."""
     return min(max((reference_rate - memory.reference_rate) / SAMPLE_PERIOD, -BEND_MAX), BEND_MAX)
 
@@ -95,7 +95,7 @@ def bend(memory, reference_rate):
 @njit(cache=True, inline="always")
 def displace(loop, memory, x, reference, reference_rate, v):
     """Write v, shape (8,), of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
-    c, bent, hidden = loop.model[0], bend(memory, reference_rate), memory.hidden
+    c, bent, hidden = loop.model[0], second_derivative(memory, reference_rate), memory.hidden
     lag, inertia = 2.0 * c[CELL_DAMPING] / c[CELL_OMEGA], 1.0 / c[CELL_OMEGA] ** 2
     spring = (reference - c[BIAS_L] + lag * reference_rate + inertia * bent) / c[GAIN_L]
     spring_rate, spring_bend = (reference_rate + lag * bent) / c[GAIN_L], bent / c[GAIN_L]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the structured model has and x does not show: spool, its rate, bristle; followed from what is known."""
+"""Hidden states of the structured model: spool, its rate, bristle; simulated open loop from measured inputs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ HIDDEN = 3
 
 @njit(cache=True)
 def steady(c, velocity, current, hidden):
-    """Hidden states, shape (3,), that a held current [A] and velocity [m/s] lead to."""
+    """Equilibrium of the hidden states, shape (3,), under a constant current [A] and velocity [m/s]."""
     level = c[COULOMB] + c[STRIBECK] * np.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))
     hidden[SPOOL], hidden[SPOOL_RATE] = current, 0.0
     hidden[BRISTLE_STATE] = np.sign(velocity) * level / c[BRISTLE]
@@ -24,7 +24,7 @@ def steady(c, velocity, current, hidden):
 
 @njit(cache=True)
 def follow(c, velocity, current, hidden):
-    """Hidden states one sample later, in place: both are driven by what is known, and forget where they began.
+    """Advance the hidden states by one sample, in place.
 
     The spool follows the current [A] that the valve got, the bristle the measured velocity [m/s].
     """

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A loop of either kind of model, by its type: the structured model's (`loop_model`) or a bench file's (`bench_loop`).
 
-For compiled code and for Python; what each does is written where it is done: `settle`, `follow` and `displace` in
-`displacement` and `bench_kernels`, `linearize` in `loop_model` and `bench_kernels`.
+For compiled code and for Python; the structured model's functions are in `displacement` and `loop_model`,
+a bench file's in `bench_states`, `bench_displacement` and `bench_linearization`.
 """
 
 from __future__ import annotations
@@ -14,8 +14,9 @@ import numpy.typing as npt
 from numba import njit, types
 from numba.extending import overload
 
-from hydro_filter.model import bench_kernels, displacement, loop_model
-from hydro_filter.model.bench_loop import BENCH_MEMORY_DTYPE, BenchLoop, BenchParts, BenchStep, bench_loop, bench_step
+from hydro_filter.model import bench_displacement, bench_linearization, bench_states, displacement, loop_model
+from hydro_filter.model.bench_loop import bench_loop, bench_step
+from hydro_filter.model.bench_parts import BENCH_MEMORY_DTYPE, BenchLoop, BenchParts, BenchStep
 from hydro_filter.model.displacement import MEMORY_DTYPE
 from hydro_filter.model.loop_model import LoopModel, LoopStep
 from hydro_sim.box.box import BoxConfig
@@ -37,16 +38,16 @@ def closing_current(loop: Loop) -> float:
 
 
 def step_of(loop: Loop) -> Step:
-    """New space for one caller."""
+    """Allocate the workspace of one caller."""
     return bench_step(loop) if isinstance(loop, BenchLoop) else loop_model.loop_step()
 
 
 def memories(loop: Loop, count: int = 1) -> npt.NDArray[np.void]:
-    """Memories of so many benches that begin, shape (count,)."""
+    """New memories of `count` benches, shape (count,)."""
     return np.zeros(count, BENCH_MEMORY_DTYPE if isinstance(loop, BenchLoop) else MEMORY_DTYPE)
 
 
-def of_bench(kind: Any) -> bool:
+def is_bench_file_loop(kind: Any) -> bool:
     """Whether a type of compiled code is a bench file's loop, or its model."""
     return isinstance(kind, types.BaseNamedTuple) and kind.instance_class in (BenchLoop, BenchParts)
 
@@ -68,50 +69,50 @@ def _linearize(loop, hidden, x, nominal_current, current, proportional_gain, ste
 
 
 def _bench_settle(loop, memory, x, current, reference_rate):
-    bench_kernels.settle(loop, memory, x, current, reference_rate)
+    bench_states.settle(loop, memory, x, current, reference_rate)
 
 
 @overload(_settle, inline="always")
 def _settle_of(loop, memory, x, current, reference_rate):
-    return _bench_settle if of_bench(loop) else displacement.settle.py_func
+    return _bench_settle if is_bench_file_loop(loop) else displacement.settle.py_func
 
 
 def _bench_follow(loop, memory, x, current, reference_rate):
-    bench_kernels.follow(loop, memory, x, current, reference_rate)
+    bench_states.follow(loop, memory, x, current, reference_rate)
 
 
 @overload(_follow, inline="always")
 def _follow_of(loop, memory, x, current, reference_rate):
-    return _bench_follow if of_bench(loop) else displacement.follow.py_func
+    return _bench_follow if is_bench_file_loop(loop) else displacement.follow.py_func
 
 
 def _bench_displace(loop, memory, x, reference, reference_rate, v):
-    bench_kernels.displace(loop, memory, x, reference, reference_rate, v)
+    bench_displacement.displace(loop, memory, x, reference, reference_rate, v)
 
 
 @overload(_displace, inline="always")
 def _displace_of(loop, memory, x, reference, reference_rate, v):
-    return _bench_displace if of_bench(loop) else displacement.displace.py_func
+    return _bench_displace if is_bench_file_loop(loop) else displacement.displace.py_func
 
 
 def _bench_linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
-    bench_kernels.linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)
+    bench_linearization.linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)
 
 
 @overload(_linearize, inline="always")
 def _linearize_of(loop, hidden, x, nominal_current, current, proportional_gain, step):
-    return _bench_linearize if of_bench(loop) else loop_model.linearize.py_func
+    return _bench_linearize if is_bench_file_loop(loop) else loop_model.linearize.py_func
 
 
 @njit(cache=True, inline="always")
 def settle(loop, memory, x, current, reference_rate):
-    """Take in the first sample."""
+    """Initialise from the first sample."""
     _settle(loop, memory, x, current, reference_rate)
 
 
 @njit(cache=True, inline="always")
 def follow(loop, memory, x, current, reference_rate):
-    """Move the memory to the next sample, over which the valve holds `current` [A]."""
+    """Advance the memory by one sample, during which the valve holds `current` [A]."""
     _follow(loop, memory, x, current, reference_rate)
 
 

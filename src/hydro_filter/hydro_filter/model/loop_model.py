@@ -79,7 +79,7 @@ LOOP_RATE = 130.0
 
 
 class LoopModel(NamedTuple):
-    """What compiled code reads of the learned model and of the box; `loop_model` makes it."""
+    """The learned model and the box in the form of compiled code; created by `loop_model`."""
 
     model: tuple[Any, ...]
     """`StructuredModel.compiled`."""
@@ -96,7 +96,7 @@ class LoopModel(NamedTuple):
 
 
 class LoopStep(NamedTuple):
-    """One sample of the loop, linearized, in units of `scale`; and scratch. `loop_step` makes it."""
+    """One sample of the loop, linearized, in units of `scale`, and scratch; created by `loop_step`."""
 
     transition: FloatArray
     """F, shape (8, 8)."""
@@ -114,7 +114,7 @@ class LoopStep(NamedTuple):
 
 
 def loop_scale(bench: Bench) -> FloatArray:
-    """What each coordinate is divided by, shape (8,): 300 N, moving at `LOOP_RATE`, and the drive that takes."""
+    """Scales of the coordinates, shape (8,): 300 N, moving at `LOOP_RATE`, and the drive that this takes."""
     position, rate = FORCE_SCALE / bench.spring_stiffness, FORCE_SCALE * LOOP_RATE
     speed, drive = position * LOOP_RATE, 20.0 * rate  # the oil is some 18 times as stiff as the spring
     return np.array([FORCE_SCALE, drive, 500.0 * drive, FORCE_SCALE, rate, position, speed, speed])
@@ -132,7 +132,7 @@ def loop_model(model: StructuredModel, bench: Bench, box: BoxConfig | None = Non
 
 
 def loop_step() -> LoopStep:
-    """New space for one caller."""
+    """Allocate the workspace of one caller."""
     shapes = ((LOOP, LOOP), LOOP, LOOP, STATES, FULL, FULL, (SOURCES, WIDTH), (3, WIDTH), STATES)
     return LoopStep(*(np.zeros(shape) for shape in shapes))
 
@@ -167,13 +167,13 @@ def hydraulic_slopes(c, pressure_a, pressure_b, position, spool):
 def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
     """Fill `step` at x (8,), hidden states (3,), for a nominal current and the one that the valve got [A]."""
     c, scale = loop.model[0], loop.scale
-    structured_kernels.lift(c, x, hidden, step.full)
+    structured_kernels.full_state(c, x, hidden, step.full)
     before, after = step.full, step.after
     copies.vector(after, before)
     share_a, share_b = shares(c, x[POSITION])
     gain = hydraulic_slopes(c, before[0], before[1], before[2], hidden[SPOOL])[0]
     _embed(c, scale, share_a, share_b, gain, step.nudges)
-    structured_kernels.nudge(loop.free, after, current, step.nudges, step.rates)
+    structured_kernels.advance_tangents(loop.free, after, current, step.nudges, step.rates)
     _state_rate(c, before, after, step.state_rate)
     side = math.copysign(1.0, hidden[SPOOL] + c[OFFSET])
     if side * (after[4] + c[OFFSET]) < 0.0:  # the spool passes zero: see CLOSED
@@ -181,7 +181,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
         copies.vector(after, before)
         after[4], after[5] = closed, 0.0
         _embed(c, scale, share_a, share_b, gain, step.nudges)
-        structured_kernels.nudge(loop.free, after, closed, step.nudges, step.rates)
+        structured_kernels.advance_tangents(loop.free, after, closed, step.nudges, step.rates)
     gain = hydraulic_slopes(c, after[0], after[1], after[2], hidden[SPOOL])[0]
     _read(c, scale, gain, step.nudges, step.rates, step.transition, step.push)
     step.transition[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = loop.model[4][1]  # the differentiator's memory
@@ -190,7 +190,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
 
 @njit(cache=True, inline="always")
 def law_feedback(loop, x, nominal_current, proportional_gain, share_a, share_b, step):
-    """K [A] of the force law into `step`; a nudge of f_h is `share_a`, `share_b` of the pressures [Pa/N]."""
+    """Feedback K [A] of the force law into `step`; a change of f_h is `share_a`, `share_b` of the pressures [Pa/N]."""
     law, feedback, scale = step.law, step.feedback, loop.scale
     force_law.gradient(loop.bench, x, nominal_current, proportional_gain, loop.gain_floor, law)
     feedback[:] = 0.0

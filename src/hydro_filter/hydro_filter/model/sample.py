@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the filter reads of one bench sample."""
+"""Inputs of the filter: one bench sample."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray
 
 
 class Sample(NamedTuple):
-    """The state and what the force law made of it, SI units."""
+    """State and force-law output of one sample, SI units."""
 
     state: FloatArray
     """x (paper eq. state_def), shape (8,)."""

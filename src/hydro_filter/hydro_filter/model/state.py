@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The state's layout, and the units in which the certificate measures it.
+"""Layout of the state, and its scales in the certificate.
 
 A metric adds squares of newtons, pascals and metres; it is well conditioned, and its certificate comparable between
 benches, only if each state is first divided by what it typically is::
@@ -43,7 +43,7 @@ FORCE_RATE_SCALE = FORCE_SCALE * 2.0 * pi * 2.0
 
 
 def state_scale(bench: Bench) -> FloatArray:
-    """What each of the eight states is divided by, shape (8,), in the state's units."""
+    """Scales of the eight states, shape (8,), in the states' units."""
     pressure = FORCE_SCALE / bench.piston_area
     position, velocity = FORCE_SCALE / bench.spring_stiffness, FORCE_RATE_SCALE / bench.spring_stiffness
     forces = [FORCE_SCALE, FORCE_RATE_SCALE, FORCE_SCALE, FORCE_RATE_SCALE]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The structured model as the certificate needs it, compiled: its sample, and what nudges of the state do to it.
+"""The structured model for the certificate, compiled: one sample, and its tangents.
 
 Three states appear (`hydro_sim.structured.rollout` has s and the full state)::
 
@@ -40,8 +40,8 @@ NUDGED = 7
 
 
 @njit(cache=True)
-def lift(c, x, hidden, full):
-    """The full state, shape (12,), of a measurement: each quantity from the reading that shows it best."""
+def full_state(c, x, hidden, full):
+    """Full state, shape (12,), from a measurement: each quantity from its best sensor."""
     full[0], full[1], full[2], full[3] = x[PRESSURE_A], x[PRESSURE_B], x[POSITION], x[VELOCITY]
     full[4], full[5], full[8] = hidden[SPOOL], hidden[SPOOL_RATE], hidden[BRISTLE_STATE]
     full[6], full[7] = (x[LOAD_FORCE] - c[BIAS_L]) / c[GAIN_L], x[LOAD_FORCE_RATE] / c[GAIN_L]
@@ -57,8 +57,8 @@ def _lift_nudges(c, d):
 
 
 @njit(cache=True, inline="always")
-def nudge(model, full, current, d, rates):
-    """`structured.advance_full` of the full state, shape (12,), in place, and of nudges d, shape (10, 8), of s and u.
+def advance_tangents(model, full, current, d, rates):
+    """`structured.advance_full` of the full state, shape (12,), in place, with tangents d, shape (10, 8), of s and u.
 
     `rates`, shape (3, 8), becomes the nudges of the box's rates that s is the reason of; those of their own memory are
     its coefficients.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward derivatives of the structured model (`hydro_sim.learned`): what a nudge of state or current does, exactly.
+"""Exact forward derivatives (tangents) of the structured model with respect to state and current.
 
 Nudges travel as the columns of one array, through every stage of the integrator and the network, beside the state::
 
@@ -32,7 +32,7 @@ WIDTH = 8
 
 
 @njit(cache=True, fastmath={"contract"})
-def push(p, spool_square, at, d, dr, weight, reach, total, ahead):
+def accumulate(p, spool_square, at, d, dr, weight, reach, total, ahead):
     """m = d(y')/d... @ at: total += weight m, and the nudges one stage ahead are d + reach m.
 
     All flat, so that the rows' places are known and the loop is vectorized: `at`, `d`, `ahead`, shape (10 * 8,); `dr`,
@@ -70,7 +70,7 @@ def push(p, spool_square, at, d, dr, weight, reach, total, ahead):
 
 @njit(cache=True)
 def half_bristle(c, state, d):
-    """`integration.half_bristle` of the state in place, and of its nudges."""
+    """`integration.half_bristle` of the state and its tangents, in place."""
     velocity, deflection = state[3], state[8]
     kept, by_velocity = 1.0, 0.5 * STEP
     if c[BRISTLE] == 0.0:  # a model without bristles: they go along with the velocity, and push nothing
@@ -91,7 +91,7 @@ def half_bristle(c, state, d):
 
 @njit(cache=True)
 def advance(c, state, current, r, d, dr):
-    """One sample of 1 ms of the state, shape (9,), and of its nudges, in place: `integration.advance` with columns."""
+    """`integration.advance` by one sample of 1 ms, of the state, shape (9,), and its tangents, in place."""
     square = c[SPOOL_OMEGA] ** 2
     slope, probe, total, p = np.empty(8), np.empty(8), np.empty(8), np.zeros((8, PARTIALS))
     summed, ahead, then = np.empty(8 * WIDTH), np.empty(SOURCES * WIDTH), np.empty(SOURCES * WIDTH)
@@ -108,7 +108,7 @@ def advance(c, state, current, r, d, dr):
             for i in range(8):
                 total[i] += weight * slope[i]
                 probe[i] = state[i] + reach * slope[i]
-            push(p, square, ahead, flat, flat_r, weight, reach, summed, then)
+            accumulate(p, square, ahead, flat, flat_r, weight, reach, summed, then)
             ahead, then = then, ahead
         for i in range(8):
             state[i] += STEP / 6.0 * total[i]

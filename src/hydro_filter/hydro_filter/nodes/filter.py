@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter: a Correction for every BenchState, also when there is nothing to correct, so that silence means dead.
+"""The filter node: one Correction for every BenchState, even if zero, so that silence means failure.
 
 ros2 run hydro_filter filter [--metric learned|constant|FILE] [--model FILE] [--bench FILE] [--every N] [--bypass]
 
@@ -53,7 +53,7 @@ from hydro_bridge.ros import (
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_bridge.settings import check
 from hydro_bridge.signals import PLANT_FIELDS, CorrectionStatus, Flag
-from hydro_filter.controller.factory import Choice, Filter, Settings, warm_up
+from hydro_filter.controller.factory import Filter, FilterChoice, Settings, warm_up
 from hydro_filter.controller.filter import Result
 from hydro_filter.controller.statistics import TROUBLE, FilterStatistics, sentence
 from hydro_filter.model.sample import Sample
@@ -75,7 +75,7 @@ REMEDY = "start it with --model and --metric of this bench (`learn`, `learn_metr
 
 
 class FilterNode(Node):
-    """Moves states to the filter and corrections out.
+    """Passes states to the filter and publishes its corrections.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class FilterNode(Node):
         Ask for SCHED_FIFO.
     """
 
-    def __init__(self, choice: Choice, settings: Settings, *, every: int = 1, realtime: bool = False) -> None:
+    def __init__(self, choice: FilterChoice, settings: Settings, *, every: int = 1, realtime: bool = False) -> None:
         super().__init__("filter")
         begun = time.monotonic()
         self.settings = declare_parameters(self, settings)
@@ -137,7 +137,7 @@ class FilterNode(Node):
         if self._words.get_publisher_count() < 2:  # else the plant says it again when it is alone
             self._message.epoch = message.epoch
 
-    def _compiled(self, choice: Choice) -> Filter:
+    def _compiled(self, choice: FilterChoice) -> Filter:
         """Compile now, not at the first sample, and say so: until it is done nothing is corrected."""
         say = self.get_logger().info
         begin = time.monotonic()
@@ -248,7 +248,7 @@ class FilterNode(Node):
 
 
 def sample_of(message: BenchState) -> Sample:
-    """What the filter reads of a BenchState."""
+    """Convert a BenchState to the filter's input."""
     state = np.array([getattr(message, name) for name in PLANT_FIELDS])
     return Sample(
         state, message.nominal_valve_current, message.reference_force, message.proportional_gain,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter's command line: which metric and model it decides by, and its settings."""
+"""The filter's command line: metric, model and settings."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from hydro_bridge.settings import describe
-from hydro_filter.controller.factory import CONSTANT, DEFAULT, LEARNED, Choice, Settings
+from hydro_filter.controller.factory import CONSTANT, DEFAULT, LEARNED, FilterChoice, Settings
 from hydro_filter.controller.filter import FilterSettings
 from hydro_filter.controller.loop_filter import LoopFilterSettings
-from hydro_sim.files.pairing import refuse
+from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.model.bench import Bench
 
 NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit", "noise_floor", "state_age_max")
@@ -53,7 +53,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def arguments(given: list[str]) -> tuple[Choice, Settings, argparse.Namespace]:
+def arguments(given: list[str]) -> tuple[FilterChoice, Settings, argparse.Namespace]:
     """Parse the command line: which filter, its settings, and the rest.
 
     Raises
@@ -71,11 +71,11 @@ def arguments(given: list[str]) -> tuple[Choice, Settings, argparse.Namespace]:
     if asked.metric == CONSTANT and asked.model:
         parser().error("the constant metric is solved for the bench file; --model needs a learned one")
     bench = Bench.load(asked.bench) if asked.bench else Bench.nominal()
-    choice = Choice(bench=bench, bench_file=asked.bench, metric=asked.metric, model=asked.model)
+    choice = FilterChoice(bench=bench, bench_file=asked.bench, metric=asked.metric, model=asked.model)
     settings = choice.default_settings()
     numbers = {name: value for name in NUMBERS if (value := getattr(asked, name)) is not None}
     for name in numbers:
         if name not in describe(type(settings)):
             parser().error(f"--{name.replace('_', '-')} is no setting of this metric")
-    refuse(choice.trouble())
+    raise_if_mismatched(choice.trouble())
     return choice, replace(settings, bypass=asked.bypass, **numbers), asked

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The empirical certificate: how the contraction matrix stands on windows that were not trained on.
+"""The empirical certificate: eigenvalues of the contraction matrix on held-out windows.
 
 Empirical means: samples of rollouts of the learned model, not a proof over a set of states. What that is worth:
 safety.md.

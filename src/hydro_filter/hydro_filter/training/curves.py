@@ -10,7 +10,7 @@ from hydro_sim.plotting import BLUE, GREEN, ORANGE, RED, figure, legend
 
 
 def draw_metric_curves(history: FloatArray, path: str | Path) -> None:
-    """Draw the loss and the shares that it is about.
+    """Draw the loss and the shares of violating samples.
 
     `history` has rows of epoch, training loss, held-out loss, violated, foreign violated, caught.
     """

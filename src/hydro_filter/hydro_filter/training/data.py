@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the metric is trained on: rollouts of the learned bench with its sensors' noise, labelled by what they do.
+"""Training data of the metric: rollouts of the learned bench with sensor noise, labelled stable or unstable.
 
 A rollout is run twice with the same noise, the second time with a pulse of valve current after one second. **Label**:
 the distance between the twins, largest |difference of f_l| in a window, early and late::
@@ -24,7 +24,7 @@ from numba import njit
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
-from hydro_filter.model.bench_loop import BenchLoop
+from hydro_filter.model.bench_parts import BenchLoop
 from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
 from hydro_filter.model.loop_model import LOOP
 from hydro_filter.model.state import STATES
@@ -46,7 +46,7 @@ SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "referen
 
 @dataclass(frozen=True, kw_only=True)
 class DataSettings:
-    """What is rolled out."""
+    """Settings of the rollouts."""
 
     rollouts: Annotated[int, quantity("-", 8, 100000)] = 160
     """Number of rollouts."""
@@ -68,7 +68,7 @@ class DataSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rollout:
-    """One rollout: what happened, and what it is called."""
+    """One rollout and its label."""
 
     states: StateArray
     """Up to where the box tripped."""
@@ -133,7 +133,7 @@ def _reference(rng: np.random.Generator) -> ReferenceSignal:
 
 
 def label_of(first: StateArray, second: StateArray) -> int:
-    """What two runs, the second with a pulse, say about their gains."""
+    """Label of a pair of gains from two runs, the second with a pulse."""
     if any(((run["flags"] & Flag.TRIPPED) != 0).any() for run in (first, second)):
         return UNSTABLE
     distance = np.abs(first["load_force"] - second["load_force"])
@@ -142,7 +142,7 @@ def label_of(first: StateArray, second: StateArray) -> int:
 
 
 def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
-    """Windows at random places after the first 0.1 s; None of a rollout that is too short."""
+    """Windows at random times after the first 0.1 s; None if the rollout is too short."""
     count, span = len(rollout.states), settings.horizon
     if count < 100 + 2 * span:
         return None
@@ -194,19 +194,19 @@ def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, 
 
 
 def collect(plant: Plant, bench: Bench, loop: Loop, settings: DataSettings) -> Iterator[tuple[Rollout, Windows | None]]:
-    """All rollouts of the settings with their windows, as they come."""
+    """Generate all rollouts of the settings with their windows."""
     for index in range(settings.rollouts):
         rollout = roll_out(plant, bench, settings, index)
         yield rollout, windows_of(rollout, loop, settings, index)
 
 
-def joined(windows: list[Windows]) -> Windows:
-    """All in one."""
+def concatenated(windows: list[Windows]) -> Windows:
+    """Concatenate windows."""
     return Windows(**{e.name: np.concatenate([getattr(w, e.name) for w in windows]) for e in fields(Windows)})
 
 
 def certified_range(rollouts: list[Rollout], low_reserve: float = 8.0, high_share: float = 0.8) -> tuple[float, float]:
-    """Range of K_p [1/s] that is to be left alone.
+    """Range of K_p [1/s] in which the loop is stable without the filter.
 
     From `low_reserve` above the highest small gain that is not stable to `high_share` of the lowest large one that is
     not.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The thresholds of a metric, measured: what of v'Mv is the sensors' noise, and what stable loops ask of the integral.
+"""Thresholds of a metric, measured: v'Mv of sensor noise, and the integral action of stable loops.
 
 Noise: the still bench with a closed valve, once with its sensors' noise and once without; the difference of both v,
 moved by one sample as the certificate moves it. Integral: runs of an episode's length under stable gains; what I asks
@@ -74,7 +74,7 @@ ASKED_FOR = 18.0
 
 
 def integral_allowance(loop: Loop, plant: Plant, bench: Bench, seed: int = 0) -> float:
-    """Largest that the integral of stable loops asks for after the first second [N/s], a quarter on top."""
+    """Largest integral action of stable loops after the first second [N/s], plus a quarter."""
     largest = 0.0
     for gains, reference in product(ASKING, ASKED_BY):
         states = simulate(plant, bench, Schedule(reference=reference, gains=gains, seconds=ASKED_FOR), seed=seed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Solved metrics, made to hold on samples: for each gain of the table the P with the least growth over many states.
+"""Refinement of solved metrics on samples: for each gain of the table, the P with the least growth over many states.
 
 Lyapunov's equation makes P for one state. That it decays at all of some hundred states of the rollouts is a linear
 matrix inequality in P; it is solved here by descent on P = L_0 (I + X) (I + X)' L_0' from the equation's solution L_0
@@ -27,10 +27,10 @@ LEFT_OUT = 0.02
 """Share of the samples with the largest growth that is not asked for: the spool passes zero there (`loss`)."""
 
 
-def polished_rows(
+def refined_rows(
     metric: LearnedMetric, windows: Windows, foreign: FloatArray, rates: tuple[float, float], seed: int = 0
 ) -> Iterator[FloatArray]:
-    """The table's rows, shape (36,), one after the other, made to hold at `rates` (certified, foreign) [1/s].
+    """Refined rows of the table, shape (36,), for decay at `rates` (certified, other gains) [1/s].
 
     `foreign`: F + G K of the windows' samples under the best correction, shape (n, H, 8, 8).
     """
@@ -41,12 +41,12 @@ def polished_rows(
         feedback = stable.feedback[chosen, 0].copy()
         feedback[:, Q_LOAD] *= gain / stable.gain[chosen]
         closed = stable.transition[chosen, 0] + stable.push[chosen, 0][:, :, None] * feedback[:, None, :]
-        yield polish(row, closed, rates[0])
+        yield refine(row, closed, rates[0])
     chosen = rng.choice(len(windows), min(SAMPLES, len(windows)), replace=False)
-    yield polish(metric.table[-1], foreign[chosen, 0], rates[1])
+    yield refine(metric.table[-1], foreign[chosen, 0], rates[1])
 
 
-def polish(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
+def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
     """The factor's entries, shape (36,), after descent on samples F + G K, shape (n, 8, 8); scaled as they came."""
     lower = np.zeros((LOOP, LOOP))
     lower[np.tril_indices(LOOP)] = entries

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `learn_metric` does: rolls out, labels, solves a metric for each gain, trains the network on top, and judges."""
+"""Metric learning: roll out, label, solve a metric for each gain, train the network on top, evaluate."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from hydro_filter.training.data import (
     Windows,
     certified_range,
     collect,
-    joined,
+    concatenated,
 )
 from hydro_filter.training.levels import integral_allowance, noise_sizes
-from hydro_filter.training.lmi_refinement import polished_rows
+from hydro_filter.training.lmi_refinement import refined_rows
 from hydro_filter.training.loss import LossSettings, Samples
-from hydro_filter.training.options import begun
-from hydro_filter.training.training import Progress, TrainingSettings, corrected, questions, train
+from hydro_filter.training.options import fixed_options
+from hydro_filter.training.training import Progress, TrainingSettings, certificate_queries, correcting_gains, train
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import Believed, MadeFor
-from hydro_sim.learned.any_model import digest, model_of, plant_of, refuse_unfit
+from hydro_sim.files.pairing import BoxIdentity, MadeFor
+from hydro_sim.learned.any_model import digest, load_model, make_plant, require_match
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.structured.model import StructuredModel
@@ -53,8 +53,8 @@ HELD_OUT = 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Material:
-    """What the rollouts gave."""
+class TrainingData:
+    """Training data from the rollouts."""
 
     training: Windows
     held_out: Windows
@@ -62,26 +62,26 @@ class Material:
 
 
 def learn(options: argparse.Namespace) -> None:
-    """Make the metric that the command line asks for, and write it."""
+    """Train the metric that the command line asks for, and write it."""
     data, settings = _settings(options)
     torch.set_num_threads(options.threads or torch.get_num_threads())
     out, began = Path(options.out), time.monotonic()
-    model = model_of(options.model)
+    model = load_model(options.model)
     bench, path = Bench.load(options.bench) if options.bench else Bench.nominal(), options.model or weights.shipped()
     remedy = "name the bench.yaml of its box by --bench, or learn a model from this box's recordings (hydro_sim learn)"
-    refuse_unfit(options.model, Believed.of_file(options.bench), remedy)
+    require_match(options.model, BoxIdentity.of_file(options.bench), remedy)
     made = MadeFor(box=bench.digest, model=digest(path))  # either form of the integral: decision 31
     loop = loop_of(model, bench)
-    plant, clean = plant_of(options.model), plant_of(options.model, noise=0.0)
-    material = gather(plant, bench, loop, data)
+    plant, clean = make_plant(options.model), make_plant(options.model, noise=0.0)
+    material = collect_rollouts(plant, bench, loop, data)
     low, high = certified_range(material.rollouts)
     _say(f"{_told(material.rollouts)}; certified range: K_p {low:.0f} to {high:.0f} 1/s")
     design = replace(MetricDesign(), gain_low=round(low), gain_high=round(high))
     metric = _polished(LearnedMetric.designed(loop, bench, design, seed=options.seed), material, loop, design, settings)
     correcting, push = correction(loop, design)
     how = settings.loss
-    samples = questions(material.training, metric, correcting, push, how)
-    held_out = questions(material.held_out, metric, correcting, push, how)
+    samples = certificate_queries(material.training, metric, correcting, push, how)
+    held_out = certificate_queries(material.held_out, metric, correcting, push, how)
     last, best = _train(metric, samples, held_out, data.horizon, settings, options)
     sizes = noise_sizes(best, loop, plant, clean)
     allowance = integral_allowance(loop, plant, bench)
@@ -97,14 +97,14 @@ def learn(options: argparse.Namespace) -> None:
     out.with_suffix(".checkpoint").unlink(missing_ok=True)
     still = LearnedMetric.designed(loop, bench, design)
     stages = {"still": still, "solved": metric, "learned": best}
-    certificate_table(stages, lambda one: questions(material.held_out, one, correcting, push, how), how).show(
+    certificate_table(stages, lambda one: certificate_queries(material.held_out, one, correcting, push, how), how).show(
         options.json
     )
     told = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
     print(f"{out}: best of {last.epoch} epochs is {last.best_epoch}; {told}")
 
 
-def gather(plant: Plant, bench: Bench, loop: Loop, data: DataSettings) -> Material:
+def collect_rollouts(plant: Plant, bench: Bench, loop: Loop, data: DataSettings) -> TrainingData:
     """All rollouts, every fifth held out."""
     kept: list[Windows] = []
     held_out: list[Windows] = []
@@ -114,7 +114,7 @@ def gather(plant: Plant, bench: Bench, loop: Loop, data: DataSettings) -> Materi
         rollouts.append(rollout)
         if windows is not None and rollout.label != NEITHER:
             (held_out if index % HELD_OUT == HELD_OUT - 1 else kept).append(windows)
-    return Material(training=joined(kept), held_out=joined(held_out), rollouts=rollouts)
+    return TrainingData(training=concatenated(kept), held_out=concatenated(held_out), rollouts=rollouts)
 
 
 def correction(loop: Loop, design: MetricDesign) -> tuple[FloatArray, float]:
@@ -123,15 +123,15 @@ def correction(loop: Loop, design: MetricDesign) -> tuple[FloatArray, float]:
 
 
 def _polished(
-    metric: LearnedMetric, material: Material, loop: Loop, design: MetricDesign, settings: TrainingSettings
+    metric: LearnedMetric, material: TrainingData, loop: Loop, design: MetricDesign, settings: TrainingSettings
 ) -> LearnedMetric:
     """The table made to hold on samples of the rollouts, and the range of states that they show."""
     windows, how = material.training, settings.loss
-    best = corrected(windows, *correction(loop, design))
+    best = correcting_gains(windows, *correction(loop, design))
     foreign = windows.transition + windows.push[..., np.newaxis] * best[..., np.newaxis, :]
     seen = {"low": windows.x.min(axis=(0, 1)), "high": windows.x.max(axis=(0, 1))}
     rates = how.rate + 2.0 * how.margin, how.foreign_rate + 2.0 * how.margin
-    rows = polished_rows(metric, windows, foreign, rates, settings.seed)
+    rows = refined_rows(metric, windows, foreign, rates, settings.seed)
     table = list(progress(rows, total=len(metric.table), label="solving", unit="metric", every=10.0))
     return replace(metric, table=np.array(table), **seen)
 
@@ -142,7 +142,9 @@ def _train(
 ) -> tuple[Progress, LearnedMetric]:  # fmt: skip
     checkpoint, resume = Path(options.out).with_suffix(".checkpoint"), options.resume
     bar: tqdm[Any] = progress(total=settings.epochs, label="training", unit="epoch", every=10.0)
-    for last in train(metric, samples, held_out, horizon, settings, checkpoint, resume=resume, begun=begun(options)):
+    for last in train(
+        metric, samples, held_out, horizon, settings, checkpoint, resume=resume, begun=fixed_options(options)
+    ):
         state, row = last[0], last[0].history[-1]
         bar.update(state.epoch - bar.n)
         bar.set_postfix_str(f"loss {row[1]:.4g}, held out {row[2]:.4g}, violated {100 * row[3]:.2f} %")

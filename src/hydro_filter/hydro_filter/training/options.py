@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The words of `learn_metric`, and which of them a training that goes on may be told anew."""
+"""The command line of `learn_metric`, and which options may change on --resume."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def arguments(words: Sequence[str]) -> argparse.Namespace:
-    """Parse the command line; with --resume, what is left unsaid is as the checkpoint's training was begun.
+    """Parse the command line; with --resume, the defaults are those of the checkpoint's training.
 
     Raises
     ------
@@ -67,14 +67,14 @@ def arguments(words: Sequence[str]) -> argparse.Namespace:
     if not checkpoint.exists():
         print(f"there is no {checkpoint}: the training begins at its beginning", file=sys.stderr)
         return asked
-    from hydro_filter.training.training import begun_with  # with torch: not for --help or a slip
+    from hydro_filter.training.training import saved_options  # with torch: not for --help or a slip
 
-    before = begun_with(checkpoint)
+    before = saved_options(checkpoint)
     refuse_changes(parser(), words, str(checkpoint), before)
     return argparse.Namespace(**{**vars(asked), **before})
 
 
-def begun(asked: argparse.Namespace) -> dict[str, Any]:
-    """What may not change on the way: data, loss and optimizer; files as absolute paths."""
+def fixed_options(asked: argparse.Namespace) -> dict[str, Any]:
+    """Options that must not change on --resume: data, loss and optimizer; files as absolute paths."""
     files = {name: getattr(asked, name) and os.path.abspath(getattr(asked, name)) for name in ("model", "bench")}
     return {**{name: getattr(asked, name) for name in _FIXED}, **files}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training of the metric: windows into samples, Adam over shuffled batches, early stopping, a checkpoint to go on from.
+"""Training of the metric: samples from windows, Adam on shuffled batches, early stopping, checkpoints.
 
 A, B and K do not depend on the metric and are in the windows already; M' comes from the network's own derivative
 along x'. An epoch is then matrix products and eigenvalues of 8 by 8 (`benchmarks.metric_training` measures it against
@@ -48,7 +48,7 @@ class TrainingSettings:
 
 
 class Quality(NamedTuple):
-    """How the certificate stands on windows that were not trained on."""
+    """Quality of the certificate on held-out windows."""
 
     loss: float
     violated: float
@@ -61,7 +61,7 @@ class Quality(NamedTuple):
 
 @dataclass(kw_only=True)
 class Progress:
-    """Where training stands."""
+    """Progress of a training."""
 
     epoch: int = 0
     best_epoch: int = 0
@@ -72,10 +72,10 @@ class Progress:
     """Rows: epoch, training loss, and `Quality`."""
 
 
-def questions(
+def certificate_queries(
     windows: Windows, metric: LearnedMetric, correcting: FloatArray, push: float, how: LossSettings
 ) -> Samples:
-    """What windows ask of the metric; n H samples for each of up to three questions, along axis 0 as (question, n, H).
+    """Certificate queries of windows: n H samples for each of up to three queries, along axis 0 as (query, n, H).
 
     `correcting`, `push`: K [A] of the best correction about the still bench, and G's entry of the spool's rate there;
     the correction is scaled by that entry, as the force law scales its own by g.
@@ -85,13 +85,13 @@ def questions(
     wanted = windows.part(inside & (windows.label == STABLE))
     unstable = windows.part(~inside & (windows.label == UNSTABLE))
     own = _samples(wanted, metric, wanted.feedback, how.rate + how.margin, STABLE, outside=False)
-    best = corrected(windows, correcting, push)
+    best = correcting_gains(windows, correcting, push)
     foreign = _samples(windows, metric, best, how.foreign_rate + how.margin, STABLE, outside=True)
     caught = _samples(unstable, metric, unstable.feedback, how.foreign_rate, UNSTABLE, outside=True)
     return Samples(*(torch.cat(parts) for parts in zip(own, foreign, caught, strict=True)))
 
 
-def corrected(windows: Windows, correcting: FloatArray, push: float) -> FloatArray:
+def correcting_gains(windows: Windows, correcting: FloatArray, push: float) -> FloatArray:
     """K [A] of the best correction at every sample, shape (n, H, 8): scaled as the force law scales its own by g."""
     return (push / windows.push[..., Q_SPOOL_RATE])[..., np.newaxis] * correcting
 
@@ -136,7 +136,7 @@ def flat_of(network: Network) -> FloatArray:
 
 
 @torch.no_grad()
-def judge(network: Network, samples: Samples, floor: float, how: LossSettings) -> Quality:
+def evaluate_quality(network: Network, samples: Samples, floor: float, how: LossSettings) -> Quality:
     """Quality at lambda itself, without the training's margin."""
     metric, rate = metric_loss.matrices(network, samples, floor)
     slack = samples.decay * (np.exp(2.0 * how.margin * SAMPLE_PERIOD) - 1.0) / SAMPLE_PERIOD
@@ -154,14 +154,14 @@ def train(
 ) -> Iterator[tuple[Progress, LearnedMetric]]:  # fmt: skip
     """Train; yields after every epoch, the metric with the best weights so far. The first is the solved one.
 
-    The checkpoint keeps `begun`, numbers and texts, for `begun_with`.
+    The checkpoint keeps `begun`, numbers and texts, for `saved_options`.
     """
     torch.manual_seed(settings.seed)
     network, floor = network_of(metric), metric.floor
     optimizer = torch.optim.Adam(network.parameters(), lr=settings.learning_rate)
     state = _load(checkpoint, network, optimizer) if resume and checkpoint.exists() else Progress(best=metric.flat)
     if not state.history:
-        _note(state, network, float("nan"), judge(network, validation, floor, settings.loss))
+        _note(state, network, float("nan"), evaluate_quality(network, validation, floor, settings.loss))
         yield state, metric.with_weights(state.best)
     size = settings.batch * horizon
     while state.epoch < settings.epochs and state.epoch - state.best_epoch < settings.patience:
@@ -176,7 +176,7 @@ def train(
             total += float(value.detach()) * len(rows) / len(training.v)
         assert size > 0
         state.epoch += 1
-        _note(state, network, total, judge(network, validation, floor, settings.loss))
+        _note(state, network, total, evaluate_quality(network, validation, floor, settings.loss))
         _save(checkpoint, state, network, optimizer, dict(begun or {}))
         yield state, metric.with_weights(state.best)
 
@@ -187,8 +187,8 @@ def _note(state: Progress, network: Network, training_loss: float, quality: Qual
         state.best_loss, state.best_epoch, state.best = quality.loss, state.epoch, flat_of(network)
 
 
-def begun_with(checkpoint: Path) -> dict[str, Any]:
-    """What the training was begun with; ValueError if there is no checkpoint of one."""
+def saved_options(checkpoint: Path) -> dict[str, Any]:
+    """Options of a checkpoint's training; ValueError if there is no checkpoint."""
     try:
         return dict(torch.load(checkpoint, weights_only=True)["begun"])
     except Exception as error:  # torch has errors of its own

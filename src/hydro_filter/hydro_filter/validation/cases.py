@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `validate` tries: gains over time and a reference, by case and seed (paper, Learned Metric Validation)."""
+"""Validation cases: gains over time and a reference, by case and seed (paper, Learned Metric Validation)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Box = tuple[tuple[float, float], tuple[float, float]]
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """Gains, how they come about, and what is tracked."""
+    """A case: gains over time, and the reference."""
 
     name: str
     about: str
@@ -33,13 +33,13 @@ class Case:
         return self.gains(np.random.default_rng(seed), round(seconds / (SAMPLES_PER_STEP * SAMPLE_PERIOD)))
 
 
-def held(kp: float, ki: float) -> Callable[[np.random.Generator, int], FloatArray]:
+def constant_gains(kp: float, ki: float) -> Callable[[np.random.Generator, int], FloatArray]:
     """One pair of gains."""
     return lambda rng, steps: np.tile((kp, ki), (steps, 1))
 
 
-def drawn(box: Box, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
-    """Gains drawn anew every so many policy steps of 10 ms; 0: once."""
+def random_gains(box: Box, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
+    """Random gains, redrawn every `every` policy steps of 10 ms; 0: once."""
 
     def gains(rng: np.random.Generator, steps: int) -> FloatArray:
         span = every or steps
@@ -50,8 +50,8 @@ def drawn(box: Box, every: int) -> Callable[[np.random.Generator, int], FloatArr
     return gains
 
 
-def switched(low: float, high: float, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
-    """K_p between two values, changed every so many policy steps, from a random step on."""
+def switching_gains(low: float, high: float, every: int) -> Callable[[np.random.Generator, int], FloatArray]:
+    """K_p that switches between two values every `every` policy steps, from a random step on."""
 
     def gains(rng: np.random.Generator, steps: int) -> FloatArray:
         phase = (np.arange(steps) + int(rng.integers(2 * every))) // every % 2
@@ -69,20 +69,32 @@ WIDE: Box = ((-40.0, 300.0), (-5.0, 15.0))
 CASES: dict[str, Case] = {
     case.name: case
     for case in (
-        Case(name="stable", about="K_p 90, K_i 15 (paper)", gains=held(90.0, 15.0), stable=True),
-        Case(name="stable-fast", about="the same, 300 N at 2 Hz", gains=held(90.0, 15.0), reference=FAST, stable=True),
-        Case(name="base", about="K_p 15, K_i 5", gains=held(15.0, 5.0), stable=True),
-        Case(name="unstable", about="K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)", gains=drawn(UNSTABLE, 1)),
-        Case(name="unstable-slow", about="the same, drawn every 0.5 s", gains=drawn(UNSTABLE, 50)),
-        Case(name="negative", about="K_p -40 to 0, K_i -5 to 0, drawn every 10 ms", gains=drawn(NEGATIVE, 1)),
-        Case(name="negative-held", about="the same, drawn once", gains=drawn(NEGATIVE, 0)),
-        Case(name="positive", about="K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", gains=drawn(POSITIVE, 1)),
-        Case(name="high", about="K_p 100 to 300, K_i 5 to 15, drawn once", gains=drawn(HIGH, 0)),
-        Case(name="high-fast", about="the same, 300 N at 2 Hz", gains=drawn(HIGH, 0), reference=FAST),
-        Case(name="highest", about="K_p 300, K_i 15", gains=held(300.0, 15.0)),
-        Case(name="wide", about="K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", gains=drawn(WIDE, 1)),
-        Case(name="wide-slow", about="the same, drawn every 0.5 s", gains=drawn(WIDE, 50)),
-        Case(name="switched", about="K_p 15 and 300 in turn, each for 10 ms", gains=switched(15.0, 300.0, 1)),
-        Case(name="switched-slow", about="K_p 15 and 300 in turn, each for 0.5 s", gains=switched(15.0, 300.0, 50)),
+        Case(name="stable", about="K_p 90, K_i 15 (paper)", gains=constant_gains(90.0, 15.0), stable=True),
+        Case(
+            name="stable-fast",
+            about="the same, 300 N at 2 Hz",
+            gains=constant_gains(90.0, 15.0),
+            reference=FAST,
+            stable=True,
+        ),
+        Case(name="base", about="K_p 15, K_i 5", gains=constant_gains(15.0, 5.0), stable=True),
+        Case(
+            name="unstable",
+            about="K_p -40 to 40, K_i -5 to 5, drawn every 10 ms (paper)",
+            gains=random_gains(UNSTABLE, 1),
+        ),
+        Case(name="unstable-slow", about="the same, drawn every 0.5 s", gains=random_gains(UNSTABLE, 50)),
+        Case(name="negative", about="K_p -40 to 0, K_i -5 to 0, drawn every 10 ms", gains=random_gains(NEGATIVE, 1)),
+        Case(name="negative-held", about="the same, drawn once", gains=random_gains(NEGATIVE, 0)),
+        Case(name="positive", about="K_p 0 to 40, K_i 0 to 5, drawn every 10 ms", gains=random_gains(POSITIVE, 1)),
+        Case(name="high", about="K_p 100 to 300, K_i 5 to 15, drawn once", gains=random_gains(HIGH, 0)),
+        Case(name="high-fast", about="the same, 300 N at 2 Hz", gains=random_gains(HIGH, 0), reference=FAST),
+        Case(name="highest", about="K_p 300, K_i 15", gains=constant_gains(300.0, 15.0)),
+        Case(name="wide", about="K_p -40 to 300, K_i -5 to 15, drawn every 10 ms", gains=random_gains(WIDE, 1)),
+        Case(name="wide-slow", about="the same, drawn every 0.5 s", gains=random_gains(WIDE, 50)),
+        Case(name="switched", about="K_p 15 and 300 in turn, each for 10 ms", gains=switching_gains(15.0, 300.0, 1)),
+        Case(
+            name="switched-slow", about="K_p 15 and 300 in turn, each for 0.5 s", gains=switching_gains(15.0, 300.0, 50)
+        ),
     )
 }

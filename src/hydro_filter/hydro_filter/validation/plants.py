@@ -14,7 +14,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.emulator.truth.config import TruthConfig, profile, truth_from_mapping
 from hydro_sim.emulator.truth.parameters import compile_parameters
 from hydro_sim.emulator.truth.plant import TruthPlant
-from hydro_sim.learned.any_model import plant_of
+from hydro_sim.learned.any_model import make_plant
 from hydro_sim.model.plant import Plant
 
 CHANGES: dict[str, dict[str, float]] = {
@@ -31,19 +31,19 @@ PLANTS = (*CHANGES, "sim")
 def plant_named(name: str, model: str | None = None) -> Plant:
     """One of `PLANTS`; `model`: weights of the learned simulation, the shipped ones by default."""
     if name == "sim":
-        return plant_of(model)
+        return make_plant(model)
     if not CHANGES[name]:
         return TruthPlant(profile("default"))
     return TruthPlant(truth_from_mapping({"profile": "default", "bench": CHANGES[name]}))
 
 
-def changed(change: Mapping[str, Any]) -> TruthConfig:
+def modified_truth(change: Mapping[str, Any]) -> TruthConfig:
     """The emulator's default truth with other `bench` numbers or `effects`."""
     return truth_from_mapping({"profile": "default", **change})
 
 
 class ChangingPlant:
-    """The emulated bench that becomes another one while it runs, its piston where it was.
+    """An emulated bench whose parameters change during the run; the piston stays where it is.
 
     Parameters
     ----------

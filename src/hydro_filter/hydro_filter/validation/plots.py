@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The paper's figure unstable_track: force tracking under gains that the loop does not bear, with and without."""
+"""The paper's figure unstable_track: force tracking under destabilising gains, with and without the filter."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table val_cont: runs of a case on a bench under a filter, and what they come to.
+"""Table val_cont: runs of a case on a bench under a filter, and their statistics.
 
 Runs go sample by sample as the graph runs (`trial`): the correction acts one sample after its state. A run ends where
 the box trips (700 N, sensor ranges): that is not bounded.
@@ -19,7 +19,7 @@ from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.validation.cases import CASES, Case
 from hydro_filter.validation.plants import plant_named
 from hydro_filter.validation.trial import Corrector, Gammas, Run, Trial, gammas, run
-from hydro_sim.learned.any_model import model_of
+from hydro_sim.learned.any_model import load_model
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
@@ -33,7 +33,7 @@ SETTLING = 2000
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """One run; all in plain words, so that it can be sent to another process."""
+    """One run in plain types, so that it can be sent to another process."""
 
     plant: str
     case: str
@@ -49,7 +49,7 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
-    """What one run came to."""
+    """Statistics of one run."""
 
     bounded: bool
     seconds: float
@@ -75,7 +75,7 @@ def make_filter(task: Task, bench: Bench) -> Corrector:
         return ContractionFilter.for_bench(bench, FilterSettings(contraction_rate=2.0))
     key = ("filter", task.metric, task.model, task.bench, task.filter, task.rate)
     if key not in _MADE:
-        model = model_of(task.model)
+        model = load_model(task.model)
         metric = LearnedMetric.load(task.metric)
         if task.filter == "solved":
             metric = metric.with_weights(np.zeros_like(metric.flat))
@@ -93,7 +93,7 @@ def make_plant(task: Task) -> Plant:
     return _MADE[key]
 
 
-def perform(task: Task) -> tuple[Run, Case]:
+def simulate(task: Task) -> tuple[Run, Case]:
     """Run a task."""
     case = CASES[task.case]
     bench = Bench.load(task.bench) if task.bench else Bench.nominal()
@@ -101,20 +101,20 @@ def perform(task: Task) -> tuple[Run, Case]:
     return run(trial, make_plant(task), make_filter(task, bench)), case
 
 
-def outcome(task: Task) -> Outcome:
-    """Run a task and say what it came to."""
-    done, _ = perform(task)
+def evaluate_task(task: Task) -> Outcome:
+    """Run a task and compute its statistics."""
+    done, _ = simulate(task)
     states = done.states
     settled = states[min(SETTLING, len(states) // 2) :]
     numbers = gammas(done.results, Bench.nominal().valve_current_max)
     return Outcome(
         bounded=done.bounded, seconds=len(states) * SAMPLE_PERIOD, peak=float(np.abs(states["load_force"]).max()),
-        rmse=float(np.sqrt(np.mean(error_of(settled) ** 2))), chattering=chattering(settled), numbers=numbers,
+        rmse=float(np.sqrt(np.mean(tracking_error(settled) ** 2))), chattering=chattering(settled), numbers=numbers,
         samples=len(states), failed=sum(int(result.status) in (2, 3, 4) for result in done.results),
     )  # fmt: skip
 
 
-def error_of(states: StateArray) -> FloatArray:
+def tracking_error(states: StateArray) -> FloatArray:
     """f_r - f_l [N]."""
     return np.asarray(states["reference_force"] - states["load_force"])
 
@@ -144,7 +144,7 @@ COLUMNS = {
 }
 
 
-def row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> dict[str, Any]:
+def table_row(plant: str, case: str, chosen: str, outcomes: list[Outcome]) -> dict[str, Any]:
     """One line of the table; shares and means over all samples of all runs."""
     weights = np.array([one.samples for one in outcomes], float)
     numbers = np.average(np.array([tuple(one.numbers) for one in outcomes]), axis=0, weights=weights)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter in the loop without a graph: plant, box and filter sample by sample, with the graph's delays.
+"""Closed-loop simulation without a graph: plant, box and filter sample by sample, with the graph's delays.
 
 ::
 
@@ -48,7 +48,7 @@ class Corrector(Protocol):
 
 
 class Run(NamedTuple):
-    """What happened; a run ends with the sample at which the box tripped."""
+    """Recorded run; it ends with the sample at which the box tripped."""
 
     states: StateArray
     """Records of `STATE_DTYPE`, shape (samples,)."""
@@ -63,7 +63,7 @@ class Run(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """One closed loop to try."""
+    """One closed-loop simulation."""
 
     bench: Bench
     """What box and filter believe."""
@@ -77,10 +77,10 @@ class Trial:
 
 
 def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
-    """Run a trial; a filter with `bypass` set shows what happens without it."""
+    """Run a trial; use a filter with `bypass` set for the loop without it."""
     contraction_filter.reset()
     box = Box(trial.bench, trial.box)
-    guard = CommandGuard(settings=roomy(box.config))
+    guard = CommandGuard(settings=permissive_guard(box.config))
     guard.set_arm(True)
     guard.set_reference(trial.reference)
     changes = np.asarray(trial.gains) - (box.config.base_kp, box.config.base_ki)
@@ -104,8 +104,8 @@ def run(trial: Trial, plant: Plant, contraction_filter: Corrector) -> Run:
     return Run(states, results)
 
 
-def roomy(box: BoxConfig) -> GuardSettings:
-    """A guard that lets through what the box takes, with a filter or without: what the filter holds is to be seen."""
+def permissive_guard(box: BoxConfig) -> GuardSettings:
+    """A guard that allows all that the box accepts, so that the filter's effect is visible."""
     return GuardSettings(
         delta_kp_min=box.delta_kp_min, delta_kp_max=box.delta_kp_max, delta_ki_min=box.delta_ki_min,
         delta_ki_max=box.delta_ki_max, delta_u_max=box.delta_u_max, require_filter=False,

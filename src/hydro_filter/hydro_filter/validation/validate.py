@@ -20,12 +20,12 @@ from hydro_bridge.bags.recording_run import code_version
 from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.pages import Section, results_page
-from hydro_filter.controller.factory import LEARNED, Choice
+from hydro_filter.controller.factory import LEARNED, FilterChoice
 from hydro_filter.validation.cases import CASES
 from hydro_filter.validation.plants import PLANTS
 from hydro_filter.validation.plots import draw_tracking
-from hydro_filter.validation.runs import COLUMNS, FILTERS, Outcome, Task, outcome, perform, row
-from hydro_sim.files.pairing import refuse
+from hydro_filter.validation.runs import COLUMNS, FILTERS, Outcome, Task, evaluate_task, simulate, table_row
+from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
 
@@ -35,17 +35,17 @@ def main() -> None:
     """Entry point."""
     options = arguments(sys.argv[1:])
     if set(options.filters) != {"projected"}:  # that is the constant metric's
-        refuse(_choice(options).trouble())  # before the work
+        raise_if_mismatched(_choice(options).trouble())  # before the work
     lines = list(product(options.plants, options.cases, options.filters))
     tasks = [task(options, *line, seed) for line in lines for seed in range(options.seeds)]
     table = Table(COLUMNS, title=f"Table val_cont: {options.seconds:g} s a run")
     done: dict[tuple[str, str, str], list[Outcome]] = defaultdict(list)
-    work = Parallel(n_jobs=options.jobs, return_as="generator")(delayed(outcome)(each) for each in tasks)
+    work = Parallel(n_jobs=options.jobs, return_as="generator")(delayed(evaluate_task)(each) for each in tasks)
     for each, result in zip(tasks, progress(work, total=len(tasks), label="runs", unit="run"), strict=True):
         line = (each.plant, each.case, each.filter)
         done[line].append(result)
         if len(done[line]) == options.seeds:
-            table.add(**row(*line, done[line]))
+            table.add(**table_row(*line, done[line]))
             if options.json:
                 table.write_json(options.json)  # what is done stays, whatever comes
     table.show(options.json)
@@ -63,11 +63,11 @@ def task(options: argparse.Namespace, plant: str, case: str, chosen: str, seed: 
     )  # fmt: skip
 
 
-def _choice(options: argparse.Namespace) -> Choice:
+def _choice(options: argparse.Namespace) -> FilterChoice:
     """The filter that the words ask for."""
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     file, model = (Path(name) if name else None for name in (options.bench, options.model))
-    return Choice(bench=bench, bench_file=file, metric=options.metric or LEARNED, model=model)
+    return FilterChoice(bench=bench, bench_file=file, metric=options.metric or LEARNED, model=model)
 
 
 def _draw(options: argparse.Namespace) -> list[tuple[str, Path]]:
@@ -77,7 +77,7 @@ def _draw(options: argparse.Namespace) -> list[tuple[str, Path]]:
         raise UserError("--plots compares a filter with none: name one in --filters")
     drawn = []
     for plant, case in product(options.plants, options.cases):
-        without, filtered = (perform(task(options, plant, case, name, 0))[0] for name in ("none", chosen))
+        without, filtered = (simulate(task(options, plant, case, name, 0))[0] for name in ("none", chosen))
         path = Path(options.plots) / f"{plant}_{case}.png".replace(" ", "_").replace("/", "-")
         draw_tracking(without, filtered, f"{plant}: {CASES[case].about}", path)
         drawn.append((f"{plant}: {case}", path))

@@ -23,7 +23,7 @@ FAULTS = int(Flag.FORCE_LIMIT | Flag.SENSOR_FAULT)
 
 @dataclass(frozen=True)
 class Transitions:
-    """One step of all benches; first axis: bench."""
+    """Transitions of one step of all benches; first axis: bench."""
 
     observation: FloatArray
     """What was acted upon, shape (n, 13)."""
@@ -46,7 +46,7 @@ class Transitions:
 
 
 class Environment:
-    """A fleet that is rewarded.
+    """A fleet of benches with observations and rewards.
 
     Parameters
     ----------

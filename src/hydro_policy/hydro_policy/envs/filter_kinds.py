@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which filters a simulated bench can have between policy and box. `vector_filter` makes them."""
+"""Names of the filters that a simulated bench can have between policy and box; `vector_filter` creates them."""
 
 from __future__ import annotations
 

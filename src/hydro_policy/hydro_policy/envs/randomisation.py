@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Domain randomisation: another bench for every episode, drawn around the one that is known.
+"""Domain randomisation: a different bench for every episode, drawn around the nominal one.
 
 What changes on a real bench from day to day (spring, supply pressure), what is known badly (oil, valve, friction,
 mass), the sensors' noise and the delays on the way. The box goes on believing in the bench that it was told of.
@@ -42,7 +42,7 @@ _OF_EFFECTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Randomisation:
-    """What is drawn anew for each episode, uniformly (spring: uniformly in its logarithm)."""
+    """Ranges that each episode's bench is drawn from, uniformly (spring: uniformly in its logarithm)."""
 
     known_share: Annotated[float, quantity("-", 0.0, 1.0)] = 0.125
     """Share of the episodes that run on the bench as it is known."""
@@ -72,8 +72,8 @@ class Randomisation:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Drawn:
-    """One bench as drawn."""
+class RandomisedBench:
+    """One randomised bench."""
 
     plant: Plant
     spring: float
@@ -88,8 +88,8 @@ class Drawn:
         return replace(reference, amplitude=min(reference.amplitude, REACH * 0.5 * self.stroke * self.spring))
 
 
-def draw(settings: Randomisation, source: Bench | Learned, seed: int) -> Drawn:
-    """A bench around `source`.
+def draw_bench(settings: Randomisation, source: Bench | Learned, seed: int) -> RandomisedBench:
+    """Draw a bench around `source`.
 
     Raises
     ------
@@ -108,7 +108,7 @@ def draw(settings: Randomisation, source: Bench | Learned, seed: int) -> Drawn:
     else:
         plant = LearnedPlant(replace(source, model=_learned(source.model, spring, supply, factors)), noise=noise)
         stroke = source.model.bench.stroke if isinstance(source.model, StructuredModel) else math.nan
-    return Drawn(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=stroke)
+    return RandomisedBench(plant=plant, spring=spring, gain_delay=delays[0], dead_time=delays[1], stroke=stroke)
 
 
 def _analytic(bench: Bench, spring: float, supply: float, factors: dict[str, float]) -> Bench:

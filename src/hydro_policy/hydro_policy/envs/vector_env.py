@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many benches side by side, box and plant each, stepped ten samples at a time by one compiled loop.
+"""Vectorised environment: many benches, each with box and plant, stepped ten samples at a time by one compiled loop.
 
 ::
 
@@ -67,7 +67,7 @@ class VectorBench:
         filters: FleetFilter | None = None,
     ) -> None:
         self.config, self.filters = config or BoxConfig(), filters or NoFilter()
-        self.rows: PlantRows = vector_plants.rows(plants)
+        self.rows: PlantRows = vector_plants.stack_plants(plants)
         count = len(plants)
         self.benches = np.concatenate([bench.constants() for bench in benches])
         self.settings = np.concatenate([self.config.constants(bench) for bench in benches])
@@ -86,14 +86,14 @@ class VectorBench:
         self.benches[index] = bench.constants()[0]
         self.settings[index] = self.config.constants(bench)[0]
         self.links[index]["gain_delay"], self.links[index]["dead_time"] = gain_delay, dead_time
-        vector_plants.put(self.rows, index, plant)
+        vector_plants.replace_plant(self.rows, index, plant)
 
     def begin(
         self, index: int, reference: ReferenceSignal, seed: int, changes: tuple[float, float] = (0.0, 0.0)
     ) -> None:
         """From rest: disarmed once, armed with `reference` and gain changes, first sample taken."""
         one = slice(index, index + 1)
-        vector_plants.restart(self.rows, index, seed)
+        vector_plants.reset_plant(self.rows, index, seed)
         kernel.reset(self.boxes[one])
         fill_command(self.commands[one], Command())
         kernel.receive(self.settings[one], self.boxes[one], self.commands[one], 0.0)
@@ -108,7 +108,7 @@ class VectorBench:
             ),
         )
         self.links[index]["held"] = 0.0
-        vector_filter.forget(self.filters, index)
+        vector_filter.reset_memory(self.filters, index)
         box = self.benches[one], self.settings[one], self.boxes[one], self.commands[one]
         _exchange(*box, self.filters, index, vector_plants.measurements(self.rows)[index], self.samples[index, -1:])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction filter inside a fleet: one sample in, the correction of the next one out, as in the graph.
+"""The contraction filter in a vectorised environment: one sample in, the next one's correction out, as in the graph.
 
 A kind is a NamedTuple and a compiled `correct` on it, found by its type: none, the constant metric, the learned one.
 """
@@ -16,7 +16,7 @@ from hydro_bridge.signals import Flag
 from hydro_filter.controller import compiled, loop_decision
 from hydro_filter.controller.compiled import FilterParts
 from hydro_filter.controller.filter import ContractionFilter
-from hydro_filter.controller.loop_decision import LoopParts, Space
+from hydro_filter.controller.loop_decision import LoopParts, Workspace
 from hydro_filter.controller.loop_filter import default_filter
 from hydro_filter.model.displacement import MEMORY_DTYPE
 from hydro_policy.envs.filter_kinds import FILTERS
@@ -26,44 +26,44 @@ _ARMED = np.uint32(Flag.ARMED)
 
 
 class NoFilter(NamedTuple):
-    """Gains go to the box as they are, flagged FILTER_STALE."""
+    """No filter: the box gets the gains unfiltered, flagged FILTER_STALE."""
 
     fresh: bool = False
 
 
 class ConstantFilter(NamedTuple):
-    """The filter with the constant metric; it remembers nothing."""
+    """The filter with the constant metric; stateless."""
 
     fresh: bool
     parts: FilterParts
 
 
 class LearnedFilter(NamedTuple):
-    """The filter with the learned metric, a memory for each bench."""
+    """The filter with the learned metric, with one memory per bench."""
 
     fresh: bool
     parts: LoopParts
     memory: npt.NDArray[np.void]
-    workspace: Space
+    workspace: Workspace
 
 
 FleetFilter = NoFilter | ConstantFilter | LearnedFilter
 
 
 def fleet_filter(kind: str, believed: Bench, count: int) -> FleetFilter:
-    """The filter of a kind of `FILTERS` for so many benches that are all believed to be `believed`."""
+    """The filter of a kind in `FILTERS` for `count` benches, designed for the bench `believed`."""
     if kind == "none":
         return NoFilter()
     if kind == "constant":
         return ConstantFilter(True, compiled.filter_parts(ContractionFilter.for_bench(believed).certificate))
     if kind == "learned":
         parts = default_filter(believed).parts
-        return LearnedFilter(True, parts, np.zeros(count, MEMORY_DTYPE), loop_decision.space(parts))
+        return LearnedFilter(True, parts, np.zeros(count, MEMORY_DTYPE), loop_decision.workspace(parts))
     raise ValueError(f"there is no filter {kind!r}; there are {', '.join(FILTERS)}")
 
 
-def forget(filters: FleetFilter, index: int) -> None:
-    """The next sample of this bench does not follow its last one."""
+def reset_memory(filters: FleetFilter, index: int) -> None:
+    """Reset a bench's memory: its next sample does not follow the last one."""
     if isinstance(filters, LearnedFilter):
         filters.memory[index] = np.zeros(1, MEMORY_DTYPE)[0]
 

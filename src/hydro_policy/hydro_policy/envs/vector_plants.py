@@ -83,8 +83,8 @@ class PlantRows:
     """Write a plant's constants and memory into a row."""
 
 
-def rows(plants: Sequence[Plant]) -> PlantRows:
-    """Plants of one kind side by side.
+def stack_plants(plants: Sequence[Plant]) -> PlantRows:
+    """Stack plants of one kind into arrays.
 
     Raises
     ------
@@ -103,14 +103,14 @@ def rows(plants: Sequence[Plant]) -> PlantRows:
     raise ValueError(f"many benches at once are structured models, networks of two layers or analytic ones, no {kind}")
 
 
-def put(rows: PlantRows, index: int, plant: Plant) -> None:
-    """Another plant in this row."""
+def replace_plant(rows: PlantRows, index: int, plant: Plant) -> None:
+    """Replace the plant of a row."""
     rows.plants[index] = plant
     rows.copy(rows.arrays, index, plant)
 
 
-def restart(rows: PlantRows, index: int, seed: int) -> None:
-    """Reset the plant of a row, noise from `seed`."""
+def reset_plant(rows: PlantRows, index: int, seed: int) -> None:
+    """Reset the plant of a row and seed its noise."""
     plant = rows.plants[index]
     plant.reset(seed)
     rows.copy(rows.arrays, index, plant)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many runs at once, without a graph: each bench of a fleet plays one case under one controller.
+"""Many evaluation runs at once, without a graph: each bench of a fleet runs one case under one controller.
 
 The measure is that of `evaluation.session`: from rest, time to settle, then whole periods over which e counts.
 """
@@ -38,14 +38,14 @@ class PolicyChooser:
 
 
 def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
-    """The same gains (K_p, K_i), shape (n, 2) or (2,), always."""
+    """Fixed gains (K_p, K_i), shape (n, 2) or (2,)."""
     return lambda samples: np.broadcast_to(np.asarray(gains) - base, (len(samples), ACTIONS))
 
 
 def rmse(
     fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
 ) -> FloatArray:
-    """Force RMSE [N] of each run, shape (n,), bench i playing `cases[i]`; NaN if the box tripped."""
+    """Force RMSE [N] of each run, shape (n,), where bench i runs `cases[i]`; NaN if the box tripped."""
     return _run(fleet, cases, choose, settings, seed, keep=False)[0]
 
 

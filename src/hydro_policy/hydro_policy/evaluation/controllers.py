@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may choose the gains in an evaluation: a trained policy, or fixed gains."""
+"""Controllers of an evaluation: a trained policy, or fixed gains."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class Controller(Protocol):
 
 @dataclass(frozen=True)
 class FixedGains:
-    """The same gains always, given in all (K_p, K_i); the box's base gains are taken off."""
+    """Fixed gains, given as totals (K_p, K_i); the box's base gains are subtracted."""
 
     proportional: float
     integral: float

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The best fixed gains, found by a grid on the bench itself: what a sceptic would ask a policy to beat.
+"""Grid search for the best fixed gains on the bench itself: the baseline that a policy has to beat.
 
 coarse    for each K_i, K_p rises in steps until the loop is stopped (monitor, box) or cycles: no gains far beyond the
           bench's limit are ever tried
@@ -31,7 +31,7 @@ Gains = tuple[float, float]
 
 @dataclass(frozen=True, kw_only=True)
 class GridSettings:
-    """Where the grid lies."""
+    """Range and resolution of the grid."""
 
     kp_min: Annotated[float, quantity("1/s", 0.0, 500.0)] = 60.0
     """K_p begins to rise there: not so low that the monitor stops a run for its lag."""
@@ -62,7 +62,7 @@ class GridSettings:
 
 @dataclass
 class GridSearch:
-    """Decides which pair is tried next; knows nothing of benches."""
+    """Chooses the next pair of gains; independent of the bench."""
 
     settings: GridSettings
     tried: dict[Gains, FloatArray] = field(default_factory=dict)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Examining a policy between training episodes: what a few sines say of its mean action, relative to fixed gains."""
+"""Policy evaluation between training episodes: force RMSE on a few sines, relative to fixed gains."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ EXAMINED = "policy"
 
 
 @dataclass(frozen=True)
-class Surroundings:
-    """What an examination shares with the training that it interrupts."""
+class SessionContext:
+    """Context that an examination shares with the training session that it interrupts."""
 
     outputs: Outputs
     watch: PlantSupervisor
@@ -42,7 +42,7 @@ class Surroundings:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What came out; one number for each sine, in the order of the settings."""
+    """Result of an examination; one value per sine, in the order of the settings."""
 
     rmse: tuple[float, ...]
     """N, of the policy, mean over the repeats."""
@@ -74,8 +74,8 @@ class Verdict:
         return sum(ratio < 1.0 for ratio in self.ratios)
 
 
-def surely_better(score: float, best: float, errors: Sequence[float]) -> bool:
-    """Whether a score is below the best one by more than the noise of both.
+def significantly_better(score: float, best: float, errors: Sequence[float]) -> bool:
+    """Whether a score is below the best one by more than the noise of the two.
 
     Parameters
     ----------
@@ -89,9 +89,9 @@ def surely_better(score: float, best: float, errors: Sequence[float]) -> bool:
 
 
 def examination(
-    settings: ExamSettings, policy: Policy, gains: GainRange, reference_too: bool, around: Surroundings
+    settings: ExamSettings, policy: Policy, gains: GainRange, reference_too: bool, around: SessionContext
 ) -> EvaluationSession:
-    """The session that examines `policy`, and if asked the fixed gains that its score is relative to."""
+    """Create the session that examines `policy` and, if asked, the fixed gains that its score is relative to."""
     controllers: list[Controller] = [PolicyController(policy, gains, EXAMINED)]
     if reference_too:
         controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, around.override.base))
@@ -106,13 +106,13 @@ def examination(
     )
 
 
-def failure(scores: Sequence[Score]) -> str:
+def stop_reason(scores: Sequence[Score]) -> str:
     """Why the policy was stopped; empty if it was not."""
     return next((score.stopped for score in scores if score.controller == EXAMINED and score.stopped), "")
 
 
 def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[float]:
-    """N, of the fixed gains; those that had to be stopped are worth as much as no tracking at all."""
+    """Force RMSE [N] of the fixed gains; runs that had to be stopped count as no tracking at all."""
     nothing = settings.evaluation.amplitude / math.sqrt(2.0)
     return [
         float(np.mean([nothing if score.stopped else score.rmse for score in runs]))
@@ -121,7 +121,7 @@ def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[floa
 
 
 def verdict(scores: Sequence[Score], reference: Sequence[float]) -> Verdict:
-    """Of an examination that the policy came through."""
+    """Verdict of an examination that the policy completed."""
     runs = [[score.rmse for score in one] for one in _by_case([s for s in scores if s.controller == EXAMINED])]
     errors = tuple(float(np.std(one, ddof=1)) / math.sqrt(len(one)) for one in runs if len(one) > 1)
     return Verdict(tuple(float(np.mean(one)) for one in runs), tuple(reference), errors)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an evaluation leaves behind: the table (paper Table rmse), JSON, the tracking plot."""
+"""Results of an evaluation: the table (paper Table rmse), JSON, the tracking plot."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def table(session: EvaluationSession) -> Table:
 
 
 def authority(reach: GainRange, base: tuple[float, float]) -> str:
-    """All that a controller may ask for on a box with these base gains: K_p [1/s], K_i [1/s^2]."""
+    """Range of total gains of a controller on a box with these base gains: K_p [1/s], K_i [1/s^2]."""
     changes = (reach.delta_kp_min, reach.delta_kp_max), (reach.delta_ki_min, reach.delta_ki_max)
     ends = [(own + low, own + high) for own, (low, high) in zip(base, changes, strict=True)]
     return ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ends)
@@ -58,7 +58,7 @@ def _cell(scores: list[Score]) -> float | str:
 
 
 def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
-    """All pairs that were tried, the best first."""
+    """All pairs of gains that were tried, best first."""
     cases = [case.name for case in settings.cases]
     columns = {"K_p": "1/s", "K_i": "1/s^2", "score": "mean of RMSE over the smallest RMSE of the column"}
     table = Table({**columns, **dict.fromkeys(cases, "")}, title="Fixed gains, force RMSE [N]; inf: stopped")

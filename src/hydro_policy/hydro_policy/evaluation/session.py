@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Force RMSE of controllers, run by run on a live plant; knows no ROS.
+"""Evaluation session: force RMSE of controllers, run by run on a live plant, without ROS.
 
 run       a new reference, 2 s to settle, then whole periods of at least 3 s in all over which e = f_r - f_l counts
 order     repeat, case, controller: controllers follow each other closely, so a drifting bench treats them alike
@@ -126,7 +126,7 @@ class EvaluationSession:
         if held is not None:
             self._run = None
             return self._publish(held) if sequence % SAMPLES_PER_STEP == 0 else False
-        if self.watch.mismatched and not self.watch.calming and not self.watch.unfit(now):
+        if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
             self._run = None  # begun anew once the filter fits
             self.watch.acted(now)
             return self._publish(FALLBACK) if sequence % SAMPLES_PER_STEP == 0 else False

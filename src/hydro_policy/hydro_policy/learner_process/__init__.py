@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The process that learns beside acting: the learner, shared memory, its supervision.
+"""The learner process: learner, shared memory, supervision.
 
 May import `sac` and `runs`.
 """

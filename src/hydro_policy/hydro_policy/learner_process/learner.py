@@ -45,7 +45,7 @@ CHUNK = 8  # updates between looks at the pipe and publications, some 1 to 2 ms
 
 
 class LearnerMemory:
-    """The memory that both processes map; made by the acting one, handed to each learner it starts."""
+    """Shared memory of both processes; created by the acting process and passed to each learner."""
 
     def __init__(self, settings: TrainingSettings) -> None:
         self.capacity = settings.replay_capacity
@@ -89,13 +89,13 @@ LOSSES = slice(5, 8)  # as `hydro_policy.sac.algorithm.Losses`
 
 
 @dataclass(frozen=True)
-class RollBack:
-    """Go back to the last good state."""
+class RollbackRequest:
+    """Request to restore the last good state."""
 
 
 @dataclass(frozen=True)
-class Trouble:
-    """Sent back by the learner: why it ends, or why a checkpoint cannot be written."""
+class LearnerFault:
+    """Error reported by the learner: why it ends, or why a checkpoint cannot be written."""
 
     sentence: str
     disk: bool = False
@@ -103,7 +103,7 @@ class Trouble:
 
 @dataclass(frozen=True)
 class SaveRequest:
-    """Write a checkpoint; with `best`, the last good state also as the best so far."""
+    """Request to write a checkpoint; with `best`, the last good state is also saved as the best so far."""
 
     run: Path
     trainer: dict[str, Any]
@@ -179,7 +179,7 @@ class Learner:
 def write_run(
     request: SaveRequest, learner: bytes, good: bytes | None, replay: ReplayBuffer, settings: TrainingSettings
 ) -> None:
-    """Checkpoint; policy.safetensors is the best policy so far, and before there is one, the latest.
+    """Write a checkpoint; policy.safetensors is the best policy so far or, before there is one, the latest.
 
     A run's folder that somebody took away is there again; what was best before went with it, until a better one comes.
 
@@ -214,7 +214,7 @@ def _write_run(
 
 
 def compile_updates(settings: SacSettings) -> None:
-    """One update of a throwaway learner. Where it is the first ever it compiles: no episode should pass unlearnt."""
+    """Compile the updates by one update of a temporary learner, so that learning starts with the first episode."""
     replay = ReplayBuffer(OBSERVATIONS, ACTIONS, 2 * settings.batch_size + 128)
     replay.extend(np.zeros((settings.batch_size, replay.rows.shape[1]), np.float32))
     Sac(OBSERVATIONS, ACTIONS, settings).learn(replay, 1)
@@ -233,7 +233,7 @@ def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Con
         _attend(learner, requests)
     except Exception as error:
         with suppress(OSError):
-            requests.send(Trouble(str(error) or type(error).__name__))
+            requests.send(LearnerFault(str(error) or type(error).__name__))
         if isinstance(error, (FloatingPointError, ValueError)):  # the sentence says it all
             raise SystemExit(1) from None
         raise
@@ -251,7 +251,7 @@ def _attend(learner: Learner, requests: Connection) -> None:
                 request = requests.recv()
                 if request is None:
                     return
-                if isinstance(request, RollBack):
+                if isinstance(request, RollbackRequest):
                     learner.roll_back()
                 else:
                     last = request
@@ -267,4 +267,4 @@ def _save(learner: Learner, request: SaveRequest, requests: Connection) -> None:
         learner.save(request)
     except OSError as error:
         with suppress(OSError):
-            requests.send(Trouble(error.strerror or str(error), disk=True))
+            requests.send(LearnerFault(error.strerror or str(error), disk=True))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A blob in shared memory that one process publishes and others read, without locks: acting never waits for learning.
+"""Lock-free publication of a blob in shared memory: acting never waits for learning.
 
 header   int64 version | 2 slots of [int64 length | int64 CRC-32 | bytes]
 publish  write into slot (version + 1) mod 2, then count the version up

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The acting side's handle on the learning process: start, watch, restart, stop. None of its calls waits but `stop`."""
+"""Supervision of the learner process by the acting side: start, watch, restart, stop. Only `stop` blocks."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ from hydro_policy.learner_process.learner import (
     READY,
     ROLLBACKS,
     UPDATES,
+    LearnerFault,
     LearnerMemory,
-    RollBack,
+    RollbackRequest,
     SaveRequest,
-    Trouble,
     run_learner,
     write_run,
 )
@@ -41,7 +41,7 @@ STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
 class LearnerError(UserError):
-    """The learner keeps dying, cannot begin, or cannot write a checkpoint."""
+    """The learner dies repeatedly, cannot start, or cannot write a checkpoint."""
 
 
 class LearnerSupervisor:
@@ -177,13 +177,13 @@ class LearnerSupervisor:
         self._ask_to_roll_back()
 
     def _ask_to_roll_back(self) -> None:
-        self._unheard = not self._ask(RollBack())  # `restart_if_dead` asks again, or its successor
+        self._unheard = not self._ask(RollbackRequest())  # `restart_if_dead` asks again, or its successor
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
         """Ask for a checkpoint; False if the learner is not there to hear it."""
         return self._ask(SaveRequest(self._run.path, trainer, best))
 
-    def _ask(self, request: RollBack | SaveRequest | None, patience: float = 0.0) -> bool:
+    def _ask(self, request: RollbackRequest | SaveRequest | None, patience: float = 0.0) -> bool:
         """Send a request; False if the learner is dead, or has read nothing for so long that there is no room for it.
 
         A pipe that is ready to be written to has room for more than any of them. `patience` in s.
@@ -223,7 +223,7 @@ class LearnerSupervisor:
         """Take what the learner sent back."""
         with suppress(OSError, EOFError):
             while self._requests.poll():
-                trouble: Trouble = self._requests.recv()
+                trouble: LearnerFault = self._requests.recv()
                 if trouble.disk:
                     raise LearnerError(self._unwritten(trouble.sentence))
                 self._said = trouble.sentence

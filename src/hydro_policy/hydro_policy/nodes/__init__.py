@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thin ROS nodes and their command lines: they move messages, the mathematics is in the package above."""
+"""Executables and thin ROS nodes: they move messages and hold no mathematics."""

@@ -37,7 +37,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def request(options: argparse.Namespace) -> OverrideGains.Request:
-    """What is asked for.
+    """Build the service request.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def main() -> None:
 
 
 def ask(node: Node, wanted: OverrideGains.Request) -> str:
-    """Ask whoever chooses the gains; what it says.
+    """Call /hydro/override; returns the answer.
 
     Raises
     ------

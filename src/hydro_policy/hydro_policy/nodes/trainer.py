@@ -16,7 +16,7 @@ from hydro_bridge.cli.console import command
 from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
 from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_policy.nodes.options import SCRATCH, add_plant_options, as_begun
+from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options
 from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration_of
 from hydro_policy.runs.run import RunDirectory
 
@@ -31,8 +31,8 @@ DEMO = {
 
 EPILOG = """\
 examples:
-  ros2 run hydro_policy trainer --demo                         a short training on the emulator, evaluated: 5 minutes
-  ros2 run hydro_policy trainer --plant emulator --evaluate    the paper's 160 episodes: an hour of bench time
+  ros2 run hydro_policy trainer --demo                         a short training on the emulator, evaluated: 6 minutes
+  ros2 run hydro_policy trainer --plant emulator --evaluate    the paper's 160 episodes: 70 minutes of bench time
   ros2 run hydro_policy trainer --plant bench --port /dev/ttyUSB0
   ros2 run hydro_policy trainer --resume runs/NAME             goes on after Ctrl-C, an error or a power cut
 every setting is a ROS parameter, too: --ros-args -p sac.discount:=0.98 -p task.steps_per_episode:=900
@@ -88,7 +88,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def asked(words: Sequence[str]) -> argparse.Namespace:
-    """What the command line asks for; --demo gives what else would be a default.
+    """Parse the command line; --demo changes the defaults.
 
     Raises
     ------
@@ -105,7 +105,7 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
         begun = {"start": NEW_ONLY, "configuration": configuration_of(settings) or NEW_ONLY, "seed": settings.seed}
         place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
         refuse_changes(parser(), words, str(run.path), {**begun, **place})
-        as_begun(result, run.load_plant(), given(parser(), words))
+        restore_plant_options(result, run.load_plant(), given(parser(), words))
         options = result.parse_args(words)
     options.plant_named = options.demo or options.resume is not None or "plant" in given(parser(), words)
     return options
@@ -117,7 +117,7 @@ def main() -> int:
     own, ros = ros_arguments()
     options = asked(own)
     options.configuration = options.configuration or "paper"
-    from hydro_policy.nodes.trainer_run import train  # with torch, which takes seconds: not for --help or a slip
+    from hydro_policy.nodes.training.run import train  # with torch, which takes seconds: not for --help or a slip
 
     start_ros(ros)
     try:

@@ -22,7 +22,7 @@ CONFIGURATIONS = ("paper", "wide")
 
 
 def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) -> TrainingSettings:
-    """One of `CONFIGURATIONS`, for a run of 160 episodes on a box with these base gains: K_p and K_i in all stay.
+    """One of `CONFIGURATIONS`, for 160 episodes on a box with these base gains; the range of total gains is kept.
 
     Raises
     ------
@@ -40,7 +40,7 @@ def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) ->
 
 
 def configuration_of(settings: TrainingSettings) -> str | None:
-    """The name of the configuration that a run was begun with; None if its task is that of no name."""
+    """Name of the configuration that a run was started with; None if it matches none."""
     task, scale = settings.task, settings.sac.reward_scale
     named = {name: configuration(name, base=settings.base_gains) for name in CONFIGURATIONS}
     return next(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The examination of a pretraining: the same cases on the bench as it is known and on benches drawn once.
+"""Policy evaluation during pretraining: fixed cases on the nominal bench and on randomised benches drawn once.
 
 A policy that saw a thousand drawn benches is not judged on the nominal one alone: whichever suits that bench best need
 not bear another. Scores are relative to fixed gains on the same bench, so that a hard bench counts as an easy one does.
@@ -16,7 +16,7 @@ import numpy as np
 
 from hydro_bridge.signals import FloatArray
 from hydro_policy.envs import vector_runs
-from hydro_policy.envs.randomisation import Drawn
+from hydro_policy.envs.randomisation import RandomisedBench
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_runs import Chooser
 from hydro_policy.task.cases import Case, EvaluationSettings
@@ -34,8 +34,8 @@ TRIPPED = 10.0
 
 
 @dataclass(frozen=True)
-class Marks:
-    """What an examination gave."""
+class ExaminationResult:
+    """Result of an examination."""
 
     rmse: FloatArray
     """N, shape (benches, cases), the first bench is the known one; NaN: tripped."""
@@ -82,12 +82,12 @@ class Examination:
         fleet: Callable[[int], VectorBench],
         believed: Bench,
         evaluation: EvaluationSettings,
-        draw: Callable[[int], Drawn] | None = None,
+        draw: Callable[[int], RandomisedBench] | None = None,
         drawn: int = 0,
         base: tuple[float, float] = BASE,
     ) -> None:
         self._make, self._believed, self._evaluation = fleet, believed, evaluation
-        self._benches: list[Drawn] = []
+        self._benches: list[RandomisedBench] = []
         reference = vector_runs.fixed(np.array(REFERENCE_GAINS), base)
         known = self._rmse(reference, [None])
         self.reference: FloatArray = np.where(np.isnan(known), evaluation.amplitude / math.sqrt(2.0), known)
@@ -97,14 +97,14 @@ class Examination:
                 self._benches.append(bench)
                 self.reference = np.concatenate((self.reference, rmse))
 
-    def __call__(self, choose: Chooser) -> Marks:
+    def __call__(self, choose: Chooser) -> ExaminationResult:
         """Examine."""
         rmse = self._rmse(choose, [None, *self._benches])
-        return Marks(rmse, np.where(np.isnan(rmse), TRIPPED, rmse / self.reference))
+        return ExaminationResult(rmse, np.where(np.isnan(rmse), TRIPPED, rmse / self.reference))
 
     def _bearable(
-        self, draw: Callable[[int], Drawn], reference: Chooser, tries: int
-    ) -> Iterator[tuple[Drawn, FloatArray]]:
+        self, draw: Callable[[int], RandomisedBench], reference: Chooser, tries: int
+    ) -> Iterator[tuple[RandomisedBench, FloatArray]]:
         for number in range(tries):
             bench = draw(number)
             rmse = self._rmse(reference, [bench])
@@ -112,7 +112,7 @@ class Examination:
                 yield bench, rmse
         raise ValueError(f"of {tries} drawn benches too few bear the fixed gains {REFERENCE_GAINS} to be examined on")
 
-    def _rmse(self, choose: Chooser, benches: Sequence[Drawn | None]) -> FloatArray:
+    def _rmse(self, choose: Chooser, benches: Sequence[RandomisedBench | None]) -> FloatArray:
         cases = self._evaluation.cases
         fleet, played = self._make(len(benches) * len(cases)), list(cases) * len(benches)
         for index, case in enumerate(played):
@@ -123,5 +123,5 @@ class Examination:
         return vector_runs.rmse(fleet, played, choose, self._evaluation).reshape(len(benches), len(cases))
 
 
-def _within_reach(case: Case, bench: Drawn) -> Case:
+def _within_reach(case: Case, bench: RandomisedBench) -> Case:
     return replace(case, signal=bench.within_reach(case.signal))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a pretraining tells: the table and the plot of its learning curve."""
+"""Report of a pretraining: the table and the plot of its learning curve."""
 
 from __future__ import annotations
 

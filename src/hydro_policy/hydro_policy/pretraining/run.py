@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pretraining as a run on disk: begun or gone on with, trained, saved and shown."""
+"""A pretraining run on disk: started or resumed, trained, saved and reported."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from hydro_policy.envs.environment import Transitions
 from hydro_policy.pretraining.configurations import configuration, configuration_of
 from hydro_policy.pretraining.options import parser
 from hydro_policy.pretraining.report import CURVE, curve_page, curve_table, draw_curve
-from hydro_policy.pretraining.source import Source, load_source, source_of
+from hydro_policy.pretraining.source import SimulationSetup, load_simulation_setup, simulation_setup
 from hydro_policy.pretraining.training import Pretraining
 from hydro_policy.runs.checkpoint import load_checkpoint, save_checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.snapshot import actor_parameters, dump
-from hydro_sim.files.pairing import refuse
+from hydro_sim.files.pairing import raise_if_mismatched
 from hydro_sim.files.stamping import stamped
 
 AGENT = "learner.safetensors"
@@ -49,12 +49,12 @@ def pretrain(options: argparse.Namespace) -> int:
     run = RunDirectory(options.resume or options.out)
     if options.resume:
         settings, source = resumed(run, sys.argv[1:])
-        refuse(source.trouble())
+        raise_if_mismatched(source.trouble())
         pretraining = source.pretraining(settings)
         _resume(run, pretraining)
     else:
-        source = source_of(options)
-        refuse(source.trouble())
+        source = simulation_setup(options)
+        raise_if_mismatched(source.trouble())
         settings = training_settings(options, source)
         pretraining = source.pretraining(settings)
         _create(run, settings, source)
@@ -73,8 +73,8 @@ def pretrain(options: argparse.Namespace) -> int:
     return 0
 
 
-def training_settings(options: argparse.Namespace, source: Source) -> TrainingSettings:
-    """What the command line asks for; K_p and K_i in all are the configuration's, whatever the box's base gains."""
+def training_settings(options: argparse.Namespace, source: SimulationSetup) -> TrainingSettings:
+    """Settings from the command line; the total gains are the configuration's, whatever the box's base gains."""
     box = source.box_config()
     settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki))
     episodes = settings.episodes if options.episodes is None else options.episodes
@@ -92,9 +92,9 @@ def training_settings(options: argparse.Namespace, source: Source) -> TrainingSe
     )
 
 
-def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, Source]:
-    """What a run that goes on was begun with; raises UserError where `words` say otherwise. Only --episodes may."""
-    source = load_source(run.path)
+def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
+    """Settings of a resumed run; raises UserError where `words` contradict them. Only --episodes may change."""
+    source = load_simulation_setup(run.path)
     settings = replace(run.load_settings(), made=source.made_for())
     begun = {
         **asdict(source), "configuration": configuration_of(settings) or NEW_ONLY, "hidden": settings.sac.hidden_size,
@@ -108,7 +108,7 @@ def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, 
     return settings, source
 
 
-def _create(run: RunDirectory, settings: TrainingSettings, source: Source) -> None:
+def _create(run: RunDirectory, settings: TrainingSettings, source: SimulationSetup) -> None:
     try:
         run.create().save_settings(settings)
         source.save(run.path)
@@ -123,7 +123,7 @@ def _resume(run: RunDirectory, pretraining: Pretraining) -> None:
     pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
 
 
-def _train(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
+def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
     """All rounds that are left; a checkpoint after the first, the last, and every `SAVE_PERIOD` in between."""
     settings = pretraining.settings.training
     total = settings.episodes * settings.task.steps_per_episode
@@ -161,7 +161,7 @@ class _StopRequest:
             raise endings.Ended(self._asked)
 
 
-def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
+def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
     """Checkpoint; the best agent so far and its policy; the learning curve."""
     best = pretraining.best or dump(pretraining.sac)
     training = pretraining.settings.training
@@ -179,7 +179,7 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
     draw_curve(pretraining.history, cases, pretraining.reference_rmse, run.path / CURVE)
 
 
-def _leave_page(run: RunDirectory, pretraining: Pretraining, source: Source) -> None:
+def _leave_page(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
     """report.html in the run's folder, once there is a curve, and the front page of all runs; never a failure."""
     if pretraining.history:
         told = {"seed": pretraining.settings.training.seed, "best score": pretraining.best_score}

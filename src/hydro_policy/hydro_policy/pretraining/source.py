@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a pretraining simulates: from the command line, and to and from the run's folder."""
+"""The simulation of a pretraining: from the command line, and to and from the run's folder."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.settings import SettingsError
-from hydro_filter.controller.factory import Choice
+from hydro_filter.controller.factory import FilterChoice
 from hydro_policy.envs.filter_kinds import FilterName
 from hydro_policy.envs.randomisation import Randomisation
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run import TrainingSettings
 from hydro_sim.box.box import BoxConfig, Integral, with_base_gains
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import Believed, MadeFor, unfit
-from hydro_sim.learned.any_model import is_bench
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch
+from hydro_sim.learned.any_model import is_bench_file
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 
@@ -32,8 +32,8 @@ SOURCE = "pretrain.yaml"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Source:
-    """What is simulated; all that `--resume` needs besides config.yaml."""
+class SimulationSetup:
+    """Bench, model and filter that are simulated; all that `--resume` needs besides config.yaml."""
 
     model: str
     """shipped, analytic, a bench file, or a weights file of `hydro_sim learn`."""
@@ -51,7 +51,7 @@ class Source:
 
     def simulated(self) -> Bench | Learned:
         """The analytic bench or the learned model."""
-        if is_bench(self.model):
+        if is_bench_file(self.model):
             return Bench.load(self.model)
         if self.model == "analytic":
             return Bench.load(self.bench) if self.bench else Bench.nominal()
@@ -77,19 +77,19 @@ class Source:
     @property
     def weights(self) -> Path | None:
         """File of the learned model; None: a bench file is simulated."""
-        if self.model == "analytic" or is_bench(self.model):
+        if self.model == "analytic" or is_bench_file(self.model):
             return None
         return weights.shipped() if self.model == "shipped" else Path(self.model)
 
     def trouble(self) -> str:
         """Why what is simulated does not belong together, in one sentence; empty where it does."""
-        box, learned = Believed.of_file(self.box), self.weights
+        box, learned = BoxIdentity.of_file(self.box), self.weights
         remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --bench FILE --box FILE"
         made = None if learned is None else Learned.load(learned).made
-        wrong = "" if learned is None else unfit(f"the model {learned.name}", made, box, remedy)
+        wrong = "" if learned is None else mismatch(f"the model {learned.name}", made, box, remedy)
         if wrong or self.filter != "learned":
             return wrong
-        return Choice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()
+        return FilterChoice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()
 
     def pretraining(self, training: TrainingSettings) -> Pretraining:
         """A pretraining at its beginning."""
@@ -105,10 +105,10 @@ class Source:
         write_whole(folder / SOURCE, yaml.safe_dump(asdict(self), sort_keys=False).encode())
 
 
-def source_of(options: argparse.Namespace) -> Source:
-    """What the command line asks to be simulated."""
+def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
+    """Simulation setup from the command line."""
     model = options.model or ("analytic" if options.bench else "shipped")
-    if options.bench and is_bench(model):
+    if options.bench and is_bench_file(model):
         raise UserError("--model names a bench file, and so does --bench: which of them is simulated?")
     if options.bench and model != "analytic":
         raise UserError("--bench is what the analytic model simulates; a learned model is a bench of its own")
@@ -121,11 +121,11 @@ def source_of(options: argparse.Namespace) -> Source:
         "filter": options.filter,
         "benches": options.benches,
     }
-    return Source(model=model, **chosen, **files)
+    return SimulationSetup(model=model, **chosen, **files)
 
 
-def load_source(folder: Path) -> Source:
-    """What a run simulates.
+def load_simulation_setup(folder: Path) -> SimulationSetup:
+    """Simulation setup of a run on disk.
 
     Raises
     ------
@@ -133,6 +133,8 @@ def load_source(folder: Path) -> Source:
         The folder holds no pretraining.
     """
     try:
-        return from_mapping(Source, {"integral": "paper", **read_yaml(folder / SOURCE)}, SOURCE)  # older runs had that
+        return from_mapping(
+            SimulationSetup, {"integral": "paper", **read_yaml(folder / SOURCE)}, SOURCE
+        )  # older runs had that
     except SettingsError as error:
         raise UserError(f"{folder} holds no pretraining to go on with: {error}") from error

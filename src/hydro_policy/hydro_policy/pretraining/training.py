@@ -26,7 +26,7 @@ from hydro_bridge.signals import ReferenceSignal
 from hydro_policy.envs import vector_runs
 from hydro_policy.envs.environment import Environment, Transitions
 from hydro_policy.envs.filter_kinds import FilterName
-from hydro_policy.envs.randomisation import Drawn, Randomisation, draw
+from hydro_policy.envs.randomisation import Randomisation, RandomisedBench, draw_bench
 from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.envs.vector_filter import fleet_filter
 from hydro_policy.pretraining.examination import Examination
@@ -49,7 +49,7 @@ Simulated = Bench | Learned | Callable[[], Plant]
 
 @dataclass(frozen=True, kw_only=True)
 class PretrainSettings:
-    """A pretraining: the run's own settings, and what it runs on."""
+    """Settings of a pretraining: the training's, and the simulation's."""
 
     training: TrainingSettings = field(default_factory=TrainingSettings)
     benches: Annotated[int, quantity("-", 1, 256)] = 8
@@ -204,10 +204,10 @@ class Pretraining:
         self.fleet.replace(index, self._believed, drawn.plant, drawn.gain_delay, drawn.dead_time)
         return drawn.within_reach(reference)
 
-    def _draw(self, seed: int) -> Drawn:
+    def _draw(self, seed: int) -> RandomisedBench:
         assert isinstance(self._source, (Bench, Learned)), "only what has constants can be drawn"
         assert self.settings.randomisation is not None
-        return draw(self.settings.randomisation, self._source, seed)
+        return draw_bench(self.settings.randomisation, self._source, seed)
 
     def _rng(self, episode: int, stream: int) -> np.random.Generator:
         return np.random.default_rng((self.settings.training.seed, episode, stream))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A checkpoint: everything that a run needs to go on, in a folder that is either whole or not there.
+"""Checkpoints: everything that a run needs to resume, in a folder that is written atomically.
 
     learner.safetensors   networks, optimizers, temperature, random generator (`snapshot`)
     replay.npy            transitions held, oldest first; their count ever in trainer.json
@@ -27,7 +27,7 @@ from hydro_policy.sac.replay import ReplayBuffer
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What was read: learner's bytes, transitions [n, width], how many were ever produced, the acting side's state."""
+    """A checkpoint: the learner's bytes, transitions [n, width], their total count, the acting side's state."""
 
     learner: bytes
     replay: NDArray[np.float32]

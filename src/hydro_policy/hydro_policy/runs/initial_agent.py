@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a training on the bench starts from: an agent that was trained before, critics, temperature and all."""
+"""The initial agent of a training on the bench: a pretrained one, with critics and temperature."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale"
 
 
 @dataclass(frozen=True)
-class Start:
-    """An agent to start from."""
+class InitialAgent:
+    """An initial agent."""
 
     agent: bytes
     """As `snapshot.dump` gives it."""
@@ -59,13 +59,13 @@ class Start:
         return replace(settings, sac=sac, task=task, warmup_steps=max(settings.warmup_steps, task.steps_per_episode))
 
 
-def shipped_start(authority: str) -> Start | None:
-    """The agent that comes with the package for an authority, made by `pretrain`; None if none does."""
+def shipped_agent(authority: str) -> InitialAgent | None:
+    """The pretrained agent shipped for a configuration; None if there is none."""
     folder = Path(str(resources.files("hydro_policy") / "data" / f"pretrained_{authority}"))
-    return load_start(folder) if folder.is_dir() else None
+    return load_initial_agent(folder) if folder.is_dir() else None
 
 
-def load_start(path: Path) -> Start:
+def load_initial_agent(path: Path) -> InitialAgent:
     """The agent of a run's folder (its best, else its latest), or of any folder with agent and policy in it.
 
     Raises
@@ -86,4 +86,4 @@ def load_start(path: Path) -> Start:
     _, gains, notes = load_policy(run.policy)
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD if name in task} if isinstance(task, dict) else {}
-    return Start(agent, sac, gains, reward, path, stamp_of(found) or stamp_of(run.policy))
+    return InitialAgent(agent, sac, gains, reward, path, stamp_of(found) or stamp_of(run.policy))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""run.json: what happened in a run, for people and programs, rewritten whole at each event.
+"""run.json: the events of a run, for people and programs, rewritten atomically at each event.
 
     {"events": [{"time": ISO 8601, "kind": KIND, "sentence": ..., further numbers by name}, ...]}
 
@@ -20,7 +20,7 @@ from hydro_bridge.files.atomic import write_whole
 
 
 class RunRecord:
-    """Appends events; keeps them in `path` if there is one.
+    """Appends events; saves them to `path` if given.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a training's record tells on its page: the learning curve, examinations, what was stopped."""
+"""Page of a training run: learning curve, examinations, stops."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def sections(events: Events, curve: Path) -> list[Section]:
     exams = exam_table(events)
     if exams.rows:
         found.append(Section(heading="Examinations", text="Sines with the policy's mean action.", table=exams))
-    return [*found, Section(heading="What happened", table=happened(events))]
+    return [*found, Section(heading="What happened", table=event_table(events))]
 
 
 def draw_curve(events: Events, path: Path) -> None:
@@ -61,7 +61,7 @@ def _draw_exams(axes: Any, exams: Events) -> None:
 
 
 def exam_table(events: Events) -> Table:
-    """Every examination."""
+    """Table of all examinations."""
     columns = {
         "episode": "episodes learnt from",
         "score": "mean of the RMSE over that of the fixed gains",
@@ -77,8 +77,8 @@ def exam_table(events: Events) -> Table:
     return table
 
 
-def happened(events: Events) -> Table:
-    """Begin, stops, overrides, end."""
+def event_table(events: Events) -> Table:
+    """Table of events: start, stops, overrides, end."""
     table = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
     for event in events:
         if event["kind"] in _TOLD:

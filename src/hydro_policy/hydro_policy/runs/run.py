@@ -33,7 +33,7 @@ from hydro_sim.files.pairing import MadeFor
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingSettings:
-    """A run: how long, how much is learnt per step, how much is remembered."""
+    """Settings of a training run: length, updates per step, buffer size and more."""
 
     episodes: Annotated[int, quantity("-", 1, 1e6)] = 160
     """Episodes of the run (paper: 160)."""
@@ -67,7 +67,7 @@ class TrainingSettings:
 
 @dataclass(frozen=True)
 class RunDirectory:
-    """Where the files of a run lie."""
+    """Paths of a run's files."""
 
     path: Path
 

@@ -139,7 +139,7 @@ class Sac:
         noise = torch.randn(updates, 2, batch, self._actions, generator=self.generator, dtype=self._dtype)
         optimizers = (self.actor_optimizer, self.critic_optimizer, self.entropy_optimizer)
         gradients = (self.actor_network.gradient, self.critics.gradient, torch.zeros(1, dtype=self._dtype))
-        adams = [_adam(optimizer, gradient) for optimizer, gradient in zip(optimizers, gradients, strict=True)]
+        adams = [optimizer.views(gradient) for optimizer, gradient in zip(optimizers, gradients, strict=True)]
         losses = np.empty((updates, len(self.losses)))
         kernel.learn(self._networks, *adams, self._numbers, replay.rows, places.numpy(), noise.numpy(), losses)
         self.losses = Losses(*losses.mean(axis=0).tolist())
@@ -205,9 +205,3 @@ def _layers(network: StackedMlp, gradient: bool = False) -> tuple[Layers, ...]:
         Layers(*(array[m] if k % 2 == 0 else array[m, 0] for k, array in enumerate(arrays)))
         for m in range(network.members)
     )
-
-
-def _adam(optimizer: FlatAdam, gradient: Tensor) -> network_kernel.Adam:
-    moments = optimizer.first_moment.numpy(), optimizer.second_moment.numpy()
-    vectors = optimizer.parameters.numpy(), gradient.numpy(), *moments
-    return network_kernel.Adam(*vectors, optimizer.learning_rate, optimizer.steps)

@@ -4,7 +4,7 @@
 ::
 
     inputs     a buffer (`network_kernel`) with rows o_1 .. o_n, a_1 .. a_m, zeros: actor and critics read the same rows
-    update     gather, targets, critics, actor, temperature, and the targets follow
+    update     gather, targets, critics, actor, temperature, and soft update of the targets
 
 At 2 x 32 units the arithmetic of an update on 256 transitions is 13 MFLOP; here it runs from the caches at vector
 speed, and between two updates there is no Python. `test_sac` holds it to `Sac.update`, which `torch` code spells out.
@@ -20,11 +20,12 @@ from numba import njit
 
 from hydro_policy.sac import network_kernel
 from hydro_policy.sac.network_kernel import Floats
+from hydro_sim.neural import adam_kernel, block_mlp, dense
 from hydro_sim.neural.mlp import Layers
 
 
 class Networks(NamedTuple):
-    """Views of the flat vectors, as `Layers`."""
+    """Weights and gradients of all networks: views of the flat vectors."""
 
     actor: Layers
     actor_gradient: Layers
@@ -48,7 +49,7 @@ class Numbers(NamedTuple):
 
 
 class Draw(NamedTuple):
-    """Actions drawn for a batch: see `hydro_policy.sac.algorithm.PolicySample`."""
+    """Actions sampled for a batch: see `hydro_policy.sac.algorithm.PolicySample`."""
 
     action: Floats
     log_probability: Floats
@@ -58,31 +59,31 @@ class Draw(NamedTuple):
 
 @njit(cache=True)
 def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places, noise, losses):
-    """One update for each row of `places`, shape (updates, batch), of the replay buffer's `rows`.
+    """Do one update for each row of `places`, shape (updates, batch): indices into the replay buffer's `rows`.
 
     `noise`: standard normal, shape (updates, 2, batch, actions), first for the targets, then for the actor.
     `losses`: those of critics, actor and temperature before each update go there, shape (updates, 3).
     """
     count, kind, inputs = places.shape[1], networks.target_parameters.dtype, numbers.observations + numbers.actions
-    width = network_kernel.four(inputs)
+    width = dense.four(inputs)
     now, following = network_kernel.buffer(width, kind), network_kernel.buffer(width, kind)
     reward, end, target = np.empty(count, kind), np.empty(count, kind), np.empty(count, kind)
-    actor_pass = network_kernel.new_pass(networks.actor, kind)
-    first = network_kernel.new_pass(networks.critics[0], kind)
-    second = network_kernel.new_pass(networks.critics[1], kind)
+    actor_pass = network_kernel.pass_buffers(networks.actor, kind)
+    first = network_kernel.pass_buffers(networks.critics[0], kind)
+    second = network_kernel.pass_buffers(networks.critics[1], kind)
     draw = _draw(numbers.actions, count, kind)
     for k in range(len(places)):
         alpha = kind.type(math.exp(entropy_adam.parameters[0]))
         _gather(numbers, rows, places[k], now, following, reward, end)
         _targets(networks, numbers, following, noise[k, 0], reward, end, alpha, actor_pass, first, second, draw, target)
         losses[k, 0] = _critics(networks, now, target, first, second)
-        network_kernel.adam_step(critic_adam, k + 1)
+        adam_kernel.step(critic_adam, k + 1)
         losses[k, 1] = _actor(networks, numbers, now, noise[k, 1], alpha, actor_pass, first, second, draw)
-        network_kernel.adam_step(actor_adam, k + 1)
+        adam_kernel.step(actor_adam, k + 1)
         entropy_adam.gradient[0] = -(draw.log_probability.sum() / kind.type(count) + numbers.target_entropy)
         losses[k, 2] = entropy_adam.parameters[0] * entropy_adam.gradient[0]
-        network_kernel.adam_step(entropy_adam, k + 1)
-        network_kernel.follow(networks.target_parameters, critic_adam.parameters, numbers.target_rate)
+        adam_kernel.step(entropy_adam, k + 1)
+        network_kernel.soft_update(networks.target_parameters, critic_adam.parameters, numbers.target_rate)
 
 
 @njit(cache=True)
@@ -105,8 +106,8 @@ def _targets(networks, numbers, following, noise, reward, end, alpha, actor_pass
     kind = target.dtype.type
     scale, discount, one = kind(numbers.reward_scale), kind(numbers.discount), kind(1.0)
     _sample(networks.actor, numbers, following, noise, actor_pass, draw)
-    network_kernel.forward(network_kernel.padded(networks.targets[0]), following, first, len(target))
-    network_kernel.forward(network_kernel.padded(networks.targets[1]), following, second, len(target))
+    network_kernel.forward(block_mlp.padded(networks.targets[0]), following, first, len(target))
+    network_kernel.forward(block_mlp.padded(networks.targets[1]), following, second, len(target))
     for k in range(len(target)):
         value = min(first.y[k], second.y[k]) - alpha * draw.log_probability[k]
         target[k] = scale * reward[k] + discount * (one - end[k]) * value
@@ -118,15 +119,15 @@ def _critics(networks, now, target, first, second):
     count, squares = len(target), 0.0
     share = target.dtype.type(1.0 / count)
     for member in range(2):
-        way, layers, gradient = first, networks.critics[0], networks.critic_gradients[0]
+        buffers, layers, gradient = first, networks.critics[0], networks.critic_gradients[0]
         if member == 1:
-            way, layers, gradient = second, networks.critics[1], networks.critic_gradients[1]
-        padded = network_kernel.padded(layers)
-        network_kernel.forward(padded, now, way, count)
+            buffers, layers, gradient = second, networks.critics[1], networks.critic_gradients[1]
+        padded = block_mlp.padded(layers)
+        network_kernel.forward(padded, now, buffers, count)
         for k in range(count):
-            way.g[k] = (way.y[k] - target[k]) * share
-            squares += (way.y[k] - target[k]) ** 2
-        network_kernel.backward(padded, now, way, count, gradient)
+            buffers.g[k] = (buffers.y[k] - target[k]) * share
+            squares += (buffers.y[k] - target[k]) ** 2
+        network_kernel.backward(padded, now, buffers, count, gradient)
     return 0.5 * squares / count
 
 
@@ -138,16 +139,16 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
     kind = draw.action.dtype.type
     zero, one, two, share = kind(0.0), kind(1.0), kind(2.0), kind(1.0 / count)
     _sample(networks.actor, numbers, now, noise, actor_pass, draw)
-    critic_1, critic_2 = network_kernel.padded(networks.critics[0]), network_kernel.padded(networks.critics[1])
+    critic_1, critic_2 = block_mlp.padded(networks.critics[0]), block_mlp.padded(networks.critics[1])
     network_kernel.forward(critic_1, now, first, count)
     network_kernel.forward(critic_2, now, second, count)
     for k in range(count):  # only the smaller critic passes its gradient on
         smaller = first.y[k] <= second.y[k]
         first.g[k], second.g[k] = (one, zero) if smaller else (zero, one)
         loss += alpha * draw.log_probability[k] - min(first.y[k], second.y[k])
-    network_kernel.to_inputs(critic_1, first, count)
-    network_kernel.to_inputs(critic_2, second, count)
-    slopes = np.zeros((2, network_kernel.four(actions) * network_kernel.ROW), draw.action.dtype)
+    network_kernel.backpropagate(critic_1, first, count)
+    network_kernel.backpropagate(critic_2, second, count)
+    slopes = np.zeros((2, dense.four(actions) * network_kernel.ROW), draw.action.dtype)
     network_kernel.product(network_kernel.input_rows(networks.critics[0].w1, n, actions), first.g1, slopes[0], count)
     network_kernel.product(network_kernel.input_rows(networks.critics[1].w1, n, actions), second.g1, slopes[1], count)
     for j in range(actions):
@@ -158,26 +159,26 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
             actor_pass.g[j * network_kernel.ROW + k] = to_mean * share
             to_log_std = (to_mean * draw.deviation[j, k] - alpha) * draw.inside[j, k]
             actor_pass.g[(actions + j) * network_kernel.ROW + k] = to_log_std * share
-    network_kernel.backward(network_kernel.padded(networks.actor), now, actor_pass, count, networks.actor_gradient)
+    network_kernel.backward(block_mlp.padded(networks.actor), now, actor_pass, count, networks.actor_gradient)
     return loss / count
 
 
 @njit(cache=True)
-def _sample(layers, numbers, inputs, noise, way, draw):
+def _sample(layers, numbers, inputs, noise, buffers, draw):
     """a = tanh(u), u = mu + sigma eps, into `draw` and into the inputs' action rows; log pi."""
     count, actions = len(draw.log_probability), numbers.actions
     kind = draw.action.dtype.type
     zero, half, one, two = kind(0.0), kind(0.5), kind(1.0), kind(2.0)
     low, high = kind(numbers.log_std_min), kind(numbers.log_std_max)
     log_2, half_log_2pi = kind(math.log(2.0)), kind(0.5 * math.log(2.0 * math.pi))
-    network_kernel.forward(network_kernel.padded(layers), inputs, way, count)
+    network_kernel.forward(block_mlp.padded(layers), inputs, buffers, count)
     draw.log_probability[:] = zero
     for j in range(actions):
         for k in range(count):
-            raw, eps = way.y[(actions + j) * network_kernel.ROW + k], kind(noise[k, j])
+            raw, eps = buffers.y[(actions + j) * network_kernel.ROW + k], kind(noise[k, j])
             log_std = min(max(raw, low), high)
             deviation = math.exp(log_std) * eps
-            u = way.y[j * network_kernel.ROW + k] + deviation
+            u = buffers.y[j * network_kernel.ROW + k] + deviation
             fading = math.exp(-two * abs(u))  # both tanh and log(1 - tanh^2) from one exponential
             a = math.copysign((one - fading) / (one + fading), u)
             softplus = math.log1p(fading) + max(-two * u, zero)  # of -2u

@@ -18,6 +18,8 @@ from itertools import pairwise
 import torch
 from torch import Tensor
 
+from hydro_sim.neural import adam_kernel
+
 
 class StackedMlp:
     """`members` independent ReLU perceptrons of one shape, evaluated and differentiated together.
@@ -91,7 +93,7 @@ class StackedMlp:
 
 
 class FlatAdam:
-    """Adam on one flat vector: the update of torch.optim.Adam in five operations for a whole network."""
+    """Adam on one flat vector: the update of torch.optim.Adam, compiled, for a whole network."""
 
     def __init__(self, parameters: Tensor, learning_rate: float) -> None:
         self.parameters, self.learning_rate = parameters, learning_rate
@@ -100,11 +102,13 @@ class FlatAdam:
 
     def step(self, gradient: Tensor) -> None:
         """One descent step along `gradient`, with betas (0.9, 0.999) and epsilon 1e-8."""
+        adam_kernel.step(self.views(gradient), 1)
         self.steps += 1
-        self.first_moment.lerp_(gradient, 0.1)
-        self.second_moment.mul_(0.999).addcmul_(gradient, gradient, value=0.001)
-        denominator = self.second_moment.sqrt().mul_(1.0 / math.sqrt(1.0 - 0.999**self.steps)).add_(1e-8)
-        self.parameters.addcdiv_(self.first_moment, denominator, value=-self.learning_rate / (1.0 - 0.9**self.steps))
+
+    def views(self, gradient: Tensor) -> adam_kernel.Adam:
+        """What compiled code takes, and changes in place: the same memory."""
+        moments = self.first_moment.numpy(), self.second_moment.numpy()
+        return adam_kernel.Adam(self.parameters.numpy(), gradient.numpy(), *moments, self.learning_rate, self.steps)
 
 
 def _views(flat: Tensor, shapes: list[tuple[int, int, int]]) -> tuple[list[Tensor], list[Tensor]]:

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small perceptrons on buffers: forward, backward, Adam, compiled; transitions lie along the vector registers.
+"""Forward and backward passes of small perceptrons over batches, compiled; transitions lie along the vector registers.
 
 ::
 
     a buffer   row of one neuron | transitions 0 .. 127 | 128 .. 255 | ...   flat, see `hydro_sim.neural.dense`
-    networks   `Layers` of any size, here padded with zeros to multiples of four, and transposed for the way back
+    networks   `Layers` of any size, padded with zeros to multiples of four here, and transposed for the backward pass
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,8 +16,9 @@ import numpy.typing as npt
 from numba import njit
 
 from hydro_sim import copies
-from hydro_sim.neural import dense
-from hydro_sim.neural.mlp import LOOSE, Layers
+from hydro_sim.neural import block_mlp, dense
+from hydro_sim.neural.dense import four
+from hydro_sim.neural.mlp import LOOSE
 
 ROW = dense.ROW
 """Numbers from one row of a buffer to the next."""
@@ -29,22 +29,10 @@ BATCH_MAX = dense.BLOCK * dense.CHUNK
 Floats = npt.NDArray[Any]
 
 _BLOCK = np.uint64(dense.BLOCK)
-_BETA_1, _BETA_2, _EPSILON = 0.9, 0.999, 1e-8
 
 
-class Adam(NamedTuple):
-    """One optimizer: flat vectors, changed in place."""
-
-    parameters: Floats
-    gradient: Floats
-    first_moment: Floats
-    second_moment: Floats
-    learning_rate: float
-    steps: int
-
-
-class Pass(NamedTuple):
-    """Buffers of one network's way forward and back."""
+class PassBuffers(NamedTuple):
+    """Activations and gradients of one network: its forward and its backward pass."""
 
     a1: Floats
     a2: Floats
@@ -55,42 +43,28 @@ class Pass(NamedTuple):
 
 
 @njit(cache=True)
-def forward(layers, x, way, count):
-    """Outputs of a padded network into way.y."""
+def forward(layers, x, buffers, count):
+    """Evaluate a padded network on `count` transitions; the outputs go to `buffers.y`."""
     for block in range(_blocks(count)):
         at = np.uint64(block) * _BLOCK
-        dense.fill(way.a1, at, layers.b1)
-        dense.product(layers.w1, x, at, way.a1, at)
-        dense.relu(way.a1, at, len(layers.b1))
-        dense.fill(way.a2, at, layers.b2)
-        dense.product(layers.w2, way.a1, at, way.a2, at)
-        dense.relu(way.a2, at, len(layers.b2))
-        dense.fill(way.y, at, layers.b3)
-        dense.product(layers.w3, way.a2, at, way.y, at)
+        block_mlp.forward(layers, x, buffers.a1, buffers.a2, buffers.y, at)
 
 
 @njit(cache=True)
-def to_inputs(layers, way, count):
-    """From way.g, the gradient by the outputs, to those by both layers' sums, way.g2 and way.g1."""
+def backpropagate(layers, buffers, count):
+    """Backpropagate `buffers.g`, the outputs' gradient, to both hidden layers' pre-activations: `buffers.g2`, `g1`."""
     w3, w2 = layers.w3.T.copy(), layers.w2.T.copy()
     for block in range(_blocks(count)):
         at = np.uint64(block) * _BLOCK
-        dense.clear(way.g2, at, len(layers.b2))
-        dense.product(w3, way.g, at, way.g2, at)
-        dense.mask(way.g2, way.a2, at, len(layers.b2))
-        dense.clear(way.g1, at, len(layers.b1))
-        dense.product(w2, way.g2, at, way.g1, at)
-        dense.mask(way.g1, way.a1, at, len(layers.b1))
+        block_mlp.backward(w3, w2, buffers.g, buffers.a1, buffers.a2, buffers.g1, buffers.g2, at)
 
 
 @njit(cache=True)
-def backward(layers, x, way, count, gradient):
-    """Gradients of a padded network by its weights, given way.g, into `gradient` (not padded)."""
-    to_inputs(layers, way, count)
-    sums = dense.zeros(layers)
-    dense.outer(way.a2, way.g, sums.w3, sums.b3, count)
-    dense.outer(way.a1, way.g2, sums.w2, sums.b2, count)
-    dense.outer(x, way.g1, sums.w1, sums.b1, count)
+def backward(layers, x, buffers, count, gradient):
+    """Gradients with respect to the weights, into `gradient` (not padded), from those of the outputs, `buffers.g`."""
+    backpropagate(layers, buffers, count)
+    sums = block_mlp.zeros(layers)
+    block_mlp.add_gradient(x, buffers.a1, buffers.a2, buffers.g1, buffers.g2, buffers.g, count, sums)
     n, h1 = gradient.w1.shape
     h2, m = gradient.w3.shape
     copies.matrix(gradient.w1, sums.w1[:n, :h1])
@@ -118,52 +92,12 @@ def input_rows(w1, first, count):
     return result
 
 
-@njit(cache=True)
-def padded(layers):
-    """A copy whose sizes are multiples of four."""
-    n, h1 = layers.w1.shape
-    h2, m = layers.w3.shape
-    kind = layers.w1.dtype
-    w1, b1 = np.zeros((four(n), four(h1)), kind), np.zeros(four(h1), kind)
-    w2, b2 = np.zeros((four(h1), four(h2)), kind), np.zeros(four(h2), kind)
-    w3, b3 = np.zeros((four(h2), four(m)), kind), np.zeros(four(m), kind)
-    copies.matrix(w1, layers.w1)
-    copies.matrix(w2, layers.w2)
-    copies.matrix(w3, layers.w3)
-    copies.vector(b1, layers.b1)
-    copies.vector(b2, layers.b2)
-    copies.vector(b3, layers.b3)
-    return Layers(w1, b1, w2, b2, w3, b3)
-
-
 @njit(cache=True, fastmath=LOOSE)
-def adam_step(adam, step):
-    """torch.optim.Adam's step, `step` of this call."""
-    kind = adam.parameters.dtype.type
-    number = adam.steps + step
-    rate = kind(adam.learning_rate / (1.0 - _BETA_1**number))
-    root = kind(1.0 / math.sqrt(1.0 - _BETA_2**number))
-    old_1, new_1, old_2, new_2 = kind(_BETA_1), kind(1.0 - _BETA_1), kind(_BETA_2), kind(1.0 - _BETA_2)
-    epsilon = kind(_EPSILON)
-    for i in range(len(adam.parameters)):
-        g = adam.gradient[i]
-        adam.first_moment[i] = old_1 * adam.first_moment[i] + new_1 * g
-        adam.second_moment[i] = old_2 * adam.second_moment[i] + new_2 * g * g
-        adam.parameters[i] -= rate * adam.first_moment[i] / (math.sqrt(adam.second_moment[i]) * root + epsilon)
-
-
-@njit(cache=True, fastmath=LOOSE)
-def follow(targets, parameters, rate):
-    """Move `targets` towards `parameters` by this share of the way."""
+def soft_update(targets, parameters, rate):
+    """Polyak averaging: targets += rate (parameters - targets)."""
     share = targets.dtype.type(rate)
     for i in range(len(targets)):
         targets[i] += share * (parameters[i] - targets[i])
-
-
-@njit(cache=True)
-def four(count):
-    """`count` rounded up to a multiple of four."""
-    return (count + 3) // 4 * 4
 
 
 @njit(cache=True)
@@ -173,14 +107,14 @@ def _blocks(count):
 
 @njit(cache=True)
 def buffer(rows, kind):
-    """A new one of so many rows, zero."""
+    """A buffer of this many rows, all zero."""
     return np.zeros(rows * dense.ROW, kind)
 
 
 @njit(cache=True)
-def new_pass(layers, kind):
-    """Buffers for one network's ways."""
+def pass_buffers(layers, kind):
+    """Allocate the buffers of one network."""
     h1, h2, m = four(layers.w1.shape[1]), four(layers.w3.shape[0]), four(layers.w3.shape[1])
-    return Pass(
+    return PassBuffers(
         buffer(h1, kind), buffer(h2, kind), buffer(m, kind), buffer(m, kind), buffer(h1, kind), buffer(h2, kind)
     )

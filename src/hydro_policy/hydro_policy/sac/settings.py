@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of Soft Actor-Critic; they need no torch, which takes seconds to import."""
+"""Settings of Soft Actor-Critic, without torch, which takes seconds to import."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All of `Sac` as bytes and back: the same bytes go to shared memory twice a second and into checkpoints.
+"""Serialization of `Sac`: the same bytes go to shared memory twice a second and into checkpoints.
 
 The bytes are a safetensors file: each network and each Adam moment as one flat float32 tensor, the generator's state as
 uint8, and the counters as JSON under the header key "hydro". No pickle.
@@ -28,7 +28,7 @@ _NETWORKS = ("actor", "critics", "entropy")
 
 
 def dump(sac: Sac) -> bytes:
-    """Everything that the next update depends on."""
+    """Serialize everything that the next update depends on."""
     tensors = {"generator": sac.generator.get_state(), "target_critics": sac.target_critics.parameters}
     counters = {"updates": sac.updates}
     for name, optimizer in _optimizers(sac).items():
@@ -39,7 +39,7 @@ def dump(sac: Sac) -> bytes:
 
 
 def restore(sac: Sac, blob: bytes) -> None:
-    """Continue from `dump`: later updates are the same bit for bit.
+    """Restore from `dump`: later updates are the same, bit for bit.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def actor_parameters(blob: bytes) -> FloatArray:
 
 
 def as_beginning(blob: bytes) -> bytes:
-    """The same agent with no updates counted: what is owed in a new run is owed for its own transitions."""
+    """The same agent with its counters at zero, so that a new run counts its own transitions only."""
     sac = Sac(OBSERVATIONS, ACTIONS, settings_of(blob))
     restore(sac, blob)
     sac.updates = 0
@@ -78,7 +78,7 @@ def settings_of(blob: bytes) -> SacSettings:
 
 
 def check_agent(blob: bytes, settings: SacSettings) -> None:
-    """Raise ValueError unless `restore` can go on from these bytes with networks of these settings."""
+    """Raise ValueError unless `restore` accepts these bytes for networks of these settings."""
     restore(Sac(OBSERVATIONS, ACTIONS, settings), blob)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What drives a plant step by step without knowing ROS: training sessions, episodes, exploration, state of a run.
+"""Sessions, which drive a plant step by step, without ROS: training, episodes, exploration, state of a run.
 
 May import all of this package but `pretraining` and `nodes`.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an episode and a run add up to."""
+"""Statistics of an episode and of a run."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ class EpisodeRecord:
 
 @dataclass
 class Progress:
-    """What a run has done; part of the checkpoint."""
+    """Progress of a run; part of the checkpoint."""
 
     episode: int = 0
     """Episodes finished."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Acting while learning: observe, act, and remember what came of it, a hundred times a second."""
+"""Exploration: observe, act and store the transition, a hundred times a second."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A session on a plant without a graph or a clock: box, guard and plant in a loop, learning in the same process.
+"""Offline sessions: box, guard, plant and learner in one process, without ROS or real time.
 
 As fast as it goes, and the same bit for bit for the same seeds, which no real-time run can be. For tests, and to try
 settings before bench time is spent on them.
@@ -31,7 +31,7 @@ PASSED = Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
 
 
 class InlineLearner:
-    """The face of `LearnerSupervisor` over a learner in this process; `work` does what is owed.
+    """The interface of `LearnerSupervisor` with a learner in this process; `work` does the pending updates.
 
     Have `torch.set_num_threads(1)`: at these sizes more threads only wait for each other.
     """
@@ -90,7 +90,7 @@ class InlineLearner:
 
 
 class OfflineGraph(Outputs):
-    """Box, guard and plant; gives a session its samples and takes its outputs at once.
+    """Box, guard and plant in place of the graph: delivers samples and takes outputs synchronously.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a training has come to: its progress, its record on disk, and which policy is good, episode by episode."""
+"""State of a training run: progress, record on disk, and the last good policy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_policy.task.scoring import Score
 
 
 class RunState:
-    """Enters episodes, examinations and stops, and says what they mean for the run.
+    """Records episodes, examinations and stops, and decides what they mean for the run.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ class RunState:
         progress.reference_rmse = progress.reference_rmse or policy_examination.reference_rmse(settings, scores)
         verdict = policy_examination.verdict(scores, progress.reference_rmse)
         errors = [*(exam.get("error", 0.0) for exam in progress.exams), verdict.score_error]
-        best = policy_examination.surely_better(verdict.score, progress.best_score, errors)
+        best = policy_examination.significantly_better(verdict.score, progress.best_score, errors)
         self.keeper.accept(best)
         progress.examined, progress.best_score = progress.episode, verdict.score if best else progress.best_score
         if progress.passed_at < 0 and verdict.beaten == len(verdict.rmse):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a session is: anything that drives a plant, step by step."""
+"""The interface of a session, which drives a plant step by step."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 
 
 class Session(Protocol):
-    """What drives a plant: a `TrainingSession` or an `EvaluationSession`."""
+    """Drives a plant: a `TrainingSession` or an `EvaluationSession`."""
 
     watch: PlantSupervisor
     override: GainOverride

@@ -38,7 +38,7 @@ UNDER_WAY = (Phase.TRAINING, Phase.EVALUATING)
 
 
 class TrainingSession:
-    """Decides what is played next, an episode or an examination, and what a stop or a pause does to it.
+    """Schedules episodes and examinations, and handles stops and pauses.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class TrainingSession:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.phase = Phase.WAITING
         self.exam: EvaluationSession | None = None
-        self._around = policy_examination.Surroundings(outputs, self.watch, self.override, self.monitor)
+        self._around = policy_examination.SessionContext(outputs, self.watch, self.override, self.monitor)
         self._outputs = outputs
 
     @property
@@ -152,7 +152,7 @@ class TrainingSession:
         if self.watch.calming:
             self.explorer.hold((0.0, 0.0))
             return True
-        if self.watch.mismatched and not self.watch.unfit(now):
+        if self.watch.mismatched and not self.watch.unready(now):
             self.watch.acted(now)
             self.player.hold(FALLBACK, step, episode=self.phase is Phase.TRAINING)
             return True
@@ -160,7 +160,7 @@ class TrainingSession:
             if not self.watch.may_begin(now):
                 return False
             self._begin()
-        elif self.watch.unfit(now):  # a person has held the gains: the watch disarms, and the episode begins anew
+        elif self.watch.unready(now):  # a person has held the gains: the watch disarms, and the episode begins anew
             return False
         self.watch.acted(now)
         if self.phase is Phase.TRAINING:
@@ -198,7 +198,7 @@ class TrainingSession:
 
     def _examine(self, running: EvaluationSession, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         acted = running.on_sample(sequence, sample, flags, now)
-        reason = policy_examination.failure(running.scores)
+        reason = policy_examination.stop_reason(running.scores)
         if reason:
             self._stop(reason, sample)
         elif running.finished:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Training episodes: the reference goes out, the explorer acts under the monitor's eye, steps and rewards add up."""
+"""Training episodes: reference, exploration under the safety monitor, rewards."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hydro_policy.task.step_aggregator import Step
 
 
 class EpisodePlayer:
-    """Plays one episode after another; which, when and whether at all is the session's business.
+    """Runs single episodes; the session decides which and when.
 
     Parameters
     ----------

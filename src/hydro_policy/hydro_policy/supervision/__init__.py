@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What watches a plant and a policy while a session runs: arming, requirements, safety monitor, rollback, override.
+"""Supervision of plant and policy during a session: arming, requirements, safety monitor, rollback, override.
 
 May import `task` and `sac`.
 """

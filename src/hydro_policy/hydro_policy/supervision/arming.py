@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Asking a plant to arm and to disarm, each as often as it takes; without a person only where that is allowed."""
+"""Arming and disarming a plant, with retries; without a person only where that is allowed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ HOW_TO_ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge ar
 
 
 class Arming:
-    """Arms, and lowers what must not stay armed.
+    """Arms the plant, and disarms it when it must not stay armed.
 
     Parameters
     ----------

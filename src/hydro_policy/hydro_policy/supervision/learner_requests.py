@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a session may ask of learning: the seam between acting and the learner's process. Nothing waits."""
+"""Interfaces between acting and the learner process. No call blocks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which ev
 
 
 class RollingLearner(Protocol):
-    """What rolling back needs of learning."""
+    """The learner as rollback needs it."""
 
     def snapshot(self) -> bytes | None:
         """The learner's whole state, half a second old at most."""
@@ -25,7 +25,7 @@ class RollingLearner(Protocol):
 
 
 class ActingLearner(RollingLearner, Protocol):
-    """What acting needs of learning: `LearnerSupervisor`, or `InlineLearner` in simulation."""
+    """The learner as acting needs it: `LearnerSupervisor`, or `InlineLearner` in simulation."""
 
     replay: ReplayBuffer
 

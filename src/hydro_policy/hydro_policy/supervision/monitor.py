@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The safety monitor: watches what a policy does to the bench, and asks for a stop before the box has to trip.
+"""The safety monitor: watches the bench under a policy and requests a stop before the box trips.
 
 peak error    |e|, averaged over a policy step: one sick sample is none
 chatter       RMS of u' over a window: what wears valve and hoses, and the first sign of a loop that cycles
@@ -34,7 +34,7 @@ _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
 @dataclass(frozen=True, kw_only=True)
 class MonitorSettings:
-    """Limits; training_figures.md gives the measurements on good and bad runs that the defaults stand between."""
+    """Limits; the defaults lie between what good and bad runs reach (training_figures.md)."""
 
     peak_error: Annotated[float, quantity("N", 1.0, 1e5)] = 300.0
     """|e| in the mean over a policy step."""

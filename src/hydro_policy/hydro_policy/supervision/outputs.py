@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a session may do to the graph: the seam between the mathematics and ROS."""
+"""Outputs of a session: the interface between the mathematics and ROS."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hydro_bridge.signals import ReferenceSignal
 
 
 class Outputs(Protocol):
-    """What a session may do to the graph. Nothing waits."""
+    """Outputs of a session to the graph. No call blocks."""
 
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """Publish gains [1/s], [1/s^2]."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A person takes the gains away from whatever chooses them, for as long as asked, and gives them back.
+"""Manual override: a person sets the gains in place of the controller, for as long as asked.
 
 It is in force from the next policy step on, whether a policy learns, is examined, waits or pauses. It lives in the node
 alone: no checkpoint holds it, no run begins with it. What the bench does under it is neither learnt from nor scored.
@@ -22,7 +22,7 @@ class _Held:
 
 
 class GainOverride:
-    """The gains that a person holds, if any.
+    """State of a manual override.
 
     Parameters
     ----------

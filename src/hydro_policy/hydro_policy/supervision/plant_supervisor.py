@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the plant is there, armed, and fit to begin on; shared by training and evaluation.
+"""Whether the plant is present, armed and ready for a run; shared by training and evaluation.
 
 no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
 something is missing     nothing is armed (`hydro_bridge.safety.readiness`); found armed, or armed too early: disarmed
@@ -133,13 +133,13 @@ class PlantSupervisor:
 
     def may_begin(self, now: float) -> bool:
         """Whether an episode or a run may begin: armed, calm and fit for it, with all there that must be."""
-        return self.armed and self.readiness.complete and not self.calming and not self.unfit(now)
+        return self.armed and self.readiness.complete and not self.calming and not self.unready(now)
 
     def acted(self, now: float) -> None:
         """A controller has chosen gains."""
         self._acted = now
 
-    def unfit(self, now: float) -> str:
+    def unready(self, now: float) -> str:
         """Why no controller may act on the plant as it is armed; empty if one may."""
         if not self._spoilt and now - self._acted > IDLE:
             waited = f"armed for {now - self._acted:.1f} s while no controller acted"
@@ -177,7 +177,7 @@ class PlantSupervisor:
         self.readiness.look(now)
         if self.armed:
             self._arming.rest()
-            why = self.unfit(now)
+            why = self.unready(now)
             if why and not (self.calming or self._override.active):
                 self._arming.lower(now, why)
         elif not self.lost:
@@ -186,7 +186,7 @@ class PlantSupervisor:
 
     def arm_now(self, now: float) -> None:
         """A person wants it armed: done where all is ready, answered where it is not."""
-        if self.armed and not self.unfit(now):
+        if self.armed and not self.unready(now):
             self._outputs.say("the plant is armed already: nothing was done", warning=True)
         elif self.readiness.complete:
             self._arming.arm(now)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which policy is good: the last that came through an examination. What fails goes back to it.
+"""Rollback: a policy that fails is replaced by the last one that passed an examination.
 
 learner's state ──propose──> candidate ──accept──> last good ──(best score)──> best, on disk
                                  └────── stopped: roll_back to the last good one; after too many in a row: the end
@@ -13,7 +13,7 @@ from hydro_policy.supervision.learner_requests import RollingLearner
 
 
 class PolicyKeeper:
-    """Holds the last good state of the learner and counts how often it was needed.
+    """Keeps the last good state of the learner, and counts rollbacks.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task: Markov decision process, steps of 10 ms out of samples of 1 ms, cases to be tried, their scores.
+"""The task: Markov decision process, 10 ms steps from 1 ms samples, evaluation cases, scores.
 
 May import nothing else of this package.
 """

@@ -51,7 +51,7 @@ _PLANT = len(PLANT_FIELDS)
 
 @dataclass(frozen=True, kw_only=True)
 class GainRange:
-    """What the action may do to the gains: [-1, 1] covers [min, max] (paper Table training_agent)."""
+    """Range of the gain changes: actions in [-1, 1] cover [min, max] (paper Table training_agent)."""
 
     delta_kp_min: Annotated[float, quantity("1/s", -300.0, 300.0)] = 0.0
     """Smallest change of K_p."""

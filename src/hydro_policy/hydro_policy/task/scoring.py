@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What one run of an evaluation amounts to."""
+"""Scores of evaluation runs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hydro_policy.task.step_aggregator import HELD
 
 @dataclass(frozen=True, kw_only=True)
 class Score:
-    """One run."""
+    """Score of one run."""
 
     controller: str
     case: str
@@ -56,7 +56,7 @@ class Trace:
 
 
 def score(trace: Trace, repeat: int) -> Score:
-    """The figures of a run that came to its end."""
+    """Compute the score of a completed run."""
     states = trace.states
     error = states["reference_force"] - states["load_force"]
     steps = np.diff(states["sequence"].astype(np.int64))

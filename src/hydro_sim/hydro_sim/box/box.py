@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the MicroLabBox runs each millisecond, written once for the sim node, the emulator and the offline loop.
+"""The box: what the MicroLabBox runs each millisecond, shared by sim node, emulator and offline simulation.
 
 ::
 
@@ -46,7 +46,7 @@ EMULATED_BOX = "hydro emulator"
 
 @dataclass(frozen=True, kw_only=True)
 class BoxConfig:
-    """Settings of the box. The gain limits are the box's own, wider than what the guard lets a policy ask for."""
+    """Settings of the box. Its gain limits are wider than what the guard allows a policy."""
 
     base_kp: Annotated[float, quantity("1/s", 0.0, 500.0)] = 15.0
     """K_p (Table training_agent)."""
@@ -143,7 +143,7 @@ class Box:
 
 
 def with_base_gains(kp: float, ki: float) -> BoxConfig:
-    """A box with these base gains [1/s], [1/s^2] and the default's limits of the gains in all.
+    """A configuration with these base gains [1/s], [1/s^2] and the default limits of the total gains.
 
     Raises
     ------
@@ -159,13 +159,13 @@ def with_base_gains(kp: float, ki: float) -> BoxConfig:
 
 
 def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
-    """What a box of these settings says of itself, under this name."""
+    """The HELLO of a box with these settings, under this name."""
     settings = {entry.name: getattr(config, entry.name) for entry in fields(BoxInfo) if hasattr(config, entry.name)}
     return BoxInfo(name=name, valve_current_max=bench.valve_current_max, **settings)
 
 
 def box_details(bench: Bench, config: BoxConfig, ages: Sensors, epoch: int) -> BoxDetails:
-    """What a box of these settings says besides; `ages` of its rates, `epoch` of its power-on."""
+    """The DETAILS of a box with these settings; `ages` of its rates, `epoch` of its power-on."""
     names = ("feedback", "load_force_limit", "force_range", "pressure_min", "pressure_max", "hold_timeout")
     return BoxDetails(
         epoch=epoch, bench_digest=bench.digest, trip_timeout=config.trip_timeout,

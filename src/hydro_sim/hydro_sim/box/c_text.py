@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers and headers as C text, for what is generated beside the box in C."""
+"""Generation of C text: numbers and headers for the box in C."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ def reals(numbers: Iterable[float]) -> str:
 
 
 def wrapped(words: Iterable[str], width: int = 118, indent: str = "    ") -> str:
-    """Words with commas between them, in lines of no more than `width` characters."""
+    """Comma-separated words in lines of at most `width` characters."""
     lines, line = [], indent
     for word in words:
         if len(line) + len(word) + 2 > width and line.strip():

@@ -49,7 +49,7 @@ def structure(real: type[Any]) -> type[ctypes.Structure]:
 
 
 def values(bench: Bench, config: BoxConfig, sensors: Sensors, name: str) -> dict[str, Any]:
-    """What a box of these settings is configured by, by the fields of `hydro_config`; the bench's stand beside them."""
+    """Configuration of a box with these settings, by the fields of `hydro_config`, without the bench's."""
     believed, settings = bench.constants()[0], config.constants(bench)[0]
     result: dict[str, Any] = {field: float(believed[field]) for field in BENCH_FIELDS}
     result |= {field: float(settings[field]) for field in REAL_FIELDS if field != "force_range"}

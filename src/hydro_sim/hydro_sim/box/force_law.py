@@ -53,13 +53,13 @@ def nominal_current(bench, measurement, error, integral_action, reference_rate, 
 
 @njit(cache=True)
 def integral_action(form, integral, integral_gain):
-    """I [N/s] of what the integrator carries: itself, or in the paper's form K_i [1/s^2] times it [N s]."""
+    """Integral action I [N/s]: the integrator's state or, in the paper's form, K_i [1/s^2] times it [N s]."""
     return integral if form == BUMPLESS else integral_gain * integral
 
 
 @njit(cache=True)
 def integrate(form, integral, error, integral_gain, unlimited_current, current, period):
-    """What the integrator carries after one period [s]: N/s, in the paper's form N s.
+    """The integrator's state after one period [s], in N/s, or N s in the paper's form.
 
     It stands still while K_i e would push a saturated current further out; with a negative K_i that is an error of the
     other sign.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled inside of `box.box`: one record each for settings, command and state, and what happens to them.
+"""The compiled kernel of `box.box`, on records of settings, command and state.
 
 The same compiled functions serve one call per millisecond and the offline loop: both give the same numbers to the bit.
 """
@@ -54,7 +54,7 @@ RECOVERY_MARGIN = 20.0
 
 @njit(cache=True)
 def reset(states):
-    """As after power-up; `states` of shape (1,)."""
+    """Reset to power-on; `states` of shape (1,)."""
     state = states[0]
     state.sequence, state.faults = np.uint32(0), np.uint32(0)
     state.refused = state.refused_references = 0

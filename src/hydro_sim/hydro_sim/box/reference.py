@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force to track: waveforms with exact derivatives, and a cross-fade between them without a jump of either.
+"""Reference force: waveforms with exact derivatives, and cross-fades without jumps in value or rate.
 
 A signal runs on its own time t, zero when the box takes it up; a is its amplitude, o its offset, f its frequency:
 

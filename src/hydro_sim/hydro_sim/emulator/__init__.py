@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An emulated MicroLabBox: a truth plant unlike the simulated one, behind a pseudo-terminal or run offline.
+"""The emulator: a MicroLabBox with a truth plant independent of the simulated one, on a pseudo-terminal or offline.
 
 `truth` is the plant, `line` the serial line; `machine` adds the box; `offline` records it fast; `realtime` and
 `control` run it on the line; `command` is the executable.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A named pipe that takes orders while the emulator runs: `echo "unplug 2" > PATH`."""
+"""A named pipe for commands to a running emulator: `echo "unplug 2" > PATH`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ORDERS = (*CHANCES, "stall", "unplug", "clear", "reboot")
 
 
 class ControlPipe:
-    """Orders, one a line: a chance (`corrupt 0.01`), `stall 0.3`, `unplug 2`, `clear`, `reboot`."""
+    """Commands, one per line: a probability (`corrupt 0.01`), `stall 0.3`, `unplug 2`, `clear`, `reboot`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -48,8 +48,8 @@ class ControlPipe:
             self.path.unlink()
 
 
-def obey(order: str, machine: Machine, link: BoxLink, now: float) -> None:
-    """Carry out one order at time `now` [s].
+def execute(order: str, machine: Machine, link: BoxLink, now: float) -> None:
+    """Execute one command at time `now` [s].
 
     Raises
     ------

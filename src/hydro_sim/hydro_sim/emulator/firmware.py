@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The emulated bench with the box in C: its bytes come from the line and go to it, Python only carries them."""
+"""The emulated bench with the box in C; Python only transports its bytes."""
 
 from __future__ import annotations
 

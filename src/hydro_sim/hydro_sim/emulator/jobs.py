@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Offline recordings as files: from names of files to a rosbag2 folder, and the noise-free log apart from it."""
+"""Offline recordings to files: a rosbag2 folder, and a separate noise-free log."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import yaml
 from hydro_bridge.bags.recording import BagWriter
 from hydro_bridge.settings import quantity
 from hydro_sim.box.box import BoxConfig, Integral
-from hydro_sim.emulator.offline import Recording, record_offline, roomy
+from hydro_sim.emulator.offline import Recording, record_offline, with_gain_limits_for
 from hydro_sim.emulator.schedules import DEFAULT_SCHEDULE, fit_to
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth, profile
 from hydro_sim.excitation.schedules import Segment, load_schedule
@@ -43,7 +43,7 @@ def run(job: Job) -> Recording:
     segments: Sequence[Segment] = load_schedule(job.schedule) if job.schedule else DEFAULT_SCHEDULE
     if job.seconds is not None:
         segments = fit_to(segments, job.seconds)
-    box = roomy(segments, BoxConfig(integral=job.integral))
+    box = with_gain_limits_for(segments, BoxConfig(integral=job.integral))
     recording = record_offline(config, segments, bench=bench, box=box, seed=job.seed)
     write_bag(job.out, recording, bench)
     if job.noise_free:

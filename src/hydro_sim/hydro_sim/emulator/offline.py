@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of the emulated bench as fast as the machine computes: the same samples as in real time, to the bit."""
+"""Offline recordings of the emulated bench: the same samples as in real time, to the bit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from hydro_sim.model.bench import Bench
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """What one run left behind; all arrays have n samples."""
+    """One recorded run; all arrays have n samples."""
 
     states: StateArray
     """What the bench recorded, `STATE_DTYPE`, shape (n,)."""
@@ -63,7 +63,7 @@ def record_offline(
     seed
         Of noise and random force.
     """
-    settings = box or roomy(segments)
+    settings = box or with_gain_limits_for(segments)
     machine = Machine(config, bench, settings, seed)
     commands, which = _schedule(segments, settings)
     states, clean, physical = machine.run(commands, which)
@@ -78,7 +78,7 @@ def noise_free_states(states: StateArray, clean: FloatArray) -> StateArray:
     return result
 
 
-def roomy(segments: Sequence[Segment], base: BoxConfig | None = None) -> BoxConfig:
+def with_gain_limits_for(segments: Sequence[Segment], base: BoxConfig | None = None) -> BoxConfig:
     """`base` (absent: the defaults) with gain limits wide enough for the segments."""
     base = base or BoxConfig()
     kp = [segment.kp - base.base_kp for segment in segments]

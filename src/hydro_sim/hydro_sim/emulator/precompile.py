@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What set-up runs so that the emulator does not compile: each entry point once."""
+"""Compilation at set-up: each compiled entry point of the emulator is called once."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ import numpy as np
 from hydro_bridge.process.realtime import limit_run
 from hydro_bridge.settings import SettingsError
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, FloatArray
-from hydro_sim.emulator.control import ControlPipe, obey
+from hydro_sim.emulator.control import ControlPipe, execute
 from hydro_sim.emulator.line.faults import LinkFaults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.machine import Machine
@@ -32,7 +32,7 @@ _PR_SET_TIMERSLACK = 29
 
 @dataclass
 class Timing:
-    """How well the deadlines were met."""
+    """Statistics of the deadlines."""
 
     samples: int = 0
     late: int = 0  # samples that began more than a period late
@@ -42,7 +42,7 @@ class Timing:
 
 
 class Log:
-    """Samples and truth of a run, in blocks; for scoring only."""
+    """Log of samples and truth of a run, in blocks; for scoring only."""
 
     BLOCK = 10_000
 
@@ -140,7 +140,7 @@ class RealTime:
         assert self.control is not None
         for order in self.control.lines():
             try:
-                obey(order, self.machine, self.link, now)
+                execute(order, self.machine, self.link, now)
             except SettingsError as error:
                 print(f"error: {error}", file=sys.stderr)
 
@@ -157,7 +157,7 @@ class RealTime:
 
 
 def raise_priority() -> str:
-    """Ask the kernel for real-time scheduling and exact timers; returns what it granted, in words."""
+    """Ask the kernel for real-time scheduling and exact timers; returns a sentence on what was granted."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns; 50 us by default
     try:

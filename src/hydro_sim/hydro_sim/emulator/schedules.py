@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an offline recording does if it is told nothing, and how a schedule is made to last."""
+"""The default schedule of offline recordings, and fitting a schedule to a duration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ DEFAULT_SCHEDULE = (
 
 
 def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:
-    """The segments, repeated or cut so that they last `seconds` in all."""
+    """Repeat or cut the segments so that they last `seconds` in total."""
     result: list[Segment] = []
     left = seconds
     while left > 0.5 * SAMPLE_PERIOD:

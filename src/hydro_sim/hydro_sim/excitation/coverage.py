@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which part of the state space a recording visited."""
+"""Coverage of the state space by a recording."""
 
 from __future__ import annotations
 

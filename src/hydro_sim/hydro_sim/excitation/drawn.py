@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Random references and gains that visit the working range, drawn from a seed: what a training recording is made of."""
+"""Random excitation: seeded references and gains that cover the working range, for training recordings."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hydro_sim.excitation.schedules import Segment, name_of
 
 @dataclass(frozen=True, kw_only=True)
 class Range:
-    """What is drawn from. The defaults keep the nominal bench and the emulator's default truth from tripping."""
+    """Ranges of the excitation. The defaults do not trip the nominal bench or the emulator's default truth."""
 
     seconds: tuple[float, float] = (2.0, 6.0)
     """s, of one segment."""

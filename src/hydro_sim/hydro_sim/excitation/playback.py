@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a schedule stands that is played into a plant, and how often the plant has tripped under it."""
+"""Playback of a schedule into a plant: position in the schedule, and trips so far."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hydro_sim.excitation.schedules import Segment
 
 
 class Playback:
-    """One segment after the other, by the plant's own armed samples: while it is disarmed the schedule stands still."""
+    """Plays segments by the plant's armed samples: while it is disarmed the schedule pauses."""
 
     def __init__(self, schedule: Sequence[Segment]) -> None:
         self._schedule = list(schedule)

@@ -30,7 +30,7 @@ def name_of(waveform: int) -> WaveformName:
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """A stretch of a recording: one reference and one pair of gains (in all, not added to the box's)."""
+    """One segment of a schedule: one reference and one pair of total gains."""
 
     seconds: Annotated[float, quantity("s", 1e-3, 36000.0)]
     waveform: WaveformName = "sine"

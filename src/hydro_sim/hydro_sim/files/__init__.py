@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that learning reads and leaves: recordings as runs, weights, and what each was made for.
+"""Files of learning: recordings as runs, weights, and the box that each file belongs to.
 
 May import `model`.
 """

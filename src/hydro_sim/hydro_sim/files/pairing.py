@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a learned file was made for, and in one sentence why it does not belong to a box that believes something else.
+"""Pairing of learned files with boxes: the bench file and gains that a file was made for, and mismatches.
 
 Model, metric, policy and agent carry a `MadeFor` in their header, entry `made_for` of the JSON `hydro`::
 
@@ -28,12 +28,12 @@ ENTRY = "made_for"
 
 
 class PairingError(UserError):
-    """Things that do not belong together; the message is one sentence that says which file or command would fit."""
+    """A file does not match the box; the message is one sentence that names the file or command that would."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MadeFor:
-    """What a file was made for."""
+    """The box that a file was made for."""
 
     box: str
     """`Bench.digest` of what the box believed."""
@@ -54,8 +54,8 @@ class MadeFor:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Believed:
-    """What a box believes, as far as it is known where something is to be paired with it."""
+class BoxIdentity:
+    """Identity of a box, as far as known: its bench file, base gains and integral form."""
 
     digest: str
     """Empty: not known."""
@@ -66,13 +66,13 @@ class Believed:
     integral: str = ""
 
     @classmethod
-    def of_file(cls, path: str | Path | None, base_gains: tuple[float, float] | None = None) -> Believed:
+    def of_file(cls, path: str | Path | None, base_gains: tuple[float, float] | None = None) -> BoxIdentity:
         """Of a box that believes this bench.yaml; None: the nominal one."""
         bench = Bench.load(path) if path else Bench.nominal()
         return cls(digest=bench.digest, source=str(path or "bench.yaml of hydro_sim"), base_gains=base_gains)
 
     @classmethod
-    def of_box(cls, box: KnownBox) -> Believed:
+    def of_box(cls, box: KnownBox) -> BoxIdentity:
         """Of a box that runs."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
         return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=box.integral)
@@ -84,15 +84,15 @@ class Believed:
 
 
 def made_for(header: Mapping[str, Any]) -> MadeFor | None:
-    """What a file's header says; None where it says nothing that is understood."""
+    """The stamp in a file's header; None if there is none that can be read."""
     try:
         return MadeFor(**header[ENTRY])
     except (KeyError, TypeError):
         return None
 
 
-def unfit(thing: str, made: MadeFor | None, box: Believed, remedy: str, *, model: str | None = None) -> str:
-    """Why `thing` does not belong to this box, in one sentence that ends with the remedy; empty where it does.
+def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *, model: str | None = None) -> str:
+    """Why `thing` does not match this box, in one sentence that ends with the remedy; empty if it does.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def unfit(thing: str, made: MadeFor | None, box: Believed, remedy: str, *, model
     return ""
 
 
-def refuse(trouble: str) -> None:
-    """Raise PairingError if there is any."""
+def raise_if_mismatched(trouble: str) -> None:
+    """Raise PairingError unless `sentence` is empty."""
     if trouble:
         raise PairingError(trouble)

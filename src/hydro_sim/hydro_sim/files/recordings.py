@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings as training sees them: unbroken runs of x and u, split by recording and by time, never by sample."""
+"""Recordings as training data: gapless runs of x and u, split by recording and by time, never by sample."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def digest(states: StateArray) -> str:
 
 
 def runs(name: str, states: StateArray) -> list[Run]:
-    """The unbroken runs of a recording, long enough to use, sensors whole."""
+    """The gapless runs of a recording that are long enough and have valid sensors."""
     x, u = matrix(states), np.ascontiguousarray(states["valve_current"])
     good = np.isfinite(x).all(axis=1) & np.isfinite(u) & ((states["flags"] & Flag.SENSOR_FAULT) == 0)
     joined = good[1:] & good[:-1] & (np.diff(states["sequence"]).view(np.int32) == 1)
@@ -78,7 +78,7 @@ def runs(name: str, states: StateArray) -> list[Run]:
 
 @dataclass(frozen=True, kw_only=True)
 class Data:
-    """What a model is trained on and stopped by."""
+    """Training and validation data."""
 
     training: list[Run]
     validation: list[Run]
@@ -91,8 +91,8 @@ def load(paths: Sequence[str | Path]) -> dict[str, StateArray]:
     return {Path(path).name: read_bag(path).state for path in paths}
 
 
-def believed(paths: Sequence[str | Path]) -> str:
-    """Digest of the bench.yaml that the box believed in these recordings; empty where none says.
+def believed_bench(paths: Sequence[str | Path]) -> str:
+    """Digest of the box's bench.yaml in these recordings; empty if none states it.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Say what a model, metric, policy or agent was made for, in files of before there were stamps.
+"""Stamps older model, metric, policy and agent files with the box that they were made for.
 
 ros2 run hydro_sim stamp FILE...                                       what they say
 ros2 run hydro_sim stamp FILE... --bench own.yaml [--model WEIGHTS]    write what they were made with

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing into a safetensors file what it was made for, without touching its tensors.
+"""Stamps in safetensors files: the box that a file was made for; tensors are not touched.
 
 A safetensors file is the header's length (u64, little endian), the header as JSON, filled with blanks to a multiple of
 eight, and the tensors, whose places count from the header's end.
@@ -33,7 +33,7 @@ def header_of(blob: bytes) -> dict[str, Any]:
 
 
 def stamp_of(path: Path) -> MadeFor | None:
-    """What a file was made for; None where it does not say, or is none of ours."""
+    """The stamp of a file; None if it has none or is not ours."""
     try:
         return made_for(header_of(path.read_bytes()))
     except ValueError:

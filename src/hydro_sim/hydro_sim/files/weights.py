@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weights on disk: a safetensors file of a few kB whose header says in JSON what they are. Never pickle.
+"""Weights on disk: a safetensors file of a few kB with a JSON header. Never pickle.
 
 The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state,
 normalization,
@@ -75,12 +75,12 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
 
 
 def shipped() -> Path:
-    """The weights that come with this package."""
+    """Path of the weights shipped with this package."""
     return Path(str(resources.files("hydro_sim") / "data" / "default_weights.safetensors"))
 
 
 def digest(path: str | Path) -> str:
-    """SHA-256 of a file's tensors, its first digits: a stamp or a note in the header makes no other model of it.
+    """First digits of the SHA-256 of a file's tensors; stamps and notes in the header do not change it.
 
     Raises
     ------

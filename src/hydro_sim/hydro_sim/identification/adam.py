@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Adam (Kingma and Ba, 2015) on one vector, with early stopping: the loop that trains every structure.
+"""The training loop of every model structure: Adam (Kingma and Ba, 2015) on one vector, with early stopping.
 
 An epoch depends on the parameters, the optimizer's state, and the epoch's number alone (shuffles are drawn from seed
 and epoch): a run that was resumed gives the same numbers, to the bit, as one that was not interrupted.
@@ -15,13 +15,14 @@ from typing import Protocol
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.neural import adam_kernel
 
 GAIN = 1e-3
 """Share by which a validation must be better than the best to count."""
 
 
 class Objective(Protocol):
-    """What is trained."""
+    """A training objective."""
 
     def refresh(self, parameters: FloatArray) -> None:
         """Do anew what depends on the model but is not trained through: the windows' start states."""
@@ -35,7 +36,7 @@ class Objective(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """How long and how fast."""
+    """Settings of the training loop."""
 
     epochs: int = 1000
     """[1, 100000] (Table training)."""
@@ -55,7 +56,7 @@ class Settings:
 
 @dataclass(kw_only=True)
 class Progress:
-    """Where training stands: all that the loop goes on from."""
+    """Progress of a training: everything that the loop resumes from."""
 
     parameters: FloatArray
     first_moment: FloatArray
@@ -92,7 +93,7 @@ class Progress:
 
 
 def train(objective: Objective, settings: Settings, progress: Progress) -> Iterator[Progress]:
-    """Train on from `progress`, in place; yields it after every epoch. Ends at the last epoch or out of patience."""
+    """Continue training from `progress`, in place; yields it after every epoch, until the last or early stopping."""
     objective.refresh(progress.anchor)
     while progress.epoch < settings.epochs and progress.epoch - progress.best_epoch < settings.patience:
         if progress.epoch % settings.refresh_every == 0 and progress.epoch > 0:
@@ -123,10 +124,7 @@ def _step(progress: Progress, gradient: FloatArray, rate: float, clip: float) ->
     norm = float(np.linalg.norm(gradient))
     if not math.isfinite(norm):
         return
-    gradient = gradient * min(1.0, clip / max(norm, 1e-30))
+    gradient = (gradient * min(1.0, clip / max(norm, 1e-30))).astype(progress.parameters.dtype)
+    moments = progress.first_moment, progress.second_moment
+    adam_kernel.step(adam_kernel.Adam(progress.parameters, gradient, *moments, rate, progress.steps), 1)
     progress.steps += 1
-    progress.first_moment += 0.1 * (gradient - progress.first_moment)
-    progress.second_moment += 0.001 * (gradient * gradient - progress.second_moment)
-    mean = progress.first_moment / (1.0 - 0.9**progress.steps)
-    spread = progress.second_moment / (1.0 - 0.999**progress.steps)
-    progress.parameters -= rate * mean / (np.sqrt(spread) + 1e-8)

@@ -18,8 +18,8 @@ from hydro_sim.structured.model import first_guess
 from hydro_sim.structured.rollout import differentiate, show
 
 
-def left_out(bench: Bench) -> str:
-    """A sentence that names the bench file's effects and closures, which predictions from mid-run leave out.
+def omitted_terms(bench: Bench) -> str:
+    """A sentence that names the bench file's effects and closures, which this model omits.
 
     What has a past (spool, bristles, a dead time) cannot start there from a measurement. Closed-loop simulations start
     at rest and leave nothing out: `hydro_sim.model.plant.AnalyticPlant`.

@@ -98,7 +98,7 @@ class Batch:
 
 @dataclass
 class Fit:
-    """Where the search stands."""
+    """State of the search."""
 
     q: FloatArray
     s: FloatArray
@@ -109,7 +109,7 @@ class Fit:
 
 
 class Problem:
-    """The search on a batch.
+    """Least-squares problem on a batch.
 
     Parameters
     ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a bench file names is learnt: every parameter of its effects and closures, from recordings.
+"""Learns the parameters of a bench file's effects and closures from recordings.
 
 Rounds of two halves: the filter follows the recordings with the parameters so far and says where windows begin
 (`bench_states`), then parameters and starts are fitted to the windows together (`bench_fit`). At first the filter
@@ -18,7 +18,7 @@ import numpy as np
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import Data, Run
 from hydro_sim.identification.bench_fit import PRIOR, Batch, Coordinates, Fit, Problem
-from hydro_sim.identification.bench_states import Follower, noise_of
+from hydro_sim.identification.bench_states import StateEstimator, noise_of
 from hydro_sim.identification.objectives import SETTLED, Indices
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import DEAD_TIME, READINGS, BenchModel
@@ -44,7 +44,7 @@ Report = Callable[[str], None]
 
 @dataclass(frozen=True, kw_only=True)
 class Identified:
-    """A parameter that was learnt."""
+    """A learned parameter."""
 
     name: str
     unit: str
@@ -60,7 +60,7 @@ class Identified:
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """A bench that was learnt."""
+    """A learned bench."""
 
     bench: Bench
     parameters: list[Identified]
@@ -92,7 +92,7 @@ def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: 
     q, matrix = _fitted(exact, coordinates, data.training, chosen, noise, report)
     deviation = np.sqrt(np.diag(np.linalg.inv(matrix)))
     theta = coordinates.theta(q)
-    left, _ = least_left(exact, theta, noise, data.validation)
+    left, _ = best_prediction_rmse(exact, theta, noise, data.validation)
     return Result(
         bench=_with(bench, exact.model, theta), parameters=_identified(exact.model, coordinates, q, deviation),
         noise=noise, left=left,
@@ -107,7 +107,7 @@ def _fitted(
     matrix: FloatArray = np.empty((0, 0))
     weights, q = noise, coordinates.q(coordinates.values)
     for number, trust in enumerate(TRUSTS, 1):
-        follower = Follower(exact, coordinates.theta(q), weights, trust)
+        follower = StateEstimator(exact, coordinates.theta(q), weights, trust)
         problem = Problem(exact, coordinates, _batch(follower, runs, chosen, weights))
         fit = Fit(q=q, s=np.zeros((len(problem.batch.starts), exact.held)))
         for _ in range(ITERATIONS):
@@ -121,17 +121,17 @@ def _fitted(
     return q, matrix
 
 
-def left_of(bench: Bench, runs: list[Run]) -> FloatArray:
-    """What 70-sample predictions of a bench leave of the readings of runs, RMSE, shape (5,); starts by the filter."""
+def prediction_rmse(bench: Bench, runs: list[Run]) -> FloatArray:
+    """RMSE of a bench's 70-sample predictions of the readings, shape (5,); initial states by the filter."""
     model = BenchModel(bench, substeps=SUBSTEPS)
-    return least_left(Sensitivities(model), model.values, noise_of(runs), runs)[0]
+    return best_prediction_rmse(Sensitivities(model), model.values, noise_of(runs), runs)[0]
 
 
-def least_left(
+def best_prediction_rmse(
     exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
-) -> tuple[FloatArray, Follower]:
-    """As `left_of`, with the trust of the filter that leaves least; and that filter."""
-    followers = [Follower(exact, theta, noise, trust) for trust in TRIED]
+) -> tuple[FloatArray, StateEstimator]:
+    """As `prediction_rmse`, with the trust of the filter that leaves least; and that filter."""
+    followers = [StateEstimator(exact, theta, noise, trust) for trust in TRIED]
     found = [(_left(follower, runs), follower) for follower in followers]
     return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
 
@@ -175,7 +175,7 @@ def _windows(runs: list[Run], count: int, generator: np.random.Generator) -> lis
     return [np.sort([places[j][1] for j in picked if places[j][0] == i]).astype(np.int64) for i in range(len(runs))]
 
 
-def _batch(follower: Follower, runs: list[Run], chosen: list[Indices], weights: FloatArray) -> Batch:
+def _batch(follower: StateEstimator, runs: list[Run], chosen: list[Indices], weights: FloatArray) -> Batch:
     starts = [follower.starts(run, samples) for run, samples in zip(runs, chosen, strict=True)]
     steps = np.arange(HORIZON)
     return Batch(
@@ -186,7 +186,7 @@ def _batch(follower: Follower, runs: list[Run], chosen: list[Indices], weights: 
     )  # fmt: skip
 
 
-def _left(follower: Follower, runs: list[Run]) -> FloatArray:
+def _left(follower: StateEstimator, runs: list[Run]) -> FloatArray:
     """RMSE of predictions from the filter's states against the readings, shape (5,)."""
     squares, windows = np.zeros(READINGS), 0
     for run in runs:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bench file as a predictor: states by its filter, hidden ones with them, and predictions by its compiled model."""
+"""A bench file as a predictor: states by its Kalman filter, predictions by its compiled model."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.files.recordings import READING_COLUMNS, Run
-from hydro_sim.identification.bench_learning import SUBSTEPS, least_left
+from hydro_sim.identification.bench_learning import SUBSTEPS, best_prediction_rmse
 from hydro_sim.identification.bench_states import noise_of
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
@@ -35,7 +35,7 @@ class BenchPrediction:
     def __init__(self, bench: Bench, runs: list[Run]) -> None:
         self.model = BenchModel(bench, substeps=SUBSTEPS)
         noise = noise_of(runs)
-        left, self.follower = least_left(Sensitivities(self.model), self.model.values, noise, runs)
+        left, self.follower = best_prediction_rmse(Sensitivities(self.model), self.model.values, noise, runs)
         self.quality = Quality.of((left / noise).tolist())
         record = Sensors().constants()[0]
         self.memories = np.array([record[name] for name in MEMORIES])

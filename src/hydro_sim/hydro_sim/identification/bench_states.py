@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a bench of any effects is, from the readings up to a sample: the start of a prediction, and how sure it is.
+"""State estimation for a bench with any effects: initial states of predictions, with covariances.
 
 An extended Kalman filter on the bench's model follows a run. What it thinks where a window begins is the window's first
 guess, and its covariance says which way the start may be wrong: along the columns of `root`, each one standard
@@ -45,8 +45,8 @@ class Starts:
     """Shape (n, held, held): square roots of the guesses' covariances."""
 
 
-class Follower:
-    """The filter with a model's parameters.
+class StateEstimator:
+    """The extended Kalman filter with a model's parameters.
 
     Parameters
     ----------
@@ -63,7 +63,7 @@ class Follower:
     def __init__(self, exact: Sensitivities, theta: FloatArray, noise: FloatArray, trust: float) -> None:
         self.exact, self.theta, self.noise = exact, theta, noise
         self.k, _ = exact.coefficients(theta)
-        self.q = (trust * missed(exact.model)[: exact.held]) ** 2
+        self.q = (trust * process_noise(exact.model)[: exact.held]) ** 2
 
     def states(self, run: Run) -> FloatArray:
         """At every sample of a run, shape (n, states)."""
@@ -94,8 +94,8 @@ class Follower:
         return Track(y, np.diag(spread**2))
 
 
-def missed(model: BenchModel) -> FloatArray:
-    """Standard deviation that a sample adds to each state at a trust of 1, shape (states,)."""
+def process_noise(model: BenchModel) -> FloatArray:
+    """Process noise: standard deviation per sample of each state at a trust of 1, shape (states,)."""
     result = MISSED_HIDDEN * np.array([state.scale for state in model.states])
     result[:TEXTBOOK] = 0.0
     result[:2] = MISSED_PRESSURE * model.bench.supply_pressure

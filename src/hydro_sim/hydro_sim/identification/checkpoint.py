@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What `learn --resume` goes on from: where the loop stands, the model that it trains, and what was asked for."""
+"""Checkpoint of `learn`: progress of the loop, the model, and the options."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who computes a batch's loss and gradient: the compiled kernels on the CPU's cores, or torch on a GPU."""
+"""Engines for a batch's loss and gradient: the compiled kernels on the CPU, or torch on a GPU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from hydro_sim.structured import rollout
 DEVICES = ("auto", "cpu", "cuda")
 
 
-class Compiled:
+class CompiledEngine:
     """The kernels of this package, on numba's threads."""
 
     name = "cpu"
@@ -32,7 +32,7 @@ class Compiled:
         return rollout.loss_and_gradients(*batch, numba.get_num_threads())
 
 
-class OnTorch:
+class TorchEngine:
     """torch on one of its devices."""
 
     def __init__(self, device: str) -> None:
@@ -54,7 +54,7 @@ class OnTorch:
 
 
 def engines(device: str) -> tuple[Engine, ...]:
-    """Those that the word allows: `cpu`, `cuda`, or `auto`, which is both where there is a GPU.
+    """Engines for `cpu`, `cuda`, or `auto`, which is both where there is a GPU.
 
     Raises
     ------
@@ -64,10 +64,10 @@ def engines(device: str) -> tuple[Engine, ...]:
     if device not in DEVICES:
         raise ValueError(f"device is {device!r}, known are {', '.join(DEVICES)}")
     if device == "cpu" or (device == "auto" and not _has_gpu()):
-        return (Compiled(),)
+        return (CompiledEngine(),)
     if not _has_gpu():
         raise ValueError("device is cuda, but torch finds no GPU here")
-    return (OnTorch("cuda"),) if device == "cuda" else (Compiled(), OnTorch("cuda"))
+    return (TorchEngine("cuda"),) if device == "cuda" else (CompiledEngine(), TorchEngine("cuda"))
 
 
 def _has_gpu() -> bool:
@@ -78,8 +78,8 @@ def _has_gpu() -> bool:
     return bool(torch.cuda.is_available())
 
 
-def quickest(choice: tuple[Engine, ...], gradient: Callable[[Engine], object]) -> Engine:
-    """The one that computes a gradient in the least time, each tried twice: the first time it compiles or starts."""
+def fastest_engine(choice: tuple[Engine, ...], gradient: Callable[[Engine], object]) -> Engine:
+    """The engine with the fastest gradient; each is run twice, because the first call compiles or initialises."""
     if len(choice) == 1:
         return choice[0]
     taken = []

@@ -21,7 +21,7 @@ from hydro_sim.identification.objectives import SETTLED, Indices
 
 
 class Predictor(Protocol):
-    """What is judged."""
+    """A model under evaluation."""
 
     def estimate(self, run: Run) -> FloatArray:
         """States at the samples of a run."""
@@ -32,7 +32,7 @@ class Predictor(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Of one predictor on one recording, SI units."""
+    """Errors of one predictor on one recording, SI units."""
 
     rmse: FloatArray
     """Over all windows and samples of the horizon, shape (8,)."""
@@ -64,7 +64,7 @@ def errors(predictor: Predictor, states: FloatArray, run: Run, truth: FloatArray
 
 @dataclass(frozen=True, kw_only=True)
 class Scales:
-    """What errors are divided by, shape (8,) each."""
+    """Scales of the errors, shape (8,) each."""
 
     std: FloatArray
     span: FloatArray
@@ -77,7 +77,7 @@ class Scales:
 
 @dataclass(frozen=True, kw_only=True)
 class Scored:
-    """One recording's run with what it is judged by."""
+    """One recorded run with its reference."""
 
     run: Run
     truth: FloatArray | None
@@ -113,6 +113,6 @@ def prediction_errors(
 
 
 def noise_floor(scored: list[Scored]) -> FloatArray | None:
-    """RMS of recording minus noise-free log, shape (8,): what a perfect model would leave; None without a log."""
+    """Noise floor, shape (8,): RMS of recording minus noise-free log; None without a log."""
     differences = [item.run.x - item.truth for item in scored if item.truth is not None]
     return np.sqrt(np.mean(np.concatenate(differences) ** 2, axis=0)) if len(differences) == len(scored) else None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First half of training the structured model: its constants, by Levenberg-Marquardt on many short windows.
+"""First stage of training the structured model: its constants, by Levenberg-Marquardt on many short windows.
 
 A window's start is not known well enough, so it is estimated along with the constants: every window has its own start
 state s,
@@ -36,7 +36,7 @@ Readings = Callable[[FloatArray, FloatArray, slice], FloatArray]
 
 @dataclass
 class Fit:
-    """Where the search stands."""
+    """State of the search."""
 
     theta: FloatArray
     starts: FloatArray
@@ -71,7 +71,7 @@ class _Normal:
 def improve(
     fit: Fit, readings: Readings, targets: FloatArray, guesses: FloatArray, spread: FloatArray, learned: Indices
 ) -> bool:
-    """One iteration, in place; whether it got better by more than a part in a thousand.
+    """One iteration, in place; returns whether the loss fell by more than a thousandth.
 
     Parameters
     ----------

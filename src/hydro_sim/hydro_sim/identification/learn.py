@@ -60,19 +60,19 @@ def main() -> None:
         return
     _check(options)
     out, began = Path(options.out), time.monotonic()
-    before = going_on(options)
+    before = resumed(options)
     settings = before.settings if before else _settings(options)
     numba.set_num_threads(min(options.threads or numba.config.NUMBA_NUM_THREADS, numba.config.NUMBA_NUM_THREADS))
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
     if bench.terms:
         _say(f"the learning starts from the bench file's numbers, without its {len(bench.terms)} effects and closures")
-    data, box = recordings.split(recordings.load(options.bags)), recordings.believed(options.bags)
+    data, box = recordings.split(recordings.load(options.bags)), recordings.believed_bench(options.bags)
     threadpool_limits(1, "blas")  # numba's threads call BLAS: its own would only get in their way
     if before and before.asked["recordings"] != data.digests:
         raise UserError(f"{_checkpoint(out)} is of other recordings: {', '.join(before.asked['recordings'])}")
     last, model = _train(before or _begun(options, data, settings, bench), data, _checkpoint(out))
     if isinstance(model, StructuredModel):
-        model = stages.trusted(model, data)
+        model = stages.tune_observer(model, data)
     facts = {
         "recordings": data.digests, "command": " ".join(["learn", *sys.argv[1:]]), "seed": settings.seed,
         "settings": asdict(settings), "code": _code_version(), "validation_error": last.best_error,
@@ -89,8 +89,8 @@ def _checkpoint(out: Path) -> Path:
     return out.with_suffix(".checkpoint")
 
 
-def going_on(options: argparse.Namespace) -> Checkpoint | None:
-    """What --resume goes on from, with what may change; UserError where the words say otherwise than it was begun."""
+def resumed(options: argparse.Namespace) -> Checkpoint | None:
+    """The checkpoint to resume, with changed options; UserError if an option contradicts it."""
     path = _checkpoint(Path(options.out))
     if not options.resume:
         return None
@@ -113,7 +113,7 @@ def _begun(options: argparse.Namespace, data: recordings.Data, settings: trainin
     """A training at its beginning; of a structured model the constants are identified."""
     model = training.start(data, settings, bench)
     if isinstance(model, StructuredModel):
-        model = stages.identified(model, data, settings.identify_windows, settings.seed, _say)
+        model = stages.fit_constants(model, data, settings.identify_windows, settings.seed, _say)
     asked = {"recordings": data.digests, "bench": options.bench and os.path.abspath(options.bench)}
     return Checkpoint(progress=adam.Progress.begin(model.flat), model=model, settings=settings, asked=asked)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`learn --structure bench`: a bench file in, the same one with its effects' parameters learnt out."""
+"""`learn --structure bench`: fits the parameters of a bench file's effects and writes the file anew."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hydro_bridge.files.atomic import write_whole
 from hydro_sim.files import recordings
 from hydro_sim.identification import bench_learning
 from hydro_sim.identification.bench_learning import Result
-from hydro_sim.learned.any_model import BENCH_FILES, is_bench
+from hydro_sim.learned.any_model import BENCH_FILES, is_bench_file
 from hydro_sim.model.bench import Bench
 
 STRUCTURE = "bench"
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace, said: Collection[str]) -> None:
         raise UserError(f"--structure {STRUCTURE} learns what a bench file names: name one by --bench")
     if options.windows < 1 or options.seed < 0:
         raise UserError("--windows needs 1 or more, --seed 0 or more")
-    if not is_bench(options.out):
+    if not is_bench_file(options.out):
         raise UserError(f"--out {options.out}: a bench file's name ends in {' or '.join(BENCH_FILES)}")
     bench = Bench.load(options.bench)
     if not bench.terms:
@@ -68,8 +68,8 @@ def run(options: argparse.Namespace, said: Collection[str]) -> None:
     print(f"{options.out}: {judgement}")
 
 
-def stated(result: Result) -> Bench:
-    """The learnt bench, with what is known of it."""
+def with_quality(result: Result) -> Bench:
+    """The learned bench with its measured quality."""
     return replace(result.bench, learned={"bench": result.bench.digest, **result.quality.to_mapping()})
 
 
@@ -91,4 +91,4 @@ def _write(result: Result, out: Path, judgement: str, digests: dict[str, str]) -
     lines += [f"{one.name}: 95 % within {one.low:.6g} and {one.high:.6g} {one.unit}" for one in result.parameters]
     head = "".join(f"# {line}\n" for line in lines)
     out.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(out, (head + yaml.safe_dump(stated(result).to_mapping(), sort_keys=False)).encode())
+    write_whole(out, (head + yaml.safe_dump(with_quality(result).to_mapping(), sort_keys=False)).encode())

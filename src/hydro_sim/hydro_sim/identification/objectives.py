@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the training loop minimizes: windows of H samples, rolled out, against what was recorded."""
+"""Training objectives: errors of H-sample roll-outs against the recordings."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.files.recordings import READING_COLUMNS, Run
-from hydro_sim.identification.engines import Compiled
+from hydro_sim.identification.engines import CompiledEngine
 from hydro_sim.neural.deep_model import DeepModel
 from hydro_sim.neural.engine import Engine
 from hydro_sim.neural.network_model import NetworkModel
@@ -84,7 +84,7 @@ class NetworkObjective:
         seed: int,
         printed: bool = False,
     ) -> None:
-        self.engine: Engine = Compiled()
+        self.engine: Engine = CompiledEngine()
         self.model, self.batch, self.seed, self.printed = model, batch, seed, printed
         self.training, self.validation = training, validation
         self.z, self.v = model.normalized(training.x, training.u)
@@ -118,7 +118,7 @@ class StructuredObjective:
     def __init__(
         self, model: StructuredModel, training: Windows, validation: Windows, *, batch: int, seed: int
     ) -> None:
-        self.engine: Engine = Compiled()
+        self.engine: Engine = CompiledEngine()
         self.model, self.batch, self.seed = model, batch, seed
         self.training, self.validation = training, validation
         self.weights = 1.0 / model.left

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which windows, which weights, which observer: the stages by which the structured model's constants are found.
+"""Stages of fitting the structured model's constants: windows, weights, observer.
 
 `identify` has the search itself. Readings are first weighed by their noise, taken for 100 times what it is, so that a
 poor start does not send the search astray. Where the model then leaves more than noise, readings are weighed by what
@@ -37,8 +37,8 @@ GUESS_SPREAD: FloatArray = np.array([2e4, 2e4, 2e-6, 5e-3, 2e-3, 1.0, 2.0, 200.0
 Report = Callable[[str], None]
 
 
-def identified(model: StructuredModel, data: Data, count: int, seed: int, report: Report) -> StructuredModel:
-    """The model with its constants fitted to `count` windows of the training runs, and its observer's trust."""
+def fit_constants(model: StructuredModel, data: Data, count: int, seed: int, report: Report) -> StructuredModel:
+    """Fit the model's constants to `count` windows of the training runs, and tune its observer."""
     windows = Windows(data.training, IDENTIFY_HORIZON, 1)
     chosen = np.random.default_rng(seed).choice(windows.starts(), count, replace=False)
     few, all_ = np.sort(chosen[::3]), np.sort(chosen)
@@ -47,16 +47,16 @@ def identified(model: StructuredModel, data: Data, count: int, seed: int, report
     rounds = [(NOISE_SCALES[-2:], ITERATIONS)] + REWEIGHTINGS * [(NOISE_SCALES[-1:], REWEIGHTED_ITERATIONS)]
     for scales, iterations in rounds:
         states = np.concatenate([model.estimate(run)[:, :STATES] for run in data.training])
-        model = trusted(_fit(model, windows, all_, states[all_], scales, iterations, report), data)
-        before, model = model.left, replace(model, left=left(model, data))
+        model = tune_observer(_fit(model, windows, all_, states[all_], scales, iterations, report), data)
+        before, model = model.left, replace(model, left=prediction_rms(model, data))
         report(f"left of the readings, over their noise: {model.left / observer.READING_NOISE}")
         if np.abs(np.log(model.left / before)).max() < SETTLED_LEFT:
             break
     return model
 
 
-def left(model: StructuredModel, data: Data) -> FloatArray:
-    """RMS of what the model's predictions of the validation runs leave of each reading, shape (5,); noise at least."""
+def prediction_rms(model: StructuredModel, data: Data) -> FloatArray:
+    """RMS prediction error of each reading on the validation runs, shape (5,), at least the noise."""
     check = _validation(model, data)
     return np.asarray(np.maximum(check.errors(model.flat), observer.READING_NOISE))
 
@@ -108,8 +108,8 @@ def _readings(model: StructuredModel, currents: FloatArray, noise: FloatArray) -
     return readings
 
 
-def trusted(model: StructuredModel, data: Data) -> StructuredModel:
-    """The model with the observer's trust that predicts the validation runs best, each reading on its own scale."""
+def tune_observer(model: StructuredModel, data: Data) -> StructuredModel:
+    """Tune the observer's trust for the best predictions of the validation runs, each reading on its own scale."""
     best, least = model, np.inf
     for trust in (0.03, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0):
         tried = replace(model, trust=trust)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Loss and gradient of both structures by torch, on any of its devices: what a GPU computes.
+"""Loss and gradient of both structures in torch, for GPUs.
 
 Written plainly, a line an equation: tests check the compiled gradients with it, benchmarks time it. Arrays in and out
 are numpy's; torch computes in their precision.

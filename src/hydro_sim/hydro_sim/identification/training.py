@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a model is trained: from runs to a `Learned`, stage by stage.
+"""Training of a model, stage by stage: from runs to a `Learned`.
 
 =========== =====================================================================================
 network     Adam through time on all windows (the paper's way); two hidden layers, or any number of them
@@ -30,7 +30,7 @@ from hydro_sim.structured.model import StructuredModel
 
 @dataclass(frozen=True, kw_only=True)
 class Settings:
-    """Of a training; the defaults of `network` are Table training."""
+    """Settings of a training; the defaults of `network` are Table training."""
 
     structure: str = "structured"
     """One of `CHOICES`."""
@@ -77,7 +77,7 @@ def start(data: Data, settings: Settings, bench: Bench) -> Model:
 
 
 def objective(model: Model, data: Data, settings: Settings) -> NetworkObjective | StructuredObjective:
-    """What the loop minimizes."""
+    """Create the training objective."""
     training = Windows(data.training, settings.horizon, settings.stride)
     validation = Windows(data.validation, 70, 35)
     target: NetworkObjective | StructuredObjective
@@ -100,14 +100,14 @@ def _engine(target: NetworkObjective | StructuredObjective, choice: tuple[Engine
         target.engine = one
         next(target.gradients(target.model.flat, 0))
 
-    return engines.quickest(choice, gradient)
+    return engines.fastest_engine(choice, gradient)
 
 
 def steps(
     model: Model, data: Data, settings: Settings, progress: adam.Progress | None = None,
     keep: Callable[[adam.Progress], None] = lambda progress: None,
 ) -> Iterator[tuple[adam.Progress, Model]]:  # fmt: skip
-    """The loop, from its beginning or from `progress`: progress and the best model so far after every epoch.
+    """Run the loop from the start or from `progress`; yields progress and the best model so far after every epoch.
 
     Where all epochs are done already, both come once. `keep` gets what there is to go on from: at the beginning and at
     every validation.
@@ -131,6 +131,6 @@ def _best(target: NetworkObjective | StructuredObjective, state: adam.Progress) 
 
 
 def finished(model: Model, data: Data, training: dict[str, object]) -> Learned:
-    """The model with its region and what is known of its training."""
+    """The model with its region and the facts of its training."""
     x, u = np.concatenate([run.x for run in data.training]), np.concatenate([run.u for run in data.training])
     return Learned(model=model, region=Region.about(x, u), training=training)

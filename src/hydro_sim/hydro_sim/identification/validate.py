@@ -14,14 +14,14 @@ from hydro_bridge.cli.console import Table as ConsoleTable
 from hydro_bridge.cli.console import UserError, add_json_argument, command, writable_folder
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray, StateArray, matrix
 from hydro_sim.files import recordings
-from hydro_sim.files.pairing import Believed, refuse, unfit
+from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError, shipped
 from hydro_sim.identification import curves, evaluation
-from hydro_sim.identification.analytic import AnalyticModel, left_out
+from hydro_sim.identification.analytic import AnalyticModel, omitted_terms
 from hydro_sim.identification.bench_prediction import BenchPrediction
 from hydro_sim.identification.evaluation import Errors, Predictor, Scales, Scored
 from hydro_sim.identification.objectives import SETTLED
-from hydro_sim.learned.any_model import is_bench
+from hydro_sim.learned.any_model import is_bench_file
 from hydro_sim.learned.model import Learned, Model
 from hydro_sim.model.bench import Bench
 from hydro_sim.structured.model import StructuredModel
@@ -51,8 +51,8 @@ def main() -> None:
     if options.horizon > (room := _longest(scored)):
         raise UserError(f"--horizon {options.horizon}: the shortest stretch without a gap has room for {room} samples")
     bench = Bench.load(options.bench) if options.bench else Bench.nominal()
-    if left_out(bench):
-        print(left_out(bench), file=sys.stderr)
+    if omitted_terms(bench):
+        print(omitted_terms(bench), file=sys.stderr)
     runs = [item.run for item in scored]
     learned: Predictor = BenchPrediction(model, runs) if isinstance(model, Bench) else model
     states = [learned.estimate(item.run) for item in scored]
@@ -68,11 +68,11 @@ def main() -> None:
 
 def _model(options: argparse.Namespace) -> Bench | Model:
     """What is judged; PairingError where weights are not of the box that --bench names."""
-    if is_bench(options.model):
+    if is_bench_file(options.model):
         return Bench.load(options.model)
     learned, path = Learned.load(options.model), Path(options.model or shipped())
     remedy = "name the bench.yaml of its box by --bench"
-    refuse(unfit(f"the model {path.name}", learned.made, Believed.of_file(options.bench), remedy))
+    raise_if_mismatched(mismatch(f"the model {path.name}", learned.made, BoxIdentity.of_file(options.bench), remedy))
     return learned.model
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import Believed, refuse, unfit
+from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
@@ -21,12 +21,12 @@ from hydro_sim.structured.model import StructuredModel
 BENCH_FILES = (".yaml", ".yml")
 
 
-def is_bench(path: str | Path | None) -> bool:
+def is_bench_file(path: str | Path | None) -> bool:
     """Whether a file's name is a bench file's; None is the shipped model."""
     return path is not None and Path(path).suffix in BENCH_FILES
 
 
-def model_of(path: str | Path | None) -> StructuredModel | Bench:
+def load_model(path: str | Path | None) -> StructuredModel | Bench:
     """A model that has a certificate; None: the shipped one.
 
     Raises
@@ -36,7 +36,7 @@ def model_of(path: str | Path | None) -> StructuredModel | Bench:
     ValueError
         The bench file is not one, or says itself that it predicts the bench badly.
     """
-    if path is not None and is_bench(path):
+    if path is not None and is_bench_file(path):
         bench = Bench.load(path)
         if bench.unfit:
             raise ValueError(f"{path}: {bench.unfit}")
@@ -48,20 +48,20 @@ def model_of(path: str | Path | None) -> StructuredModel | Bench:
     return model
 
 
-def plant_of(path: str | Path | None, *, noise: float = 1.0) -> Plant:
-    """A plant of any model, networks too (raises as `model_of`)."""
-    if path is not None and is_bench(path):
+def make_plant(path: str | Path | None, *, noise: float = 1.0) -> Plant:
+    """A plant of any model, networks too (raises as `load_model`)."""
+    if path is not None and is_bench_file(path):
         return AnalyticPlant(Bench.load(path), noise=noise)
     return LearnedPlant(path, noise=noise)
 
 
 def digest(path: str | Path) -> str:
-    """What a metric or a policy remembers of its model: of the tensors, or of the bench file's keys and numbers."""
-    return Bench.load(path).digest if is_bench(path) else weights.digest(path)
+    """Digest that identifies a model: of its tensors, or of the bench file's keys and numbers."""
+    return Bench.load(path).digest if is_bench_file(path) else weights.digest(path)
 
 
-def refuse_unfit(path: str | Path | None, box: Believed, remedy: str) -> None:
-    """Raise PairingError where learned weights are not for a box; a bench file is for whom it is named to."""
-    if not is_bench(path):
+def require_match(path: str | Path | None, box: BoxIdentity, remedy: str) -> None:
+    """Raise PairingError if learned weights do not match a box; a bench file matches any."""
+    if not is_bench_file(path):
         named = Path(path or weights.shipped())
-        refuse(unfit(f"the model {named.name}", Learned.load(path).made, box, remedy))
+        raise_if_mismatched(mismatch(f"the model {named.name}", Learned.load(path).made, box, remedy))

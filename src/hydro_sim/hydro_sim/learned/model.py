@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A learned bench of any structure, with the region it was trained in and what is known of its training."""
+"""A learned bench of any structure, with its training region and the facts of its training."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ UNITS = {"state": ["N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s"], "current": "
 
 @dataclass(frozen=True, kw_only=True)
 class Learned:
-    """What a weights file holds."""
+    """Contents of a weights file."""
 
     model: Model
     region: Region

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a model was trained, and whether a state lies outside of it.
+"""The region in which a model was trained.
 
 The region is an ellipsoid about the training samples in five coordinates that determine the rest: f_l, f_l', p_a,
 p_b, u. Its

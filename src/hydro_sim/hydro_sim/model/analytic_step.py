@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the bench file's equations add to x in a sample, and its gradient: the ground on which `deep` learns a rest.
+"""Increment of x over a sample by the bench file's equations, and its gradient; `deep` learns the residual.
 
 x is taken for the state: p_a, p_b, x_p, x_p' and, behind an amplifier, f_l and f_l' begin a sample of
 `hydraulics.advance`, and what these gain is added to x. A bias of a sensor therefore stays where it is. The remaining

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The textbook's equations and a bench's effects put together: symbolic functions of a sample.
+"""Assembly of the textbook equations and a bench's effects into symbolic functions of one sample.
 
 ::
 
@@ -33,7 +33,7 @@ from hydro_sim.model import equations as eq
 from hydro_sim.model import rates
 from hydro_sim.model.effects.base import Effect, Surroundings
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.motion import grip
+from hydro_sim.model.motion import stick_event
 
 casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbols, without a warning
 
@@ -263,7 +263,7 @@ class Assembly:
         if not self._holds():
             return first, (_nothing, lambda velocity: velocity)
         mass = self.numbers.moving_mass
-        friction = grip(lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step)
+        friction = stick_event(lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step)
         first[3] = first[3] - friction.force(start[3]) * self.numbers.mobility
         return first, (friction.force, friction.end)
 

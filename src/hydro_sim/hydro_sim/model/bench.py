@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the bench is believed to be: `bench.yaml` as a checked, immutable value.
+"""The nominal bench: `bench.yaml` as a validated, immutable value.
 
 Names, units and ranges stand once, in the fields of `Bench`; everything else (loading, checking, the record that
 compiled code reads) is derived from them. Values: physics.md, "The nominal bench".

@@ -182,7 +182,7 @@ class BenchModel:
 
 @dataclass(frozen=True)
 class Structure:
-    """What a model's code is made for: everything but numbers."""
+    """Structure of a model: everything that its generated code depends on, without parameter values."""
 
     labels: tuple[str, ...]
     ideal_cell: bool
@@ -191,7 +191,7 @@ class Structure:
 
 
 def structure_of(bench: Bench, substeps: int = SUBSTEPS) -> Structure:
-    """What the code of a bench's model is made for: the same for all benches with these effects, in this order."""
+    """Structure of a bench's model: the same for all benches with these effects, in this order."""
     labels = tuple(catalogue.label(effect) for effect in bench.terms)
     return Structure(labels, bench.load_cell_bandwidth is None, _past(catalogue.delay(bench.effects)), substeps)
 
@@ -232,8 +232,10 @@ Part = Literal["", "derivatives", "sensitivities"]
 
 @lru_cache(maxsize=256)
 def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
-    """Compiled code of a structure; it is compiled where it first comes."""
-    code = machine_code.kept(_name(structure, part), lambda: _source(structure, part), said=lambda: _say(structure))
+    """Compiled library of a structure; compiled on first use."""
+    code = machine_code.cached_library(
+        _name(structure, part), lambda: _source(structure, part), said=lambda: _say(structure)
+    )
     if part == "derivatives":
         code.bench_window.restype = ctypes.c_double
     return code
@@ -241,7 +243,7 @@ def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
 
 def is_compiled(structure: Structure, part: Part = "") -> bool:
     """Whether `library` finds its code."""
-    return machine_code.place(_name(structure, part)).exists()
+    return machine_code.library_path(_name(structure, part)).exists()
 
 
 def _name(structure: Structure, part: Part) -> str:

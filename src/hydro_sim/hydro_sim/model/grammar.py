@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The laws and tables that are tried where no name explains what remains."""
+"""Grammar of closures: the laws and tables that are tried where no named effect explains the residual."""
 
 from __future__ import annotations
 
@@ -120,6 +120,6 @@ ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one
 
 
 def remembers(closure: Mapping[str, Any]) -> bool:
-    """Whether an entry of a bench file's `closures` has a hidden state."""
+    """Whether an entry of a bench file's `closures` has hidden states."""
     law = ALL.get((str(closure["equation"]), str(closure["form"])))
     return isinstance(law, Law) and law.element is not None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Compiled C: made once, kept by the digest of its source, loaded from then on; and how numba's functions call it.
+"""Compiled C libraries, cached by the digest of their source, and calls to them from numba.
 
 Libraries are kept as numba keeps its own: beside the sources, or in NUMBA_CACHE_DIR; where neither can be written,
 below ~/.cache. What `make setup` compiles is found there; any other set of effects is compiled where it first comes,
@@ -33,7 +33,7 @@ FLAGS = (
 """Sums stay in their order; a product and a sum may be rounded once."""
 
 
-def kept(name: str, source: Callable[[], str], *, said: Callable[[], None] = lambda: None) -> ctypes.CDLL:
+def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], None] = lambda: None) -> ctypes.CDLL:
     """The library of a name; `source` writes its C where there is none yet, after `said`.
 
     Parameters
@@ -46,7 +46,7 @@ def kept(name: str, source: Callable[[], str], *, said: Callable[[], None] = lam
     ValueError
         There is no C compiler, or it refuses; or there is no place to keep the library.
     """
-    file = place(name)
+    file = library_path(name)
     if found := _loaded(file):
         return found
     try:
@@ -65,9 +65,9 @@ def kept(name: str, source: Callable[[], str], *, said: Callable[[], None] = lam
     raise ValueError(f"{file} was compiled and cannot be loaded: set NUMBA_CACHE_DIR to a folder that allows programs")
 
 
-def place(name: str) -> Path:
+def library_path(name: str) -> Path:
     """Where the library of a name is, once it is compiled for this machine."""
-    return folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
+    return cache_folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
 
 
 def _loaded(file: Path) -> ctypes.CDLL | None:
@@ -78,8 +78,8 @@ def _loaded(file: Path) -> ctypes.CDLL | None:
         return None
 
 
-def folder() -> Path:
-    """Where libraries are kept."""
+def cache_folder() -> Path:
+    """Cache folder of the libraries."""
     named = os.environ.get("NUMBA_CACHE_DIR")
     place = Path(named) if named else Path(__file__).resolve().parent / "__pycache__"
     if os.access(place if place.exists() else place.parent, os.W_OK):

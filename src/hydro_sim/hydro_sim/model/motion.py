@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How dry friction holds the mass: an event within an integration step, exact.
+"""Stick-slip of the mass under dry friction: an exact event within an integration step.
 
 Friction brings the mass to rest within the step as far as its level reaches, and then holds it: the velocity is 0, not
 small. Otherwise it works against the motion at its level. Derivatives are those of the side on which the step is: a
@@ -21,7 +21,7 @@ STANDSTILL = 1e-9
 
 @dataclass(frozen=True)
 class DryFriction:
-    """What dry friction does in a step."""
+    """Effect of dry friction over a step."""
 
     level: Callable[[Symbol], Symbol]
     """N, at a velocity [m/s]."""
@@ -44,7 +44,9 @@ class DryFriction:
         return self.sign * self.level(self.sign * np.fmax(np.abs(velocity), STANDSTILL))
 
 
-def grip(level: Callable[[Symbol], Symbol], mass: Symbol, velocity: Symbol, free: Symbol, step: float) -> DryFriction:
+def stick_event(
+    level: Callable[[Symbol], Symbol], mass: Symbol, velocity: Symbol, free: Symbol, step: float
+) -> DryFriction:
     """Of a step [s] that begins at a velocity [m/s] and, without friction, an acceleration `free` [m/s2]."""
     holding = mass * (velocity / step + free)
     sign = choose(holding >= 0.0, 1.0, -1.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How good a bench file's predictions are, and whether anything may rely on them.
+"""Quality of a bench file's predictions, and whether they are good enough to use.
 
 Where the noise is all that predictions leave, a model cannot be better. The mean over the readings tells models apart;
 the worst reading tells what a mean hides: four readings at the noise and one at 240 times have a mean of 3.

@@ -40,7 +40,7 @@ READING_MAX = 1e9
 
 @dataclass(frozen=True, kw_only=True)
 class Sensors:
-    """What the sensors add (one 1 kHz sample, standard deviation) and how the box differentiates."""
+    """Sensor noise (standard deviation per 1 kHz sample) and the box's differentiators."""
 
     force_noise: Annotated[float, quantity("N", 0.0, 100.0)] = 0.6
     """Standard deviation, both load cells."""

@@ -30,7 +30,7 @@ BLOCK = 64
 
 
 class Parts(NamedTuple):
-    """A model as the kernels take it."""
+    """A model in the form of the kernels."""
 
     flat: Any
     """Weights; float32 or float64, and so is everything that is computed with them."""

@@ -18,8 +18,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hydro_sim import copies
-from hydro_sim.neural.mlp import LOOSE, Layers
+from hydro_sim.neural.mlp import LOOSE
 
 BLOCK = 128
 """Windows that go through the network together: eight vectors of float32, and a layer fits the first-level cache."""
@@ -37,41 +36,9 @@ _WINDOWS, _ROW, _ROW2, _ROW3 = _U(BLOCK), _U(ROW), _U(2 * ROW), _U(3 * ROW)
 
 
 @njit(cache=True)
-def _filled(count):
+def four(count):
     """`count` rounded up to a multiple of four."""
     return (count + 3) // 4 * 4
-
-
-@njit(cache=True)
-def padded(layers):
-    """A copy of `layers` whose sizes are multiples of four; the outputs must be one already."""
-    n, h1, h2 = _filled(layers.w1.shape[0]), _filled(layers.b1.shape[0]), _filled(layers.b2.shape[0])
-    kind, m = layers.b1.dtype, layers.b3.shape[0]
-    w1, b1 = np.zeros((n, h1), kind), np.zeros(h1, kind)
-    w2, b2 = np.zeros((h1, h2), kind), np.zeros(h2, kind)
-    w3, b3 = np.zeros((h2, m), kind), layers.b3.copy()
-    copies.matrix(w1, layers.w1)
-    copies.matrix(w2, layers.w2)
-    copies.matrix(w3, layers.w3)
-    copies.vector(b1, layers.b1)
-    copies.vector(b2, layers.b2)
-    return Layers(w1, b1, w2, b2, w3, b3)
-
-
-@njit(cache=True)
-def zeros(layers):
-    """Zeros as `layers` are."""
-    return Layers(
-        np.zeros_like(layers.w1), np.zeros_like(layers.b1), np.zeros_like(layers.w2),
-        np.zeros_like(layers.b2), np.zeros_like(layers.w3), np.zeros_like(layers.b3),
-    )  # fmt: skip
-
-
-@njit(cache=True)
-def unpadded(layers, n, h1, h2):
-    """The flat weights of padded `layers`."""
-    w1, w2 = layers.w1[:n, :h1].copy().ravel(), layers.w2[:h1, :h2].copy().ravel()
-    return np.concatenate((w1, layers.b1[:h1], w2, layers.b2[:h2], layers.w3[:h2].copy().ravel(), layers.b3))
 
 
 @njit(cache=True)

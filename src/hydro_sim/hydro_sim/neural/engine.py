@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a model's structure asks of whatever computes its loss and gradient (`engines` has who does)."""
+"""Interface of the engines that compute loss and gradient (implementations: `identification.engines`)."""
 
 from __future__ import annotations
 

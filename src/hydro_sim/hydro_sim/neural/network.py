@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit, prange
 
 from hydro_sim import copies
-from hydro_sim.neural import dense, mlp, network_block
+from hydro_sim.neural import block_mlp, mlp, network_block
 from hydro_sim.neural.dense import BLOCK, CHUNK
 from hydro_sim.neural.mlp import LOOSE
 from hydro_sim.neural.network_block import STATES as STATES
@@ -51,8 +51,8 @@ def rollout(layers, step, starts, currents):
 @njit(cache=True)
 def _rollout_block(layers, step, starts, currents, states):
     count, horizon = currents.shape
-    filled = dense.padded(layers)
-    work = network_block.make(filled, horizon, False)
+    filled = block_mlp.padded(layers)
+    work = network_block.workspace(filled, horizon, False)
     network_block.load(work, starts, currents)
     for h in range(horizon):
         network_block.advance(filled, step, work, h)
@@ -64,8 +64,8 @@ def _rollout_block(layers, step, starts, currents, states):
 def _share(layers, step, starts, currents, targets, printed):
     """Loss of a thread's windows, block by block, and its gradient by the flat weights."""
     n, horizon = currents.shape
-    filled, loss = dense.padded(layers), 0.0
-    work, gradient = network_block.make(filled, horizon, True), dense.zeros(filled)
+    filled, loss = block_mlp.padded(layers), 0.0
+    work, gradient = network_block.workspace(filled, horizon, True), block_mlp.zeros(filled)
     transposed = filled.w1[:STATES].T.copy(), filled.w2.T.copy(), filled.w3.T.copy()
     for begin in range(0, n, BLOCK):
         end = min(begin + BLOCK, n)
@@ -75,10 +75,10 @@ def _share(layers, step, starts, currents, targets, printed):
         loss += network_block.errors(work, targets[begin:end], printed)
         work.gz[:] = work.gz.dtype.type(0.0)
         for h in range(horizon - 1, -1, -1):
-            network_block.back(filled, transposed, step, work, h)
+            network_block.step_backward(transposed, step, work, h)
             if h % CHUNK == 0:
                 network_block.add_weights(work, horizon, h // CHUNK, gradient)
-    return loss, dense.unpadded(gradient, INPUTS, len(layers.b1), len(layers.b2))
+    return loss, block_mlp.unpadded(gradient, INPUTS, len(layers.b1), len(layers.b2))
 
 
 @njit(cache=True, parallel=True)

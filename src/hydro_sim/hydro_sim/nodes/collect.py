@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plays a random schedule of references and gains into the graph, and has it recorded: what a model is trained on.
+"""Plays a random schedule of references and gains into the graph and records it, as training data.
 
 ros2 run hydro_sim collect --out BAG [--seconds S] [--seed N] [--schedule FILE] [--bench FILE] [--rearm auto|ask]
 ros2 run hydro_sim collect --write-schedule FILE [--seconds S] [--seed N]
@@ -32,7 +32,7 @@ from hydro_bridge.ros import (
 from hydro_sim.excitation.coverage import coverage
 from hydro_sim.excitation.drawn import draw
 from hydro_sim.excitation.schedules import Segment, load_schedule, save_schedule
-from hydro_sim.files.pairing import Believed, PairingError
+from hydro_sim.files.pairing import BoxIdentity, PairingError
 from hydro_sim.model.bench import Bench
 from hydro_sim.nodes.collecting import TRIPS_IN_A_ROW, CollectNode
 
@@ -87,7 +87,7 @@ def _bench_of(node: CollectNode, asked: Bench | None) -> Bench:
     if asked is None:
         return Bench.from_mapping(yaml.safe_load(box.bench)) if box is not None and box.bench else Bench.nominal()
     if box is not None and box.bench_digest not in ("", asked.digest):
-        told = f"--bench is bench {asked.digest}, the box believes {Believed.of_box(box).told}"
+        told = f"--bench is bench {asked.digest}, the box believes {BoxIdentity.of_box(box).told}"
         raise PairingError(f"{told}: name the bench.yaml of this box, or none")
     return asked
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The node behind `collect`: plays a schedule into the plant that runs, and leaves it disarmed.
+"""The node of `collect`: plays a schedule into the running plant, and leaves it disarmed.
 
 ::
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated bench in the place of emulator and bridge: same topics, types, rates and rules.
+"""The simulated bench in place of emulator and bridge: same topics, types, rates and rules.
 
 ros2 run hydro_sim sim [--model WEIGHTS | shipped | analytic] [--bench FILE] [--box-bench FILE] [--speed S]
                        [--noise SCALE] [--seed N] [--realtime] [--ros-args ...]
@@ -25,8 +25,8 @@ from hydro_bridge.settings import describe
 from hydro_bridge.signals import Flag
 from hydro_sim.box.box import Box, BoxConfig, box_info
 from hydro_sim.files import weights
-from hydro_sim.files.pairing import Believed, refuse, unfit
-from hydro_sim.learned.any_model import is_bench, plant_of
+from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
+from hydro_sim.learned.any_model import is_bench_file, make_plant
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
@@ -40,7 +40,7 @@ CLOCK_DEPTH = 10
 
 
 class SimSide(Simulation):
-    """A simulation that can say on /diagnostics how it is doing."""
+    """A simulation with its status for /diagnostics."""
 
     effects = ""
     """The bench file's effects that are simulated."""
@@ -134,12 +134,14 @@ def _plant(settings: SimSettings, bench: Bench) -> Plant:
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
         return AnalyticPlant(bench, noise=settings.noise)
-    if is_bench(name):
-        return plant_of(name, noise=settings.noise)
+    if is_bench_file(name):
+        return make_plant(name, noise=settings.noise)
     learned = Learned.load(None if name == "shipped" else name)
     thing = f"the model {Path(weights.shipped() if name == 'shipped' else name).name}"
     remedy = "give the box the bench.yaml it was made for by --box-bench, or simulate the bench file: --model analytic"
-    refuse(unfit(thing, learned.made, Believed.of_file(settings.box_bench or settings.bench or None), remedy))
+    raise_if_mismatched(
+        mismatch(thing, learned.made, BoxIdentity.of_file(settings.box_bench or settings.bench or None), remedy)
+    )
     return LearnedPlant(learned, noise=settings.noise)
 
 
@@ -147,7 +149,7 @@ def arguments(own: Sequence[str]) -> tuple[SimSettings, bool]:
     """Settings and whether to ask for real-time scheduling; the help texts are the settings' own."""
     parser = argparse.ArgumentParser(
         prog="sim",
-        description="The simulated bench in the place of emulator and bridge: same topics, types, rates and rules.",
+        description="The simulated bench in place of emulator and bridge: same topics, types, rates and rules.",
         epilog="Limits and time-outs of guard and box are ROS parameters: --ros-args -p box.load_force_limit:=600.0.",
     )
     texts, defaults = describe(SimSettings), SimSettings()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock-step: the next sample waits for what the graph has to say to the last one.
+"""Lock-step: the next sample waits for the graph's answers to the last one.
 
 ::
 
@@ -23,7 +23,7 @@ RESEND = 0.25
 
 
 class LockStep:
-    """Who has answered, and who is still awaited.
+    """Tracks which nodes have answered the last sample.
 
     Parameters
     ----------

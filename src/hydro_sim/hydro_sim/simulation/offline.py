@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A box and a plant put together without a graph, as fast as they go, with the nodes' numbers to the bit.
+"""Offline simulation of box and plant, as fast as possible and bit-identical to the nodes.
 
 ::
 
@@ -35,7 +35,7 @@ from hydro_sim.model.plant import AnalyticPlant, Plant
 
 @dataclass(frozen=True, kw_only=True)
 class Schedule:
-    """What is commanded over a run."""
+    """Commands over a run."""
 
     reference: ReferenceSignal
     gains: FloatArray | tuple[float, float]

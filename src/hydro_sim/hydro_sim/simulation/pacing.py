@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Doing something once a period against absolute deadlines, as exactly as the kernel grants it."""
+"""Periodic execution against absolute deadlines."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A box and a plant that run by themselves: what the sim node is behind its topics, without ROS.
+"""Real-time simulation of box and plant, without ROS: the sim node behind its topics.
 
 One thread runs `run`, a sample at a time: ask the guard, tick the box, hand the sample on, step the plant. Other
 threads tell the guard what is wanted (under `lock`), `arm`, and report corrections and gains. The bridge's `Link` is
@@ -61,7 +61,7 @@ class SimSettings:
 
 
 class Simulation:
-    """A running bench.
+    """A running simulation.
 
     Parameters
     ----------

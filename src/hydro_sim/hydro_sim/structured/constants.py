@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learned constants of `physics`: start value, unit, and how far one unit of the optimizer moves each.
+"""Learned constants of `physics`: initial value, unit, and scale of the optimizer's variable.
 
 A constant that must stay positive is start * exp(theta); any other is start + step * theta. Start values come from
 the bench

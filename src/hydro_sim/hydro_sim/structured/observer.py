@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where the bench is: the structured model's state from the readings up to now (an extended Kalman filter).
+"""Observer of the structured model's state from the readings so far (an extended Kalman filter).
 
 A window cannot start from the measurement itself: its 0.6 N and 6 kPa of noise would be most of the error 70 samples
 later,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The structured model: the physics of `physics` with learned constants, and a network for what they leave out.
+"""The structured model: `physics` with learned constants, and a network for the residual.
 
 ::
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which keys this process takes: the enclave of its executable, whichever way it was started (network.md).
+"""Selects this process' enclave, that of its executable, however it was started (network.md).
 
 Security is switched on by ROS's own variables, for a process and for those that it starts. ROS takes exactly `true` for
 on, and runs open without a word where a key is missing, unless the strategy is exactly `Enforce`: here a value that it
@@ -37,7 +37,7 @@ def enclave_arguments() -> list[str]:
 
 
 def secured() -> bool:
-    """Whether security is on; if so a missing key stops this process and those it starts, unless the user says else.
+    """Whether security is enabled: then a missing key stops this process and its children, unless overridden.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def secured() -> bool:
 
 
 def try_keys() -> None:
-    """Join the graph and leave it: with keys that are missing or refused that fails, and should before all else.
+    """Join the graph and leave it, so that missing or rejected keys fail at the start.
 
     Raises
     ------
@@ -76,7 +76,7 @@ def try_keys() -> None:
 
 
 def no_keys(error: RuntimeError) -> SettingsError:
-    """What ROS says when it does not start with the keys it was given, in a sentence."""
+    """ROS's error about unusable keys, as one sentence."""
     said = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
     keystore = os.environ.get(KEYSTORE) or "not set"
     return SettingsError(

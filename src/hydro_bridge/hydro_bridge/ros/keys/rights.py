@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each executable of the graph does on it, and so may do: the one table behind policies and keys.
+"""The topics and services that each executable uses: the one table behind policies and keys.
 
 A graph test holds the running nodes to it, endpoint by endpoint (tests/test_graph_rights.py): whoever adds a topic to a
 node adds it here.
@@ -45,7 +45,7 @@ PARAMETER_SERVICES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Rights:
-    """What a node does; each name is one of the graph, beginning with a slash."""
+    """Topics and services of a node; each name begins with a slash."""
 
     publishes: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
@@ -61,7 +61,7 @@ def enclave_of(executable: str) -> str:
 
 
 def node(name: str, rights: Rights) -> Rights:
-    """The rights with those that rclpy takes for every ordinary node of that name."""
+    """The rights, extended by those that rclpy needs for every ordinary node of that name."""
     return Rights(
         publishes=(*rights.publishes, LOG, PARAMETER_EVENTS),
         subscribes=rights.subscribes,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can go wrong on a serial line, with seeded chances: one `FaultyLine` for each direction.
+"""Fault injection on a serial line, with seeded probabilities: one `FaultyLine` for each direction.
 
 Chances are per frame. What passes a line is one frame up (box to bridge), and down whatever one read gave, mostly one.
 """
@@ -19,7 +19,7 @@ from hydro_bridge.settings import SettingsError, quantity
 
 @dataclass(frozen=True, kw_only=True)
 class Event:
-    """Something that happens once."""
+    """A single fault event."""
 
     at: Annotated[float, quantity("s", 0.0, 1e6)]  # after the start of the emulator
     stall: Annotated[float, quantity("s", 0.0, 60.0)] = 0.0  # nothing passes for so long, then all that waited
@@ -28,7 +28,7 @@ class Event:
 
 @dataclass(frozen=True, kw_only=True)
 class LinkFaults:
-    """Chances per frame, both directions alike, and events. All zero: a clean line."""
+    """Fault probabilities per frame, for both directions, and events. All zero: a clean line."""
 
     corrupt: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # one to eight bits flip
     lose: Annotated[float, quantity("-", 0.0, 1.0)] = 0.0  # one byte is missing

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box's end of the serial line: states up, commands down, through a line that may be faulty. protocol.md."""
+"""The box's end of the serial line: states up, commands down, with fault injection. protocol.md."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _CIRCLE = 1 << 32  # sequence numbers
 
 @dataclass
 class LinkReport:
-    """What the box did on its line."""
+    """Statistics of the box's link."""
 
     sent: int = 0  # frames that went out whole
     unheard: int = 0  # frames made while nobody had the port open
@@ -41,7 +41,7 @@ class LinkReport:
 
 
 class CommandOrder:
-    """Takes the commands of one conversation each once and in order; protocol.md, Order of commands."""
+    """Accepts the commands of one connection once each and in order; protocol.md, Order of commands."""
 
     def __init__(self) -> None:
         self._newest: int | None = None

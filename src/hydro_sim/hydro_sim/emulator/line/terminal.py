@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pseudo-terminal behind a fixed name, that behaves like a serial adapter: plugged, unplugged, and never waiting."""
+"""A pseudo-terminal at a fixed path that behaves like a serial adapter: plugged, unplugged, non-blocking."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _READ_SIZE = 65536
 
 
 def default_link() -> Path:
-    """Where the port appears when nobody says otherwise: one place per user."""
+    """Default path of the port, one per user."""
     return Path(tempfile.gettempdir()) / f"hydro-bench-{os.getuid()}"
 
 

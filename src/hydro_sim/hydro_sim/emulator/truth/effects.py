@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the truth plant can have that the nominal bench lacks: names, magnitudes, units, ranges.
+"""Effects of the truth plant beyond the nominal bench: names, magnitudes, units, ranges.
 
 The class `Effects` holds the causes that have a name in the diagnosis' table, under the same ids and parameter names; a
 `form` picks another functional form of the same cause. `outside.py` holds causes that have no name there.

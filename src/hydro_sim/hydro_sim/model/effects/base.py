@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an effect is: one class, with its parameters, its hidden states and its terms in the bench's equations.
+"""Base class of effects: parameters, hidden states, and terms in the bench's equations.
 
 ::
 
@@ -83,7 +83,7 @@ def hidden(unit: str, *, scale: float, integrated: bool = False) -> Any:
 
 @dataclass
 class Surroundings:
-    """What an effect may use of the model that it is part of."""
+    """The parts of its model that an effect may use."""
 
     numbers: Any
     """The bench's numbers, by their names in bench.yaml, and `valve_gain` (K_v)."""
@@ -102,7 +102,7 @@ class Surroundings:
 
 
 class Effect:
-    """A cause of what the textbook's bench does not do. Subclasses override the terms in which they act."""
+    """A physical effect beyond the textbook equations. Subclasses override the terms in which they act."""
 
     id: ClassVar[str]
     options: ClassVar[Mapping[str, tuple[str, ...]]] = {}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a diagnosis modelled and could not name: laws and tables of `model.grammar` as terms of the equations."""
+"""Closures: unnamed terms found by a diagnosis, as laws and tables of `model.grammar`."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What resists the piston beyond viscous friction, and the load.
+"""Effects on the piston's motion: friction, cushions, stops, load.
 
 How dry friction holds is the model's part (`model.motion`); its effects say at which level it gives way. With bristles
 nothing holds: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources: Armstrong-Helouvry et al.

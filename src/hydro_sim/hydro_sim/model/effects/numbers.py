@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wrong values of the bench file. One after the other, in the order of the file; held within the bench's own ranges."""
+"""Wrong values of the bench file, applied in the order of the file and kept within the bench's ranges."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What amplifiers and scales of the five sensors make of the truth, before noise.
+"""Sensor effects: lags, gains and biases of the five sensors, before noise.
 
 Low-passes come first, then gains and biases in the order of the bench file: a linear lag with a gain of one may change
 places with both.

@@ -14,7 +14,7 @@ from hydro_bridge.cli.console import progress
 from hydro_bridge.ros import TRAINING, TRAINING_QOS, DiagnosticsPublisher, Level, Status
 from hydro_msgs.msg import TrainingStatus
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.sessions.episode import Phase
 
 if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a trainer says, and what its companions say: a flood of one sentence is told as one sentence."""
+"""Messages of a trainer and its companions on terminal and log; repeated sentences are counted, not repeated."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from typing import IO
 from tqdm import tqdm
 
 
-class Flood:
-    """Lets the first few of a sentence through, numbers aside, and counts the rest.
+class RepeatFilter:
+    """Passes the first few occurrences of a sentence, numbers aside, and counts the rest.
 
     Parameters
     ----------
@@ -41,22 +41,22 @@ class Flood:
         return sentence if count < self._most else ""
 
 
-class Sayings:
-    """The one place where a trainer or an evaluation says something: terminal and log, neither of which may stop it."""
+class Announcer:
+    """Output of a trainer or an evaluation to terminal and log; failures of either never stop the run."""
 
     def __init__(self) -> None:
         self.log: IO[str] | None = None
         """Where sentences go besides the terminal."""
         self.journal: Callable[[str, bool], None] = lambda sentence, warning: None
         """Takes them for recordings."""
-        self._flood = Flood(8)
+        self._flood = RepeatFilter(8)
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """Say it, with an exclamation mark if it is a warning."""
         told = self._flood.passed(f"! {sentence}" if warning else sentence)
         if not told:
             return
-        on_terminal(told)
+        print_above_progress(told)
         self.journal(told.removeprefix("! "), warning)
         if self.log is not None:
             self.keep(f"{time.strftime('%H:%M:%S')} {told}\n")
@@ -72,28 +72,28 @@ class Sayings:
             self.log = None
             with suppress(OSError):  # it would try once more
                 log.close()
-            on_terminal(f"! the log ends here: {error.strerror}")
+            print_above_progress(f"! the log ends here: {error.strerror}")
 
 
-def on_terminal(line: str) -> None:
-    """Above the progress bar; where nobody reads that any more, nowhere."""
+def print_above_progress(line: str) -> None:
+    """Print a line above the progress bar, if the terminal is still there."""
     with suppress(OSError, ValueError):
         tqdm.write(line, file=sys.stderr)
 
 
 class CompanionOutput:
-    """Takes a companion's lines: all into the log, those that matter to the terminal, too."""
+    """Receives a companion's output: every line goes to the log, warnings and errors also to the terminal."""
 
     LOUD = ("warn", "error", "fatal", "traceback", "bypass")
 
     def __init__(self, keep: Callable[[str], None]) -> None:
-        self._keep, self._flood = keep, Flood(1)
+        self._keep, self._flood = keep, RepeatFilter(1)
 
     def write(self, text: str) -> int:
         """Take a line."""
         self._keep(text)
         if any(word in text.lower() for word in self.LOUD) and (line := self._flood.passed(text.rstrip("\n"))):
-            on_terminal(line)
+            print_above_progress(line)
         return len(text)
 
     def flush(self) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an evaluation leaves in its run's folder, and its page; a training that evaluates leaves the same."""
+"""Files and page of an evaluation, also of one at the end of a training."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from hydro_bridge.ros import CompanionError
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.nodes.graph import GraphNode
+from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.runs.run import RunDirectory
 
 
 @contextmanager
 def new_evaluation(parent: Path, name: str | None) -> Iterator[RunDirectory]:
-    """runs/NAME, by default evaluate- with date and time: made now, for this one alone; gone if it stays empty.
+    """Create runs/NAME, by default evaluate- with date and time; it is removed if it stays empty.
 
     Raises
     ------
@@ -51,8 +51,8 @@ def new_evaluation(parent: Path, name: str | None) -> Iterator[RunDirectory]:
 
 
 @contextmanager
-def taken_back(run: RunDirectory, node: GraphNode) -> Iterator[None]:
-    """Of an evaluation whose companions cannot use what they were given nothing stays."""
+def remove_rejected_evaluation(run: RunDirectory, node: GraphNode) -> Iterator[None]:
+    """Remove the folder of an evaluation whose companions rejected their input."""
     try:
         yield
     except CompanionError:
@@ -63,7 +63,7 @@ def taken_back(run: RunDirectory, node: GraphNode) -> Iterator[None]:
 
 
 def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
-    """What results were measured under: plant, filter and bench as the words name them, and the code."""
+    """Conditions of the measurement: plant, filter and bench as given on the command line, and the code version."""
     told: dict[str, Any] = {"plant": options.plant}
     if options.plant != "external":  # else they are as they run
         told |= {"filter": options.filter or "the default one", "bench": str(options.bench or "the nominal one")}
@@ -95,7 +95,7 @@ def show_results(
 
 
 def write_page(run: RunDirectory, title: str, about: Mapping[str, Any], sections: list[Section]) -> None:
-    """report.html in the run's folder, and the front page of all runs; no run ends otherwise for a page's sake."""
+    """Write report.html and the index page of all runs; a failure is reported, never raised."""
     when = datetime.now(timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
     try:
         write_whole(run.page, results_page(title, {"written": when, **about}, sections).encode())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a training leaves: its policy beside the controllers it is compared with, its timing, its files."""
+"""Results of a training: comparison with other controllers, timing, files."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from typing import Any
 from hydro_policy.evaluation import report as evaluation
 from hydro_policy.evaluation.controllers import Controller, FixedGains, PolicyController
 from hydro_policy.evaluation.session import EvaluationSession
-from hydro_policy.nodes.graph import GraphNode
-from hydro_policy.nodes.results import write_page
+from hydro_policy.nodes.evaluation.results import write_page
+from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.runs import report as training
-from hydro_policy.runs.initial_agent import AGENT, Start
+from hydro_policy.runs.initial_agent import AGENT, InitialAgent
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.sac.policy import Policy
@@ -23,8 +23,8 @@ from hydro_policy.sac.snapshot import actor_parameters
 from hydro_policy.sessions.training import TrainingSession
 
 
-def compared(session: TrainingSession, start: Start | None) -> list[Controller]:
-    """The paper's three controllers: I trained here, II as it came, III fixed; without II the base gains."""
+def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> list[Controller]:
+    """The paper's three controllers: I trained on the bench, II pretrained, III fixed; without II the base gains."""
     gains = session.settings.task.gains
     best = session.keeper.best
     if best is not None:
@@ -40,15 +40,15 @@ def compared(session: TrainingSession, start: Start | None) -> list[Controller]:
 
 
 def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:
-    """Percentiles [s] that results.md promises something about."""
+    """Percentiles [s] of the timings that results.md reports."""
     measured = {"jitter": node.timing.jitter, "inference": session.explorer.inference, "response": node.timing.response}
     return {f"{name}_p99": latency.percentile(99) for name, latency in measured.items()}
 
 
-def leave_page(
+def write_training_page(
     run: RunDirectory, record: RunRecord, results: EvaluationSession | None, notes: Mapping[str, Any]
 ) -> None:
-    """learning.png and report.html in the run's folder; a disk that refuses them ends nothing."""
+    """Write learning.png and report.html into the run's folder; a failure is reported, never raised."""
     found = evaluation.sections(results, run.tracking_plot) if results is not None and results.scores else []
     try:
         training.draw_curve(record.events, run.learning_curve)
@@ -58,10 +58,10 @@ def leave_page(
     write_page(run, f"Training {run.path.name}", notes, found + told)
 
 
-def tell_files(
+def print_files(
     run: RunDirectory, recording: Path | None, finished: bool, options: argparse.Namespace, seconds: float
 ) -> None:
-    """Say where each file is and what to run next."""
+    """Print where each file is and what to run next."""
     listed = [
         ("policy", run.policy),
         ("checkpoint", run.latest),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""/hydro/override: a person chooses the gains, as long as this node commands the plant."""
+"""The service /hydro/override: a person sets the gains while this node commands the plant."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a run expects of the box, from the command line before there is a plant, and whether the box is that one."""
+"""The box that a run expects, from its command line, and whether the plant's box matches it."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from typing import TYPE_CHECKING
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.safety.box_info import KnownBox
 from hydro_policy.evaluation.controllers import policy_file
-from hydro_policy.nodes.options import plant_options
+from hydro_policy.nodes.startup.options import plant_options
 from hydro_policy.task.mdp import BASE
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.files.pairing import Believed, MadeFor, refuse, unfit
+from hydro_sim.files.pairing import BoxIdentity, MadeFor, mismatch, raise_if_mismatched
 from hydro_sim.files.stamping import stamp_of
 
 if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which evaluate does without
-    from hydro_policy.runs.initial_agent import Start
+    from hydro_policy.runs.initial_agent import InitialAgent
 
 PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --base-gains"
 
 
-def planned(options: argparse.Namespace) -> Believed:
-    """The box that the words are about: --bench and --base-gains, or the nominal ones; not known of a plant that runs.
+def expected_box(options: argparse.Namespace) -> BoxIdentity:
+    """The expected box: by --bench and --base-gains, or the nominal ones; unknown for a plant that already runs.
 
     Raises
     ------
@@ -38,15 +38,15 @@ def planned(options: argparse.Namespace) -> Believed:
     if options.model is not None and not options.model.is_file():
         raise UserError(f"--model {options.model}: there is no such file")
     if options.plant == "external":
-        return Believed(digest="", source="the plant that runs")
-    box = Believed.of_file(options.bench, tuple(options.base_gains or BASE))
+        return BoxIdentity(digest="", source="the plant that runs")
+    box = BoxIdentity.of_file(options.bench, tuple(options.base_gains or BASE))
     return box if options.plant == "bench" else replace(box, integral=BoxConfig().integral)
 
 
-def surprise(plan: Believed, box: KnownBox) -> str:
-    """Why the box is not the one that a run was planned for, and what to say instead; empty where it is."""
+def box_mismatch(plan: BoxIdentity, box: KnownBox) -> str:
+    """Why the box is not the expected one, with the options that would fit it; empty if it is."""
     if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
-        told = f"the box believes {Believed.of_box(box).told}, this run was planned for bench {plan.told}"
+        told = f"the box believes {BoxIdentity.of_box(box).told}, this run was planned for bench {plan.told}"
         return f"{told}: name the bench.yaml of this box by --bench"
     expected = plan.base_gains or box.base_gains
     if not all(isclose(*pair, rel_tol=1e-6) for pair in zip(expected, box.base_gains, strict=True)):
@@ -56,27 +56,29 @@ def surprise(plan: Believed, box: KnownBox) -> str:
     return ""
 
 
-def refuse_start(start: Start | None, box: Believed) -> None:
+def require_matching_agent(start: InitialAgent | None, box: BoxIdentity) -> None:
     """Raise PairingError if this agent was not made for this box."""
     if start is not None:
         remedy = f"{PRETRAIN}, or begin without one: --from scratch"
-        refuse(unfit(f"the agent {start.source.name}", start.made, box, remedy))
+        raise_if_mismatched(mismatch(f"the agent {start.source.name}", start.made, box, remedy))
 
 
-def refuse_policy(path: Path, box: Believed) -> None:
+def require_matching_policy(path: Path, box: BoxIdentity) -> None:
     """Raise PairingError if the policy of this run or file was not made for this box; ValueError if there is none."""
     file = policy_file(path)
-    refuse(unfit(f"the policy {path.name}", stamp_of(file), box, PRETRAIN))
+    raise_if_mismatched(mismatch(f"the policy {path.name}", stamp_of(file), box, PRETRAIN))
 
 
-def refuse_resumed(run: Path, made: MadeFor | None, box: Believed) -> None:
-    """Raise PairingError if a run was begun on another box; one of before there were stamps goes on."""
+def require_same_box(run: Path, made: MadeFor | None, box: BoxIdentity) -> None:
+    """Raise PairingError if a run was started on another box; a run without a stamp is accepted."""
     if made is not None:
-        refuse(unfit(f"the run {run.name}", made, box, "go on with it on its own box, or begin one here"))
+        raise_if_mismatched(
+            mismatch(f"the run {run.name}", made, box, "go on with it on its own box, or begin one here")
+        )
 
 
-def made_on(box: Believed) -> MadeFor:
-    """The stamp of what is trained on this box."""
+def training_stamp(box: BoxIdentity) -> MadeFor:
+    """The stamp of a policy or run trained on this box."""
     kp, ki = box.base_gains or (None, None)
     return MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a training on a plant starts from: its folder and settings, an agent, the nodes beside it, its record."""
+"""Preparation of a training run: folder, settings, initial agent, companions, record."""
 
 from __future__ import annotations
 
@@ -17,15 +17,21 @@ import numpy as np
 from hydro_bridge.cli.console import writable_folder
 from hydro_bridge.ros import CompanionError, refuse_unknown_parameters, start_page
 from hydro_policy.learner_process.learner import SaveRequest, write_run
-from hydro_policy.nodes.companions import start_companions
-from hydro_policy.nodes.graph import GraphNode
-from hydro_policy.nodes.guarding import asked_filter, guard_range, uncovered
-from hydro_policy.nodes.options import SCRATCH, declare_settings, plant_options, plant_words
-from hydro_policy.nodes.planned import made_on, planned, refuse_resumed, refuse_start, surprise
-from hydro_policy.nodes.plant_at_hand import plant_at_hand
+from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.nodes.startup.box_expectation import (
+    box_mismatch,
+    expected_box,
+    require_matching_agent,
+    require_same_box,
+    training_stamp,
+)
+from hydro_policy.nodes.startup.companions import start_companions
+from hydro_policy.nodes.startup.guard_range import guard_range, protection_gap, requested_filter
+from hydro_policy.nodes.startup.options import SCRATCH, declare_settings, plant_options, plant_options_as_yaml
+from hydro_policy.nodes.startup.plant_choice import choose_plant
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.checkpoint import Checkpoint, load_checkpoint
-from hydro_policy.runs.initial_agent import AGENT, Start, load_start, shipped_start
+from hydro_policy.runs.initial_agent import AGENT, InitialAgent, load_initial_agent, shipped_agent
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import RunDirectory, TrainingSettings, new_run
 from hydro_policy.sac.algorithm import Sac
@@ -34,7 +40,7 @@ from hydro_policy.sac.snapshot import check_agent, dump
 from hydro_policy.sessions.episode import Progress
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
-from hydro_sim.files.pairing import Believed
+from hydro_sim.files.pairing import BoxIdentity
 
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
 """Bench time is dear: more than the paper's 1 from scratch. An agent that is good already unlearns by that."""
@@ -42,12 +48,12 @@ UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
 
 @dataclass(frozen=True)
 class Prepared:
-    """What a run starts from."""
+    """A prepared run."""
 
     run: RunDirectory
     settings: TrainingSettings
     checkpoint: Checkpoint | None
-    start: Start | None
+    start: InitialAgent | None
     made: bool = False
     """Whether the run's folder was made for it."""
 
@@ -64,8 +70,8 @@ class Prepared:
 
 
 @contextmanager
-def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
-    """Of a new run whose companions cannot use what they were given nothing stays: its name is free again."""
+def remove_rejected_run(prepared: Prepared, node: GraphNode) -> Iterator[None]:
+    """Remove the folder of a new run whose companions rejected their input."""
     try:
         yield
     except CompanionError:
@@ -76,8 +82,8 @@ def taken_back(prepared: Prepared, node: GraphNode) -> Iterator[None]:
 
 
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
-    """A new run with its folder and first checkpoint, or one to continue; none where something cannot be used."""
-    start, box = None, plan(options, node)
+    """Prepare a new run with its folder and first checkpoint, or one to resume; raises before anything is created."""
+    start, box = None, expect_box(options, node)
     if options.resume is not None:
         run = RunDirectory(options.resume)
         writable_folder(run.path)
@@ -87,8 +93,8 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         run, checkpoint = new_run(options.runs, options.name), None
         writable_folder(run.path)
         run.refuse_existing()
-        start = find_start(options)
-        refuse_start(start, box)
+        start = find_initial_agent(options)
+        require_matching_agent(start, box)
         updates = UPDATES_PER_STEP["agent" if start else "scratch"]
         configured = configuration(options.configuration, base=box.base_gains or BASE)
         settings = replace(configured, updates_per_step=updates)
@@ -102,36 +108,38 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     settings = declare_settings(node, settings)
     refuse_unknown_parameters(node)
     if not options.plant_named:  # last of all that may be refused: it takes seconds, or a person
-        options.plant = plant_at_hand(node)
-        box = plan(options, node)
-        refuse_start(start, box)
+        options.plant = choose_plant(node)
+        box = expect_box(options, node)
+        require_matching_agent(start, box)
     if options.plant == "external":
-        box = met(node)
-        refuse_start(start, box)
+        box = wait_for_box(node)
+        require_matching_agent(start, box)
         if start is None and options.resume is None:
-            settings = on_this_box(settings, box, node)
+            settings = rebase_gains(settings, box, node)
     if options.resume is not None:
-        refuse_resumed(run.path, settings.made, box)
-    settings = replace(settings, made=made_on(box))
+        require_same_box(run.path, settings.made, box)
+    settings = replace(settings, made=training_stamp(box))
     made = not run.path.exists()
     if options.resume is None:
         run.create()
         begin_checkpoint(run, settings, start)
-    run.save_settings(settings, plant_words(options))  # last: a folder without it is no run, and its name is free
+    run.save_settings(
+        settings, plant_options_as_yaml(options)
+    )  # last: a folder without it is no run, and its name is free
     return Prepared(run, settings, checkpoint, start, made)
 
 
-def plan(options: argparse.Namespace, node: GraphNode) -> Believed:
-    """The box that the words are about; the node refuses another than that of a plant which is started for it."""
-    box = planned(options)
+def expect_box(options: argparse.Namespace, node: GraphNode) -> BoxIdentity:
+    """The expected box; the node then rejects any other, if the plant is started for this run."""
+    box = expected_box(options)
     if options.plant != "external":
-        asked_filter(plant_options(options).filter, options.bench)
-        node.unfit = partial(surprise, box)
+        requested_filter(plant_options(options).filter, options.bench)
+        node.box_fault = partial(box_mismatch, box)
     return box
 
 
 def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpoint) -> None:
-    """Raise ValueError, one sentence with the file in it, unless the run can go on from what its folder holds."""
+    """Raise ValueError, one sentence that names the file, unless the run can be resumed from its folder."""
     best = run.best / AGENT
     agents = {run.latest / AGENT: checkpoint.learner} | ({best: best.read_bytes()} if best.is_file() else {})
     for path, agent in agents.items():
@@ -150,21 +158,21 @@ def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpo
         raise ValueError(f"{run.latest / 'trainer.json'} is damaged: {error}") from error
 
 
-def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: Start | None) -> None:
-    """The first checkpoint, of what the run starts from: whole before anything moves."""
+def begin_checkpoint(run: RunDirectory, settings: TrainingSettings, start: InitialAgent | None) -> None:
+    """Write the first checkpoint, of the initial agent, before anything moves."""
     agent = start.agent if start else dump(Sac(OBSERVATIONS, ACTIONS, settings.sac))
     nothing = ReplayBuffer(OBSERVATIONS, ACTIONS, settings.sac.batch_size + 128)
     write_run(SaveRequest(run.path, {}, best=False), agent, None, nothing, settings)
 
 
-def tell_plant_again(run: RunDirectory, settings: TrainingSettings, options: argparse.Namespace) -> None:
-    """Write which plant it is into a folder that a checkpoint has made anew, after somebody had taken the run away."""
+def restore_plant_file(run: RunDirectory, settings: TrainingSettings, options: argparse.Namespace) -> None:
+    """Write the plant options again if the run's folder was deleted and a checkpoint has recreated it."""
     if run.latest.exists() and not run.load_plant():
-        run.save_settings(settings, plant_words(options))
+        run.save_settings(settings, plant_options_as_yaml(options))
 
 
-def met(node: GraphNode) -> Believed:
-    """What the box of a plant that runs believes.
+def wait_for_box(node: GraphNode) -> BoxIdentity:
+    """Wait for the box of a plant that already runs; returns its identity.
 
     Raises
     ------
@@ -173,15 +181,15 @@ def met(node: GraphNode) -> Believed:
     CompanionError
         Nobody says what the box is.
     """
-    if not node.meet() or node.box is None:
+    if not node.wait_for_plant() or node.box is None:
         raise KeyboardInterrupt
-    box = Believed.of_box(node.box)
-    node.unfit = partial(surprise, box)
+    box = BoxIdentity.of_box(node.box)
+    node.box_fault = partial(box_mismatch, box)
     return box
 
 
-def on_this_box(settings: TrainingSettings, box: Believed, node: GraphNode) -> TrainingSettings:
-    """The configuration's range of gains in all as changes to this box's base gains; what a parameter says stays."""
+def rebase_gains(settings: TrainingSettings, box: BoxIdentity, node: GraphNode) -> TrainingSettings:
+    """Express the configuration's range of total gains relative to this box's base gains; explicit parameters win."""
     base, gains = box.base_gains or BASE, settings.task.gains
     shifted = asdict(gains.shifted(BASE[0] - base[0], BASE[1] - base[1]))
     said = {name for name in shifted if f"task.gains.{name}" in node._parameter_overrides}  # rclpy: no public way
@@ -189,15 +197,15 @@ def on_this_box(settings: TrainingSettings, box: Believed, node: GraphNode) -> T
     return replace(settings, task=replace(settings.task, gains=replace(gains, **kept)))
 
 
-def find_start(options: argparse.Namespace) -> Start | None:
-    """The agent named by --from; without it the one that is shipped for this authority, if there is one."""
+def find_initial_agent(options: argparse.Namespace) -> InitialAgent | None:
+    """The agent named by --from, else the one shipped for this configuration, if any."""
     if options.start is not None:
-        return None if str(options.start) == SCRATCH else load_start(options.start)
-    return shipped_start(options.configuration)
+        return None if str(options.start) == SCRATCH else load_initial_agent(options.start)
+    return shipped_agent(options.configuration)
 
 
 def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespace) -> RunRecord:
-    """run.json, with the run's beginning in it; overrides go there, too."""
+    """Open run.json and record the start of the run; overrides are recorded there, too."""
     record = RunRecord(prepared.run.record)
 
     def tell(sentence: str) -> None:
@@ -208,22 +216,22 @@ def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespac
     source = str(prepared.start.source) if prepared.start else None
     record.add("start", plant=options.plant, start=source, resumed=prepared.checkpoint is not None)
     words = shlex.split(options.filter)
-    if options.plant != "external" and (sentence := uncovered(prepared.settings.task.gains, words, options.bench)):
+    if options.plant != "external" and (sentence := protection_gap(prepared.settings.task.gains, words, options.bench)):
         node.say(sentence, warning=True)
         record.add("uncovered", sentence)
     return record
 
 
 def start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepared, node: GraphNode) -> Path | None:
-    """Start what runs beside the node, which follows it from now on; returns where the recording goes."""
+    """Start the companions, which the node watches from now on; returns the folder of the recording."""
     run = prepared.run
-    start_page(stack, node, wanted=options.dashboard, keep=node.sayings.keep)
+    start_page(stack, node, wanted=options.dashboard, keep=node.announcer.keep)
     recording = _free(run.bag) if options.record and options.plant != "external" else None
     metadata = (f"run={run.path.name}", f"seed={prepared.settings.seed}")
     kept = {"metadata": metadata, "attachments": (run.config,), "policies": (run.policy,)}
     plant = plant_options(options, recording=recording, seed=prepared.settings.seed, **kept)
-    companions = start_companions(stack, plant, prepared.settings.task.gains, run.path, node.sayings.keep)
-    node.follow(companions, recording)
+    companions = start_companions(stack, plant, prepared.settings.task.gains, run.path, node.announcer.keep)
+    node.watch_companions(companions, recording)
     return recording
 
 

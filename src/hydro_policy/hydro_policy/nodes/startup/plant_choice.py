@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which plant is meant where none is named: the one that runs; if none does, the simulation, after asking.
+"""The plant when none is named: the one that runs or, after asking, the simulation.
 
 Without a terminal nobody can be asked: then it ends in one sentence, rather than wait for a plant for ever.
 """
@@ -24,7 +24,7 @@ WAIT = 20.0
 NONE = "no plant runs: nobody publishes /hydro/state"
 
 
-def plant_at_hand(node: Node, ask: Callable[[str], str] | None = None) -> str:
+def choose_plant(node: Node, ask: Callable[[str], str] | None = None) -> str:
     """Return `external` if a plant runs, or `sim` if a person wants the simulation.
 
     Parameters

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from hydro_policy.nodes.sayings import CompanionOutput, Flood, Sayings
+from hydro_policy.nodes.graph.announcements import Announcer, CompanionOutput, RepeatFilter
 
 
 def test_a_flood_of_two_sentences_is_told_in_a_few_lines_and_then_counted() -> None:
-    flood = Flood(8)
+    flood = RepeatFilter(8)
     told = []
     for k in range(564):  # as many as a flood of false states once made in 2.5 s
         sentence = f"paused at step {k}" if k % 2 else "plant: armed"
@@ -22,16 +22,16 @@ def test_a_flood_of_two_sentences_is_told_in_a_few_lines_and_then_counted() -> N
 
 
 def test_sentences_that_come_at_their_own_pace_are_all_told() -> None:
-    flood = Flood(8)
+    flood = RepeatFilter(8)
     assert all(flood.passed(f"episode {k}/160: RMSE {k} N", now=1.5 * k) for k in range(160))
 
 
 def test_a_log_that_takes_no_more_ends_and_is_told_of_once(capsys: pytest.CaptureFixture[str]) -> None:
-    sayings = Sayings()
-    with Path("/dev/full").open("w", buffering=1) as sayings.log:
-        sayings.say("one")
-        sayings.say("two", warning=True)
-        sayings.keep("a companion's line\n")
+    announcer = Announcer()
+    with Path("/dev/full").open("w", buffering=1) as announcer.log:
+        announcer.say("one")
+        announcer.say("two", warning=True)
+        announcer.keep("a companion's line\n")
     assert capsys.readouterr().err.splitlines() == ["one", "! the log ends here: No space left on device", "! two"]
 
 

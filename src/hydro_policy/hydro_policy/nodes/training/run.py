@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A training from its first word to its last: prepare, train, evaluate; in the end the plant is disarmed."""
+"""A training run: prepare, train, evaluate, disarm."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.safety.readiness import Readiness
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
-from hydro_policy.nodes.evaluate import evaluate_on
-from hydro_policy.nodes.graph import GraphNode
-from hydro_policy.nodes.options import rearms
-from hydro_policy.nodes.progress import TrainingProgress
-from hydro_policy.nodes.provenance import of_policy
-from hydro_policy.nodes.results import conditions, show_results
-from hydro_policy.nodes.trainer_results import compared, leave_page, tell_files, timing
-from hydro_policy.nodes.trainer_start import (
+from hydro_policy.nodes.evaluation.results import conditions, show_results
+from hydro_policy.nodes.evaluation.run import evaluate_on
+from hydro_policy.nodes.graph.node import GraphNode
+from hydro_policy.nodes.graph.progress import TrainingProgress
+from hydro_policy.nodes.startup.options import may_rearm
+from hydro_policy.nodes.startup.provenance import describe_policy
+from hydro_policy.nodes.training.results import paper_controllers, print_files, timing, write_training_page
+from hydro_policy.nodes.training.start import (
     Prepared,
     begin_record,
     prepare,
+    remove_rejected_run,
+    restore_plant_file,
     start_plant,
-    taken_back,
-    tell_plant_again,
 )
-from hydro_policy.runs.initial_agent import Start
+from hydro_policy.runs.initial_agent import InitialAgent
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.sessions.episode import Phase
 from hydro_policy.sessions.training import TrainingSession
@@ -37,37 +37,37 @@ from hydro_policy.supervision import requirements
 
 
 def train(options: argparse.Namespace) -> int:
-    """Prepare, train, evaluate; whatever happens: disarm, checkpoint, end the companions, in this order."""
+    """Prepare, train, evaluate. In any case: disarm, write a checkpoint, stop the companions, in this order."""
     began = time.monotonic()
     torch.set_num_threads(1)
     with ExitStack() as quiet, ExitStack() as stack:
         node = GraphNode("trainer")
         stack.callback(node.destroy_node)
         prepared = prepare(options, node)
-        stack.enter_context(taken_back(prepared, node))
+        stack.enter_context(remove_rejected_run(prepared, node))
         run, settings = prepared.run, prepared.settings
-        node.sayings.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
+        node.announcer.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
         if run.policy.is_file():
-            node.say(of_policy(run.policy))
+            node.say(describe_policy(run.policy))
         record = begin_record(node, prepared, options)
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
         recording = start_plant(stack, options, prepared, node)
-        session = begin_session(node, prepared, learner, record, rearm=rearms(options))
-        stack.callback(tell_plant_again, run, settings, options)
+        session = begin_session(node, prepared, learner, record, rearm=may_rearm(options))
+        stack.callback(restore_plant_file, run, settings, options)
         stack.callback(lambda: learner.stop(session.state()))
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits
         finished, results = drive(options, node, session, learner, prepared.start)
         if finished:  # a run that was stopped hands nothing over
-            node.heir = options.hand_over or ""
+            node.successor = options.hand_over or ""
         record.add("end", session.gave_up, **timing(node, session), complete=finished)
     notes = conditions(options, run=str(run.path), seed=settings.seed)  # once disarmed: it asks git
     if results is not None:
         show_results(results, run, notes)
     record.flush()
-    leave_page(run, record, results, notes)
-    tell_files(run, recording, finished, options, time.monotonic() - began)
+    write_training_page(run, record, results, notes)
+    print_files(run, recording, finished, options, time.monotonic() - began)
     if session.gave_up:
         print(f"Training was given up: {session.gave_up}; {run.record} has what happened.", file=sys.stderr)
         return 1
@@ -77,7 +77,7 @@ def train(options: argparse.Namespace) -> int:
 def begin_session(
     node: GraphNode, prepared: Prepared, learner: LearnerSupervisor, record: RunRecord, *, rearm: bool
 ) -> TrainingSession:
-    """The session of this run on the node, which from now on tells it what the filter says."""
+    """Create the session of this run and connect it to the filter's corrections."""
     session = TrainingSession(
         prepared.settings,
         learner,
@@ -99,16 +99,16 @@ def drive(
     node: GraphNode,
     session: TrainingSession,
     learner: LearnerSupervisor,
-    start: Start | None,
+    start: InitialAgent | None,
 ) -> tuple[bool, EvaluationSession | None]:
-    """Train, then evaluate if asked for: (whether all came to its end, the evaluation or None)."""
-    if not rearms(options):
+    """Train, then evaluate if asked for; returns whether all was completed, and the evaluation or None."""
+    if not may_rearm(options):
         node.listen_for_enter()
-    if not node.meet():
+    if not node.wait_for_plant():
         return False, None
     bar = TrainingProgress(node, session, learner)
     try:
-        finished = session.state_of_run.trained or node.drive(session, bar.tick)
+        finished = session.state_of_run.trained or node.run_session(session, bar.tick)
     finally:
         bar.close()
     inference = session.explorer.inference.sentence()
@@ -118,9 +118,9 @@ def drive(
     wait_for(learner, node)  # a finished run that was resumed: nobody has yet
     session.keeper.start()
     bar.phase = lambda: Phase.EVALUATING
-    results = evaluate_on(node, compared(session, start), rearm=rearms(options), after=session.watch)
+    results = evaluate_on(node, paper_controllers(session, start), rearm=may_rearm(options), after=session.watch)
     if results.finished:
-        node.heir = options.hand_over or ""
+        node.successor = options.hand_over or ""
     node.disarm()  # now, not after the plots
     bar.phase = lambda: Phase.FINISHED
     bar.publish()
@@ -128,7 +128,7 @@ def drive(
 
 
 def wait_for(learner: LearnerSupervisor, node: GraphNode) -> None:
-    """Wait until the learner is ready, and not for ever.
+    """Wait for the learner to be ready, with a timeout.
 
     Raises
     ------

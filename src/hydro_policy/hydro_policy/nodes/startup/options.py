@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Command line words that trainer and evaluate share."""
+"""Command-line options shared by trainer and evaluate."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from rclpy.node import Node
 
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros import add_page_option, declare_parameters
-from hydro_policy.nodes.companions import PLANTS, PlantOptions
+from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
 
 SCRATCH = "scratch"
@@ -35,7 +35,7 @@ _NEEDS = {
 
 
 def add_plant_options(parser: argparse.ArgumentParser) -> None:
-    """Words about the plant and what runs beside it."""
+    """Add the options about the plant and its companion processes."""
     group = parser.add_argument_group("plant")
     group.add_argument(
         "--plant",
@@ -81,14 +81,14 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     add_page_option(group)
 
 
-def plant_words(options: argparse.Namespace) -> dict[str, Any]:
-    """The words about the plant, as YAML keeps them: files with their whole path."""
+def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
+    """The plant options as stored in YAML, with absolute paths."""
     words = {name: getattr(options, name) for name in _PLANT_WORDS}
     return {name: _absolute(value) for name, value in words.items() if value}
 
 
-def as_begun(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mapping[str, Any]) -> None:
-    """Let `plant`, words that a run was begun with, be the defaults; not where another plant is asked for."""
+def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mapping[str, Any]) -> None:
+    """Make a run's original plant options, `plant`, the defaults, unless another plant is asked for."""
     if said.get("plant", plant.get("plant")) != plant.get("plant"):
         return
     words = {name: value for name, value in plant.items() if name in _PLANT_WORDS}
@@ -101,13 +101,13 @@ def _absolute(value: str | Path | list[float]) -> str | list[float]:
     return str(Path(value).absolute()) if os.path.exists(value) else str(value)
 
 
-def rearms(options: argparse.Namespace) -> bool:
-    """Whether the session may arm by itself."""
+def may_rearm(options: argparse.Namespace) -> bool:
+    """Whether the session may arm the plant without a person."""
     return bool((options.rearm or ("auto" if options.plant in ("sim", "emulator") else "ask")) == "auto")
 
 
 def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
-    """From the command line; `more` are fields that it does not give.
+    """Plant options from the command line; `more` are further fields.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Waiting for the authority over a plant that somebody else commands, or that does not answer."""
+"""Waiting for authority over a plant that another node commands, or that does not answer."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNANSWERED = "the plant does not say who may command it (/hydro/claim)"
 
 
 class AuthorityWait:
-    """Says why a node does not command the plant, each reason once, and ends the waiting.
+    """Reports why a node does not command the plant, each reason once, and gives up after a timeout.
 
     Parameters
     ----------

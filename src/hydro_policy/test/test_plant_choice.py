@@ -12,8 +12,8 @@ pytest.importorskip("rclpy")
 from rclpy.node import Node
 
 from hydro_bridge.errors import UserError
-from hydro_policy.nodes import plant_at_hand as module
-from hydro_policy.nodes.plant_at_hand import plant_at_hand
+from hydro_policy.nodes.startup import plant_choice as module
+from hydro_policy.nodes.startup.plant_choice import choose_plant
 
 
 class Looking:
@@ -38,19 +38,19 @@ def test_a_plant_that_runs_is_taken_and_nobody_is_asked(first: int) -> None:
     def ask(question: str) -> str:
         raise AssertionError(question)
 
-    assert plant_at_hand(cast(Node, Looking(first)), ask) == "external"
+    assert choose_plant(cast(Node, Looking(first)), ask) == "external"
 
 
 @pytest.mark.parametrize("answer", ["", "y", "Yes "])
 def test_the_simulation_is_started_if_a_person_wants_it(answer: str) -> None:
     asked: list[str] = []
-    assert plant_at_hand(cast(Node, Looking(None)), lambda question: (asked.append(question), answer)[1]) == "sim"
+    assert choose_plant(cast(Node, Looking(None)), lambda question: (asked.append(question), answer)[1]) == "sim"
     assert len(asked) == 1 and "Start the simulation" in asked[0]
 
 
 def test_who_declines_is_told_what_can_be_named() -> None:
     with pytest.raises(UserError, match=r"no plant runs: .* --plant sim, emulator or bench"):
-        plant_at_hand(cast(Node, Looking(None)), lambda question: "n")
+        choose_plant(cast(Node, Looking(None)), lambda question: "n")
 
 
 def test_a_terminal_that_closes_is_no_answer() -> None:
@@ -58,10 +58,10 @@ def test_a_terminal_that_closes_is_no_answer() -> None:
         raise EOFError
 
     with pytest.raises(UserError, match="no plant runs"):
-        plant_at_hand(cast(Node, Looking(None)), closed)
+        choose_plant(cast(Node, Looking(None)), closed)
 
 
 def test_without_a_terminal_nobody_is_asked(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("sys.stdin", None)
     with pytest.raises(UserError, match="no plant runs"):
-        plant_at_hand(cast(Node, Looking(None)))
+        choose_plant(cast(Node, Looking(None)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording says of where it comes from: the bench file, and the digests of all weights that took part."""
+"""Provenance of a recording: the bench file, and digests of all weights that took part."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from hydro_policy.sac.policy import load_policy
 from hydro_sim.files.weights import shipped
 
 if TYPE_CHECKING:
-    from hydro_filter.controller.factory import Choice
+    from hydro_filter.controller.factory import FilterChoice
 
 
 def bench_file(given: Path | None) -> Path:
-    """The bench.yaml in force: the one given, or the nominal one that comes with hydro_sim."""
+    """Path of the bench.yaml in use: the one given, or the nominal one of hydro_sim."""
     return given or Path(str(resources.files("hydro_sim") / "data" / "bench.yaml"))
 
 
@@ -34,14 +34,14 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Pat
     return words
 
 
-def of_filter(choice: Choice) -> list[str]:
+def of_filter(choice: FilterChoice) -> list[str]:
     """key=value words: SHA-256 of the filter's metric and of the model it predicts with, or that it has none."""
     return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()] or [
         f"filter_metric={choice.metric}"
     ]
 
 
-def of_policy(path: Path) -> str:
+def describe_policy(path: Path) -> str:
     """Which policy a file holds: the digest of its weights, as diagnostics give it, and the file's, as recordings do.
 
     Raises

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How wide the plant's guard is opened for a policy, which filter that relies on, and whether that filter covers it."""
+"""Width of the plant's guard for a policy, the filter that it relies on, and whether that filter covers it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from hydro_bridge.safety.guard import GuardSettings
 from hydro_policy.task.mdp import GainRange
 
 if TYPE_CHECKING:  # the filter's compiled code is not for --help or a slip
-    from hydro_filter.controller.factory import Choice, Settings
+    from hydro_filter.controller.factory import FilterChoice, Settings
 
 
-def asked_filter(words: Sequence[str], bench: Path | None = None) -> tuple[Choice, Settings]:
-    """The filter that these words of its command line ask for, on this bench; words that it does not take end here.
+def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, Settings]:
+    """The filter that its command-line arguments ask for on this bench; invalid arguments end the program.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def asked_filter(words: Sequence[str], bench: Path | None = None) -> tuple[Choic
 
 
 def guard_range(gains: GainRange) -> GainRange:
-    """What the plant's guard lets through: its defaults, opened as wide as the policy's gains where they are wider."""
+    """Gain changes that the plant's guard allows: its defaults, widened to the policy's range where that is wider."""
     default = GuardSettings()
     return GainRange(
         delta_kp_min=min(gains.delta_kp_min, default.delta_kp_min),
@@ -41,7 +41,7 @@ def guard_range(gains: GainRange) -> GainRange:
 
 
 def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
-    """ROS parameters that open the plant's guard as wide as the policy's gains, where its defaults are narrower.
+    """ROS parameters that widen the plant's guard to the policy's range, where its defaults are narrower.
 
     The guard is told which filter the wider range relies on, and tells it: nothing opens it in silence.
     """
@@ -51,17 +51,17 @@ def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
     return ["--ros-args", *words, "-p", f"guard.relies_on:={relies_on}"] if words else []
 
 
-def relied_on(words: Sequence[str]) -> str:
-    """The filter's command line, its metric named also where that is the default."""
+def filter_command(words: Sequence[str]) -> str:
+    """The filter's command line with its metric named explicitly."""
     from hydro_filter.controller.factory import DEFAULT
 
     named = any(word.split("=")[0] == "--metric" for word in words)
     return " ".join(words if named else (f"--metric {DEFAULT}", *words))
 
 
-def uncovered(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
-    """Why this filter does not protect from the whole range of gains; empty where it does (safety.md)."""
-    choice, settings = asked_filter(words, bench)
+def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
+    """Why this filter does not protect against the whole range of gains; empty if it does (safety.md)."""
+    choice, settings = requested_filter(words, bench)
     if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
         return ""
     if settings.bypass:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes that a trainer or an evaluation starts for those without `ros2 launch`.
+"""Companion processes: the nodes that a trainer or an evaluation starts itself, without `ros2 launch`.
 
 --plant sim         sim, filter, recorder
 --plant emulator    emulator, bridge, filter, recorder
@@ -9,25 +9,23 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 
 from hydro_bridge.ros import Companion
-from hydro_policy.nodes import provenance
-from hydro_policy.nodes.guarding import asked_filter, guard_parameters, relied_on
-from hydro_policy.nodes.sayings import CompanionOutput
+from hydro_policy.nodes.graph.announcements import CompanionOutput
+from hydro_policy.nodes.startup import provenance
+from hydro_policy.nodes.startup.guard_range import filter_command, guard_parameters, requested_filter
 from hydro_policy.task.mdp import GainRange
 
 PLANTS = ("sim", "emulator", "bench", "external")
-_REFUSED = 2  # the exit status of all our commands for what they cannot use
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlantOptions:
-    """What runs beside the trainer."""
+    """The plant and the companion processes of a run."""
 
     plant: str
     """One of `PLANTS`."""
@@ -60,7 +58,7 @@ class PlantOptions:
 def start_companions(
     stack: ExitStack, options: PlantOptions, gains: GainRange, folder: Path, keep: Callable[[str], None]
 ) -> list[Companion]:
-    """Start them in order; `stack` ends them, the last first, so that the recorder sees everything.
+    """Start the companions in order; `stack` stops them in reverse, so that the recorder sees everything.
 
     `keep` takes each line that they say.
 
@@ -76,51 +74,12 @@ def start_companions(
     ]
 
 
-class CompanionWatch:
-    """Notices a companion that ended by itself, once."""
-
-    def __init__(self, companions: list[Companion]) -> None:
-        self._running = list(companions)
-        self.refused = ""
-        """What a companion said that cannot use its input: it will not come back, and there is nothing to wait for."""
-        self.lost = ""
-        """Which companion ended that nothing can go on without, and what that means."""
-
-    def ended(self) -> list[str]:
-        """Sentences about those that ended since the last call."""
-        gone = [companion for companion in self._running if not companion.running]
-        self._running = [companion for companion in self._running if companion not in gone]
-        for companion in gone:
-            if companion.process.returncode == _REFUSED:
-                said = companion.last_words.removeprefix("error: ").removeprefix(f"{companion.name}: ")
-                self.refused = self.refused or f"{companion.name}: {said}"
-            elif companion.name != "recorder":
-                self.lost = self.lost or _sentence(companion)
-        return [_sentence(companion) for companion in gone]
-
-
-def _sentence(gone: Companion) -> str:
-    return f"{gone.name} ended by itself ({_status(gone.process.returncode)}){_outcome(gone.name)}"
-
-
-def _status(code: int) -> str:
-    return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
-
-
-def _outcome(name: str) -> str:
-    if name == "recorder":
-        return ": what it had written stays readable, acting goes on unrecorded"
-    if name == "filter":
-        return ": the plant holds base gains from then on"
-    return ": no samples come from then on, and the box disarms itself"
-
-
 def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tuple[str, str, list[str]]]:
     """(package, executable, arguments) of each companion, in the order of starting."""
     if options.plant == "external":
         return []
     bench = ["--bench", str(options.bench)] if options.bench else []
-    guard = guard_parameters(gains, relied_on(options.filter))
+    guard = guard_parameters(gains, filter_command(options.filter))
     started: list[tuple[str, str, list[str]]] = []
     if options.recording is not None:
         started.append(("hydro_bridge", "recorder", _recorder_arguments(options, options.recording)))
@@ -153,7 +112,7 @@ def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) 
 
 def _recorder_arguments(options: PlantOptions, folder: Path) -> list[str]:
     digests = provenance.weights(options.plant, options.bench, options.policies, options.model)
-    digests += provenance.of_filter(asked_filter(options.filter, options.bench)[0])
+    digests += provenance.of_filter(requested_filter(options.filter, options.bench)[0])
     metadata = [f"plant={options.plant}", *options.metadata, *digests]
     attachments = [provenance.bench_file(options.bench), *options.attachments]
     return ["--realtime", "--out", str(folder), "--metadata", *metadata, "--attach", *map(str, attachments)]

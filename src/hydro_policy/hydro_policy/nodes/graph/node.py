@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS side of a session: states in, gains, reference and arming out; used by trainer and evaluate."""
+"""The ROS node of trainer and evaluate: states in; gains, reference and arming out."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ from hydro_bridge.safety.box_info import KnownBox, told
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import BenchState, Correction, Gains
-from hydro_policy.nodes.authority_wait import ALONE_WITHIN, AuthorityWait
-from hydro_policy.nodes.companions import CompanionWatch
-from hydro_policy.nodes.gain_timing import GainTiming
-from hydro_policy.nodes.override_service import OverrideService
-from hydro_policy.nodes.policy_steps import PolicySteps
-from hydro_policy.nodes.sayings import Sayings
+from hydro_policy.nodes.graph.announcements import Announcer
+from hydro_policy.nodes.graph.authority_wait import ALONE_WITHIN, AuthorityWait
+from hydro_policy.nodes.graph.companion_watch import CompanionWatch
+from hydro_policy.nodes.graph.gain_timing import GainTiming
+from hydro_policy.nodes.graph.override_service import OverrideService
+from hydro_policy.nodes.graph.policy_steps import PolicySteps
 from hydro_policy.sessions.session import Session
 from hydro_policy.supervision import requirements
 from hydro_policy.supervision.override import GainOverride
@@ -72,8 +72,8 @@ class GraphNode(Node):
 
     def __init__(self, name: str, *, realtime: bool = True) -> None:
         super().__init__(name)
-        self.sayings, journal = Sayings(), Journal(self)
-        self.sayings.journal = journal.tell
+        self.announcer, journal = Announcer(), Journal(self)
+        self.announcer.journal = journal.tell
         self._realtime = realtime
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
@@ -82,11 +82,11 @@ class GraphNode(Node):
         self.override = GainOverride(say=self.warn)
         self.box: KnownBox | None = None
         """What the plant says of its box, once it was met."""
-        self.heir = ""
+        self.successor = ""
         """Name of the node that is handed the plant in the end; empty: whoever asks first."""
-        self.unfit: Callable[[KnownBox], str] = lambda box: ""
+        self.box_fault: Callable[[KnownBox], str] = lambda box: ""
         """Why a box is not the one that this run is for, in a sentence, or nothing; asked whenever a box is told of."""
-        self._foreign, self._sampled = "", math.inf
+        self._wrong_box, self._sampled = "", math.inf
         self._meeting: Readiness | None = None  # while a plant is waited for that says what its box is
         self._session: Session | None = None
         self._failure: Exception | None = None  # in a callback; raised there rclpy would print it, too
@@ -104,15 +104,15 @@ class GraphNode(Node):
         listen_to_box(self, self._on_box)
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
-    def follow(self, companions: list[Companion], recording: Path | None) -> None:
-        """From now on tell which of them end, and arm nothing before the one that writes `recording` has samples."""
+    def watch_companions(self, companions: list[Companion], recording: Path | None) -> None:
+        """Watch these companions; arming requires that the one that writes `recording` receives samples."""
         self.companions = CompanionWatch(companions)
         for companion in companions:
             if recording is not None and companion.name == "recorder":
                 self.requirements.append(RecorderWatch(self, recording, companion).requirement)
 
-    def meet(self) -> bool:
-        """Wait for a plant that says what its box is, and see that it is the right one; False if a signal ended it.
+    def wait_for_plant(self) -> bool:
+        """Wait for a plant that describes its box, and check that it is the expected one; False if a signal came.
 
         Nothing is published and nothing is armed meanwhile.
 
@@ -134,8 +134,8 @@ class GraphNode(Node):
         self._refuse()
         return not broken
 
-    def drive(self, session: Session, each_tick: Callable[[], None]) -> bool:
-        """Carry `session` until it is finished (True) or a signal ends it (False); `each_tick` runs every 50 ms.
+    def run_session(self, session: Session, each_tick: Callable[[], None]) -> bool:
+        """Run `session` until it is finished (True) or a signal comes (False); `each_tick` is called every 50 ms.
 
         Raises
         ------
@@ -157,12 +157,12 @@ class GraphNode(Node):
             drop_realtime()
 
     def disarm(self) -> None:
-        """Give the authority back, which disarms the plant, and wait for its answer, at most 2 s.
+        """Release the authority, which disarms the plant, and wait at most 2 s for the answer.
 
-        Where there is an `heir` the plant keeps it for that one.
+        Where there is an `successor` the plant keeps it for that one.
         """
         self._session = None
-        answer = self._commander.give(self.heir)
+        answer = self._commander.give(self.successor)
         if answer is None:
             return
         executor = EventsExecutor()
@@ -177,7 +177,7 @@ class GraphNode(Node):
             )
 
     def listen_to_corrections(self) -> None:
-        """From now on the session hears what the filter says, a thousand times a second."""
+        """Subscribe to the filter's corrections, a thousand a second, and pass them to the session."""
         self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
 
     def tell_steps(self) -> None:
@@ -185,7 +185,7 @@ class GraphNode(Node):
         self._steps = PolicySteps(self)
 
     def listen_for_enter(self) -> None:
-        """From now on Enter on the terminal arms the plant."""
+        """Let Enter on the terminal arm the plant."""
         if sys.stdin is not None and sys.stdin.isatty():
             threading.Thread(target=self._read_keys, daemon=True).start()
 
@@ -211,16 +211,16 @@ class GraphNode(Node):
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""
-        self.sayings.say(sentence, warning)
+        self.announcer.say(sentence, warning)
 
     def warn(self, sentence: str) -> None:
-        """Say that something is wrong."""
+        """Report a warning."""
         self.say(sentence, warning=True)
 
     @property
     def refused(self) -> str:
         """Why this run cannot be on this plant: a companion cannot use what it was given, or the box is another one."""
-        return self.companions.refused or self._foreign
+        return self.companions.refused or self._wrong_box
 
     def _refuse(self) -> None:
         """Raise what a session failed of, or what it cannot go on with."""
@@ -231,8 +231,8 @@ class GraphNode(Node):
             raise CompanionError(trouble)
 
     def _on_box(self, box: KnownBox) -> None:
-        self.box, self._foreign = box, self.unfit(box)
-        if self._meeting is not None or self._foreign:
+        self.box, self._wrong_box = box, self.box_fault(box)
+        if self._meeting is not None or self._wrong_box:
             self._finish()
 
     def _on_state(self, message: BenchState) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How fast gains follow the samples that they were chosen by."""
+"""Latency from a sample to the gains computed from it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s, of a policy step
 
 
 class GainTiming:
-    """Durations of policy steps, from a sample to the gains that it led to."""
+    """Latencies of policy steps, from a sample to the publication of its gains."""
 
     def __init__(self) -> None:
         self.response = Latency()

@@ -1,0 +1,141 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One sample of a bench file's loop, linearized, compiled, by the exact Jacobian of its model (`bench_jacobian`)."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_filter.model.bench_parts import NONE
+from hydro_filter.model.bench_states import hydraulic_slopes, model_state, set_opening
+from hydro_filter.model.loop_model import (
+    CLOSED,
+    INPUT,
+    LOOP,
+    Q_BOX_VELOCITY,
+    Q_HYDRAULIC,
+    Q_LOAD,
+    Q_LOAD_RATE,
+    Q_POSITION,
+    Q_SPOOL,
+    Q_SPOOL_RATE,
+    Q_VELOCITY,
+    law_feedback,
+)
+from hydro_filter.model.state import (
+    HYDRAULIC_FORCE,
+    HYDRAULIC_FORCE_RATE,
+    LOAD_FORCE,
+    LOAD_FORCE_RATE,
+    POSITION,
+    PRESSURE_A,
+    PRESSURE_B,
+    VELOCITY,
+)
+from hydro_sim import copies
+from hydro_sim.model import machine_code
+
+
+@njit(cache=True)
+def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
+    """Linearize at x (8,) and the simulated states, for the nominal current and the applied one [A], into `step`."""
+    p, scale, n, whole = loop.model, loop.scale, len(loop.model.from_whole), len(loop.model.rest)
+    model_state(p, hidden, x, step.whole, True)
+    for i in range(n):
+        step.before[i] = step.whole[p.from_whole[i]]
+    opening = hidden[whole]
+    side = math.copysign(1.0, opening)
+    gain, _, _, soft_a, soft_b = hydraulic_slopes(p, step.before, opening)
+    total = p.gain[0] * p.area * (soft_a + p.ratio * soft_b)
+    share_a, share_b = soft_a / total, -soft_b / total
+    _advance(p, step, opening, side, current)
+    _state_rate(p, x, step)
+    crossed = p.loop_spool != NONE and side * (step.after[p.loop_spool] + p.after) < 0.0
+    if crossed:  # see `loop_model.CLOSED`
+        keeping = set_opening(p, step.before, p.loop_spool, p.loop_spool_rate, side * CLOSED)
+        _advance(p, step, side * CLOSED, side, keeping)
+    later = hydraulic_slopes(p, step.after, math.copysign(opening, side))[0]
+    _embed(p, scale, share_a, share_b, gain, step.embedded)
+    step.moved[:] = 0.0
+    for j in range(n + 1):
+        for c in range(LOOP):
+            nudge = step.embedded[j, c]
+            if nudge != 0.0:
+                for i in range(n):
+                    step.moved[i, c] += step.by_state[i, j] * nudge
+    _read(p, scale, gain, later, step)
+    law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, share_a, share_b, step)
+
+
+@njit(cache=True)
+def _advance(p, step, opening, side, current):
+    """Advance the loop's model and its Jacobian by a sample; an opening near zero is moved to its side of zero."""
+    copies.vector(step.after, step.before)
+    if p.loop_spool != NONE:
+        if abs(opening) < CLOSED:
+            step.after[p.loop_spool] = side * CLOSED - p.after
+    elif abs(current + p.before + p.after) < CLOSED:
+        current = side * CLOSED - p.before - p.after
+    machine_code.jacobian(
+        p.loop_jacobian_at, p.loop_k, step.after, current, step.reading, step.by_state, step.by_reading
+    )
+
+
+@njit(cache=True)
+def _embed(p, scale, share_a, share_b, gain, embedded):
+    """Tangents of the loop's states for the first seven coordinates, and of the current in the last column."""
+    embedded[:] = 0.0
+    embedded[0, Q_HYDRAULIC], embedded[1, Q_HYDRAULIC] = scale[Q_HYDRAULIC] * share_a, scale[Q_HYDRAULIC] * share_b
+    if p.loop_spool != NONE:
+        embedded[p.loop_spool, Q_SPOOL] = scale[Q_SPOOL] / gain
+    if p.loop_spool_rate != NONE:
+        embedded[p.loop_spool_rate, Q_SPOOL_RATE] = scale[Q_SPOOL_RATE] / gain
+    if p.loop_cell_rate != NONE:
+        embedded[p.loop_cell, Q_LOAD] = scale[Q_LOAD] / p.gain[1]
+        embedded[p.loop_cell_rate, Q_LOAD_RATE] = scale[Q_LOAD_RATE] / p.gain[1]
+    embedded[2, Q_POSITION], embedded[3, Q_VELOCITY] = scale[Q_POSITION], scale[Q_VELOCITY]
+    embedded[len(embedded) - 1, INPUT] = 1.0
+
+
+@njit(cache=True)
+def _read(p, scale, gain, later, step):
+    """F and G from the tangents a sample later; `gain`, `later`: g before and after the sample."""
+    moved, embedded, F, n = step.moved, step.embedded, step.transition, len(step.before)
+    area, memory = p.gain[0] * p.area / scale[Q_HYDRAULIC], p.memories[1]
+    for c in range(LOOP):
+        F[Q_HYDRAULIC, c] = area * (moved[0, c] - p.ratio * moved[1, c])
+        if p.loop_spool != NONE:
+            spool, before = moved[p.loop_spool, c], embedded[p.loop_spool, c]
+        else:
+            spool, before = embedded[n, c], scale[Q_SPOOL] / gain if c == Q_SPOOL else 0.0
+        turned = moved[p.loop_spool_rate, c] if p.loop_spool_rate != NONE else (spool - before) / SAMPLE_PERIOD
+        F[Q_SPOOL, c], F[Q_SPOOL_RATE, c] = later / scale[Q_SPOOL] * spool, later / scale[Q_SPOOL_RATE] * turned
+        F[Q_LOAD, c] = p.gain[1] / scale[Q_LOAD] * moved[p.loop_cell, c]
+        F[Q_POSITION, c] = moved[2, c] / scale[Q_POSITION]
+        F[Q_VELOCITY, c] = moved[3, c] / scale[Q_VELOCITY]
+        if p.loop_cell_rate != NONE:
+            F[Q_LOAD_RATE, c] = p.gain[1] / scale[Q_LOAD_RATE] * moved[p.loop_cell_rate, c]
+        else:  # an ideal cell shows the load itself, and its rate
+            stiffness = step.by_state[p.loop_cell, 2] / step.by_state[2, 2]
+            F[Q_LOAD_RATE, c] = p.gain[1] / scale[Q_LOAD_RATE] * stiffness * moved[3, c]
+        F[Q_BOX_VELOCITY, c] = (1.0 - memory) / SAMPLE_PERIOD * (moved[2, c] - embedded[2, c]) / scale[Q_BOX_VELOCITY]
+    for i in range(LOOP):
+        step.push[i], F[i, INPUT] = F[i, INPUT], 0.0
+    F[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = memory  # the differentiator's
+
+
+@njit(cache=True)
+def _state_rate(p, x, step):
+    """x' over the model's sample, free of measurement noise."""
+    rate, before, after = step.state_rate, step.before, step.after
+    change_a, change_b = after[0] - before[0], after[1] - before[1]
+    rate[HYDRAULIC_FORCE] = p.gain[0] * p.area * (change_a - p.ratio * change_b) / SAMPLE_PERIOD
+    rate[LOAD_FORCE] = p.gain[1] * (after[p.loop_cell] - before[p.loop_cell]) / SAMPLE_PERIOD
+    rate[PRESSURE_A], rate[PRESSURE_B] = p.gain[2] * change_a / SAMPLE_PERIOD, p.gain[3] * change_b / SAMPLE_PERIOD
+    rate[POSITION] = p.gain[4] * (after[2] - before[2]) / SAMPLE_PERIOD
+    share, lighter = (1.0 - p.memories[0]) / SAMPLE_PERIOD, (1.0 - p.memories[1]) / SAMPLE_PERIOD
+    rate[HYDRAULIC_FORCE_RATE] = share * (rate[HYDRAULIC_FORCE] - x[HYDRAULIC_FORCE_RATE])
+    rate[LOAD_FORCE_RATE] = share * (rate[LOAD_FORCE] - x[LOAD_FORCE_RATE])
+    rate[VELOCITY] = lighter * (rate[POSITION] - x[VELOCITY])

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What compiled code reads of a bench file's loop: its two models, the box, the workspace of one sample.
+
+`bench_loop` fills these in.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_bridge.signals import FloatArray
+from hydro_sim.model.plant import STATES_MAX
+
+NONE = -1
+"""In the place of a state's number: the bench has no such state."""
+
+BENCH_MEMORY_DTYPE = np.dtype(
+    [("hidden", np.float64, (STATES_MAX + 2,)), ("reference_rate", np.float64), ("current", np.float64),
+     ("running", np.bool_)], align=True,
+)  # fmt: skip
+"""What is remembered of one bench: the whole model's states, behind them the valve's opening [A] and its rate [A/s];
+the last f_r' [N/s]; the current [A] of the last sample; whether it ran."""
+
+
+class BenchParts(NamedTuple):
+    """What compiled code reads of the two models; `bench_loop` makes it."""
+
+    sample_at: int
+    rates_at: int
+    k: FloatArray
+    loop_rates_at: int
+    loop_jacobian_at: int
+    loop_k: FloatArray
+    from_whole: npt.NDArray[np.int64]
+    """Of each state of the loop's model: its number in the whole model."""
+    rest: FloatArray
+    """The whole model's still bench."""
+    spool: int
+    """Of the whole model; `NONE`: the spool is where the current puts it."""
+    spool_rate: int
+    loop_spool: int
+    loop_spool_rate: int
+    before: float
+    """A, null shift between current and spool."""
+    after: float
+    """A, null shift behind the spool's lag."""
+    cell: int
+    """What the load cell shows, and its rate, of the whole model."""
+    cell_rate: int
+    loop_cell: int
+    loop_cell_rate: int
+    lagging: npt.NDArray[np.int64]
+    """Rows: a lagging pressure sensor's signal, the pressure."""
+    lag: float
+    """s, s^2: of the load cell, 2 d/w and 1/w^2."""
+    inertia: float
+    gain: FloatArray
+    """Shape (5,): of the readings."""
+    bias: FloatArray
+    area: float
+    ratio: float
+    mass: float
+    positions: FloatArray
+    """m, and the load there [N]: rises."""
+    forces: FloatArray
+    holds: bool
+    """Whether dry friction can hold the piston."""
+    least_gain: float
+    """N/s/A: a chamber at its limit has no gain."""
+    least_opening: float
+    """A, at which the gain is taken where the valve is closed."""
+    memories: FloatArray
+    """Of the box's differentiators: force rates, velocity."""
+    slopes: int
+    """Rates that both models have at most."""
+
+
+class BenchLoop(NamedTuple):
+    """As `loop_model.LoopModel`, of a bench file."""
+
+    model: BenchParts
+    bench: npt.NDArray[np.void]
+    """What the box's force law believes, shape (1,)."""
+    gain_floor: float
+    current_max: float
+    scale: FloatArray
+
+
+class BenchStep(NamedTuple):
+    """As `loop_model.LoopStep`, of a bench file."""
+
+    transition: FloatArray
+    push: FloatArray
+    feedback: FloatArray
+    state_rate: FloatArray
+    law: FloatArray
+    whole: FloatArray
+    before: FloatArray
+    after: FloatArray
+    reading: FloatArray
+    by_state: FloatArray
+    by_reading: FloatArray
+    embedded: FloatArray
+    moved: FloatArray
