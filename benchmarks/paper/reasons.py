@@ -17,7 +17,15 @@ from benchmarks.paper.reasons_learning import (
     ours_is_identified,
     three_epochs,
 )
-from benchmarks.paper.reasons_loop import Sentence, authority, chattering, corrections, handed_back, stopped
+from benchmarks.paper.reasons_loop import (
+    Sentence,
+    authority,
+    chattering,
+    corrections,
+    handed_back,
+    never_corrected,
+    stopped,
+)
 from benchmarks.paper.store import Store
 
 MISSING = "reason not written yet for these figures"
@@ -38,7 +46,7 @@ REASONS: Mapping[str, tuple[Sentence, ...]] = {
     "fixed": (authority("default"),),
     "fixed-outside": (authority("outside"),),
     "slow": (authority("default"),),
-    "chatter": (chattering,),
+    "chatter": (chattering, never_corrected, hardly_unstable),
 }
 """By the claim's key."""
 

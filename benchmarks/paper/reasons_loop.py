@@ -83,9 +83,18 @@ def chattering(store: Store) -> str:
     told = []
     for chosen, name in (("none", "without a filter"), ("paper-short", "behind the paper's"), ("ours", "behind ours")):
         found = table(store, f"chatter-{chosen}-{{}}", "chatter")
+        trips = int(table(store, f"chatter-{chosen}-{{}}", "trips").sum()) if len(found) else 0
         if len(found):
-            told.append(f"{name} {found.mean():.4f} A/s")
+            told.append(f"{name} {found.mean():.4f} A/s" + (f" with {trips} trips" if trips else ""))
     return _sentence(["u' is", *told]) if told else ""
+
+
+def never_corrected(store: Store) -> str:
+    """Where our filter finds nothing to do."""
+    found = pieces(store, "chatter-ours-{}", "chatter-none-{}")
+    if not found or any(ours["chatter"] != none["chatter"] for ours, none in found):
+        return ""
+    return "Behind ours it is that without a filter to the bit: these gains give it nothing to correct."
 
 
 def _relative(own: object, other: object) -> float:
