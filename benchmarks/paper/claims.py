@@ -3,14 +3,24 @@
 
 from __future__ import annotations
 
-from benchmarks.paper.store import Store
-from benchmarks.paper.verdicts import Claim, Outcome, bounded, less, numbers, outcome, pieces
+from benchmarks.paper.store import CASES, Store
+from benchmarks.paper.verdicts import Claim, Comparisons, Outcome, bounded, less, numbers, outcome, pieces
 
 
-def untouched(store: Store) -> list[list[Outcome]]:
+def untouched(chosen: str) -> Comparisons:
     """Whether gamma_1 of each stable run is 0 as far as the paper prints it."""
-    found = pieces(store, "validation-stable-paper-short-{}")
-    return [[outcome(numbers(one["gammas"])[0] < 0.05)] for (one,) in found]
+
+    def look(store: Store) -> list[list[Outcome]]:
+        found = pieces(store, f"validation-stable-{chosen}-{{}}")
+        return [[outcome(numbers(one["gammas"])[0] < 0.05)] for (one,) in found]
+
+    return look
+
+
+def all_bounded(store: Store) -> list[list[Outcome]]:
+    """Whether the runs behind our filter stay bounded, all draws of gains."""
+    found = pieces(store, *(f"validation-{case}-ours-{{}}" for case in CASES if case != "stable"))
+    return [[outcome(one["bounded"]) for one in row] for row in found]
 
 
 def converged(store: Store) -> list[list[Outcome]]:
@@ -39,7 +49,8 @@ CLAIMS = (
         less("model-squared-{}", "model-one-step-{}", "over_range"),
     ),
     Claim("epochs", "Three epochs suffice for the metric (loss within a tenth of the long training's)", converged),
-    Claim("untouched", "The filter leaves a stable controller alone (gamma_1 below 0.05 %)", untouched),
+    Claim("untouched", "The filter leaves a stable controller alone (gamma_1 below 0.05 %)", untouched("paper-short")),
+    Claim("untouched-ours", "Ours does", untouched("ours")),
     Claim(
         "unfiltered",
         "Without the filter gains drawn from -40 to 40 are unstable",
@@ -49,6 +60,7 @@ CLAIMS = (
     Claim("negative", "So they do behind strictly negative gains", bounded("negative", "paper-short")),
     Claim("positive", "So they do behind strictly positive gains", bounded("positive", "paper-short")),
     Claim("high", "Above K_p = 100 the filter does not suffice", bounded("high", "paper-short", as_paper=False)),
+    Claim("bounded-ours", "Behind ours all four draws of gains stay bounded, those above 100 too", all_bounded),
     Claim(
         "bench",
         "Training on the bench beats training in simulation (I below II, each sine; paper: three of four)",

@@ -43,8 +43,8 @@ def run(store: Store) -> None:
     """All networks and both other models."""
     store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal())))
     store.piece("model-ours", lambda: judged(Learned.load().model))
-    for seed in range(store.size.seeds):
-        for loss in LOSSES:
+    for loss in LOSSES:
+        for seed in range(store.size.seeds):
             train(store, loss, seed)
 
 

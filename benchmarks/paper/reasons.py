@@ -17,7 +17,16 @@ from benchmarks.paper.reasons_learning import (
     ours_is_identified,
     three_epochs,
 )
-from benchmarks.paper.reasons_loop import Sentence, authority, chattering, corrections, handed_back, stopped
+from benchmarks.paper.reasons_loop import (
+    Sentence,
+    authority,
+    chattering,
+    corrections,
+    errors,
+    handed_back,
+    never_corrected,
+    stopped,
+)
 from benchmarks.paper.store import Store
 
 MISSING = "reason not written yet for these figures"
@@ -29,16 +38,18 @@ REASONS: Mapping[str, tuple[Sentence, ...]] = {
     "epochs": (three_epochs, hardly_unstable),
     "untouched": (corrections("stable"), hardly_unstable),
     "unfiltered": (stopped("unstable", "none"),),
+    "untouched-ours": (corrections("stable", "ours"),),
     "filtered": (stopped("unstable", "paper-short", "ours"), corrections("unstable"), hardly_unstable),
     "negative": (stopped("negative", "none", "paper-short", "ours"), corrections("negative"), hardly_unstable),
     "positive": (stopped("positive", "none", "paper-short", "ours"), corrections("positive"), hardly_unstable),
     "high": (stopped("high", "none", "paper-short", "ours"), corrections("high"), hardly_unstable),
+    "bounded-ours": (errors("unstable", "negative", "positive", "high"),),
     "bench": (handed_back("default"),),
     "bench-outside": (handed_back("outside"),),
     "fixed": (authority("default"),),
     "fixed-outside": (authority("outside"),),
     "slow": (authority("default"),),
-    "chatter": (chattering,),
+    "chatter": (chattering, never_corrected, hardly_unstable),
 }
 """By the claim's key."""
 

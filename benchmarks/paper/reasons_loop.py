@@ -13,16 +13,31 @@ from benchmarks.paper.verdicts import numbers, pieces, table
 Sentence = Callable[[Store], str]
 
 
-def corrections(case: str) -> Sentence:
-    """How much the paper's filter corrects and how often its certificate is violated, before and after."""
+def corrections(case: str, chosen: str = "paper-short") -> Sentence:
+    """How much a filter corrects and how often its certificate is violated, before and after."""
 
     def say(store: Store) -> str:
-        found = table(store, f"validation-{case}-paper-short-{{}}", "gammas")
+        found = table(store, f"validation-{case}-{chosen}-{{}}", "gammas")
         if not len(found):
             return ""
         size, before, _, after, _ = found.mean(0)
         told = f"It corrects by {size:.2g} % of the largest current; M_c > 0 in {before:.0f} % of the samples"
         return f"{told} before and {after:.0f} % after."
+
+    return say
+
+
+def errors(*cases: str) -> Sentence:
+    """Force RMSE behind our filter and without one."""
+
+    def say(store: Store) -> str:
+        told = []
+        for case in cases:
+            found = pieces(store, f"validation-{case}-ours-{{}}", f"validation-{case}-none-{{}}")
+            own, bare = (np.mean([one[place]["rmse"] for one in found]) if found else np.nan for place in (0, 1))
+            if found:
+                told.append(f"{own:.1f} N behind it and {bare:.1f} N without one ({case})")
+        return "RMSE is " + ", ".join(told) + "; of a run that tripped, up to there." if told else ""
 
     return say
 
@@ -83,9 +98,18 @@ def chattering(store: Store) -> str:
     told = []
     for chosen, name in (("none", "without a filter"), ("paper-short", "behind the paper's"), ("ours", "behind ours")):
         found = table(store, f"chatter-{chosen}-{{}}", "chatter")
+        trips = int(table(store, f"chatter-{chosen}-{{}}", "trips").sum()) if len(found) else 0
         if len(found):
-            told.append(f"{name} {found.mean():.4f} A/s")
-    return _sentence(["u' is", *told]) if told else ""
+            told.append(f"{name} {found.mean():.4f} A/s" + (f" with {trips} trips" if trips else ""))
+    return f"RMS of u': {', '.join(told)}." if told else ""
+
+
+def never_corrected(store: Store) -> str:
+    """Where our filter finds nothing to do."""
+    found = pieces(store, "chatter-ours-{}", "chatter-none-{}")
+    if not found or any(ours["chatter"] != none["chatter"] for ours, none in found):
+        return ""
+    return "Behind ours it is that without a filter to the bit: these gains give it nothing to correct."
 
 
 def _relative(own: object, other: object) -> float:
@@ -94,5 +118,5 @@ def _relative(own: object, other: object) -> float:
 
 
 def _sentence(parts: list[str]) -> str:
-    joined = ", ".join(parts).replace("is, ", "is ")
+    joined = ", ".join(parts)
     return joined[:1].upper() + joined[1:] + "." if joined else ""
