@@ -50,7 +50,7 @@ def test_a_compiler_that_is_not_there_is_a_sentence(monkeypatch: pytest.MonkeyPa
 
 def test_a_place_that_cannot_be_written_is_a_sentence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "file").write_text("")
-    monkeypatch.setattr(machine_code, "folder", lambda: tmp_path / "file" / "models")
+    monkeypatch.setattr(machine_code, "cache_folder", lambda: tmp_path / "file" / "models")
     with pytest.raises(ValueError, match="set NUMBA_CACHE_DIR to a folder"):
         machine_code.cached_library("nowhere", lambda: SOURCE)
 
