@@ -68,7 +68,7 @@ def _why(claim: Claim, full: Store, quick: Store) -> str:
 def _times(full: Store, quick: Store) -> str:
     head = ["pieces", "full: there", "CPU of one [s]", "quick: there", "CPU of one [s]"]
     hours = {"full": times.whole(full, quick), "quick": times.whole(quick, quick)}
-    told = "; ".join(f"{name} {found:.1f} h" for name, found in hours.items() if found is not None)
+    told = "; ".join(f"{name} {found:.2g} h" for name, found in hours.items() if found is not None)
     line = f"\nAll pieces of a size, on one core: {told}.\n" if told else ""
     return captions.TIMES + "\n" + markdown(head, times.rows(full, quick)) + line
 
