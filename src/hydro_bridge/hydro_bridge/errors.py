@@ -19,12 +19,12 @@ class UnwritableError(UserError, argparse.ArgumentTypeError):
     """An output path that cannot be written to. Argparse reports it like a wrong option."""
 
 
-def of_a_file(error: Exception) -> bool:
+def is_file_error(error: Exception) -> bool:
     """Whether the operating system raised this error about a file or disk space, rather than a fault of ours."""
     return isinstance(error, OSError) and (error.filename is not None or error.errno in _NO_PLACE)
 
 
-def explained(error: Exception) -> str:
+def user_message(error: Exception) -> str:
     """Text of an error for the user; a system error names its file and the remedy, without an errno."""
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from hydro_bridge.process.middleware import RMW, missing
+from hydro_bridge.process.middleware import RMW, missing_middleware
 
 
 @pytest.fixture
@@ -26,15 +26,15 @@ def prefix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_one_that_is_not_installed_is_told_with_those_that_are(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(RMW, "rmw_nothing_cpp")
-    assert missing() == (
+    assert missing_middleware() == (
         "RMW_IMPLEMENTATION is rmw_nothing_cpp, which is not installed: unset it, or take rmw_fastrtps_cpp"
     )
 
 
 def test_one_that_is_there_and_the_default_are_taken(prefix: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert missing() == ""
+    assert missing_middleware() == ""
     monkeypatch.setenv(RMW, "rmw_fastrtps_cpp")
-    assert missing() == ""
+    assert missing_middleware() == ""
 
 
 def test_an_executable_ends_in_the_sentence() -> None:

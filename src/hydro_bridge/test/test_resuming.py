@@ -6,7 +6,7 @@ import argparse
 import pytest
 
 from hydro_bridge.cli.console import UserError
-from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
+from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
 
 
 def parser() -> argparse.ArgumentParser:
@@ -24,9 +24,9 @@ BEGUN = {"seed": 5, "start": NEW_ONLY, "bench": None, "randomise": False, "hidde
 
 
 def test_given_is_what_was_said_even_where_it_is_the_default():
-    assert given(parser(), []) == {}
-    assert given(parser(), ["--seed", "0", "--hidden", "32", "32"]) == {"seed": 0, "hidden": [32, 32]}
-    assert given(parser(), ["--from", "runs/b", "--randomise"]) == {"start": "runs/b", "randomise": True}
+    assert explicit_options(parser(), []) == {}
+    assert explicit_options(parser(), ["--seed", "0", "--hidden", "32", "32"]) == {"seed": 0, "hidden": [32, 32]}
+    assert explicit_options(parser(), ["--from", "runs/b", "--randomise"]) == {"start": "runs/b", "randomise": True}
 
 
 @pytest.mark.parametrize("words", [[], ["--seed", "5"], ["--hidden", "32", "32"], ["--episodes", "320"]])

@@ -32,7 +32,7 @@ from hydro_bridge.ros import (
     Companion,
     executable_path,
 )
-from hydro_bridge.ros.keys.enclave import ENABLE, KEYSTORE, STRATEGY, enclave_arguments, secured
+from hydro_bridge.ros.keys.enclave import ENABLE, KEYSTORE, STRATEGY, enclave_arguments, security_enabled
 from hydro_bridge.ros.keys.keystore import domain, make_keystore
 from hydro_bridge.ros.keys.policy import policy_xml
 from hydro_bridge.ros.keys.rights import RIGHTS, enclave_of
@@ -163,7 +163,7 @@ def test_what_ros_would_take_for_off_is_refused(variable: str, value: str, monke
     monkeypatch.setenv(ENABLE, "true")
     monkeypatch.setenv(variable, value)
     with pytest.raises(SettingsError, match=f"{variable}={value}"):
-        secured()
+        security_enabled()
 
 
 def test_where_security_is_on_a_missing_key_stops_a_node_unless_the_user_says_otherwise(
@@ -172,11 +172,11 @@ def test_where_security_is_on_a_missing_key_stops_a_node_unless_the_user_says_ot
     monkeypatch.setenv(STRATEGY, "")  # set, so that it is put back
     monkeypatch.delenv(STRATEGY)
     monkeypatch.setenv(ENABLE, "false")
-    assert not secured() and STRATEGY not in os.environ
+    assert not security_enabled() and STRATEGY not in os.environ
     monkeypatch.setenv(ENABLE, "true")
-    assert secured() and os.environ[STRATEGY] == "Enforce"
+    assert security_enabled() and os.environ[STRATEGY] == "Enforce"
     monkeypatch.setenv(STRATEGY, "Permissive")
-    assert secured() and os.environ[STRATEGY] == "Permissive"
+    assert security_enabled() and os.environ[STRATEGY] == "Permissive"
 
 
 @pytest.mark.graph

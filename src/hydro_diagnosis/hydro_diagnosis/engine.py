@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which version of the diagnosis this is: a digest of its sources and of the model's, the proof's own left out."""
+"""Version of the diagnosis: a digest of its sources and of the model's, without those of the proof."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ from tqdm import tqdm
 
 from hydro_bridge.bags.schema import UnknownTypeError
 from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.errors import UserError, explained, of_a_file, writable, writable_folder
+from hydro_bridge.errors import UserError, is_file_error, user_message, writable, writable_folder
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.process import endings
 from hydro_bridge.serial.port import PortLostError
@@ -68,8 +68,8 @@ def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Ca
             except KeyboardInterrupt:
                 status = 130
             except Exception as error:
-                if isinstance(error, known) or of_a_file(error):
-                    fail(explained(error))
+                if isinstance(error, known) or is_file_error(error):
+                    fail(user_message(error))
                 raise
             sys.exit(status)
 

@@ -20,7 +20,7 @@ NEW_ONLY: Any = object()
 _UNSAID = object()
 
 
-def given(parser: argparse.ArgumentParser, words: Sequence[str]) -> dict[str, Any]:
+def explicit_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> dict[str, Any]:
     """Options given explicitly in `words`, by name; those left at their defaults are omitted."""
     names = vars(parser.parse_args(words))
     said = vars(parser.parse_args(words, argparse.Namespace(**dict.fromkeys(names, _UNSAID))))
@@ -46,7 +46,7 @@ def refuse_changes(parser: argparse.ArgumentParser, words: Sequence[str], what: 
     spelled = {action.dest: action.option_strings[0] for action in parser._actions if action.option_strings}
     wrong = [
         f"{spelled[name]} {_shown(value)}".rstrip() + _instead(begun[name])
-        for name, value in given(parser, words).items()
+        for name, value in explicit_options(parser, words).items()
         if name in begun and value != begun[name] and os.path.abspath(str(value)) != begun[name]
     ]
     if wrong:

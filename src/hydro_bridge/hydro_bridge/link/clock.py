@@ -115,6 +115,6 @@ class HostClock:
         return wall - before if self._monotonic() - before <= self._READING else None
 
 
-def set_by(step_ns: int) -> str:
+def clock_step_message(step_ns: int) -> str:
     """Sentence for the log on a step that `HostClock.look` has found."""
     return f"the host's clock was set by {1e-9 * step_ns:+.3f} s: the samples' stamps follow at once"

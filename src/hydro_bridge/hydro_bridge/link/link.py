@@ -14,8 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from enum import Enum
 
-from hydro_bridge.link.clock import BoxClock, HostClock, set_by
-from hydro_bridge.link.remarks import NO_DETAILS, remarks
+from hydro_bridge.link.clock import BoxClock, HostClock, clock_step_message
+from hydro_bridge.link.remarks import NO_DETAILS, connection_remarks
 from hydro_bridge.link.timing import LinkTimes
 from hydro_bridge.safety.guard import CommandGuard, narrowed
 from hydro_bridge.serial.port import Port, PortLostError
@@ -233,7 +233,7 @@ class Link:
         """ROS time [ns] at which the sample was taken."""
         step = self.host_clock.look()
         if step:
-            self._warn(set_by(step))
+            self._warn(clock_step_message(step))
         return self.host_clock.ros_time(self.clock.stamp(frame.time_us, time.monotonic_ns()))
 
     def _take_hello(self, frame: Hello, info: BoxInfo) -> None:
@@ -272,7 +272,7 @@ class Link:
         self._log(
             f"connected to {info.name or 'a box'} on {self.port.settings.path}, protocol version {version}; disarmed"
         )
-        for sentence in remarks(self._wanted_limits, info, details):
+        for sentence in connection_remarks(self._wanted_limits, info, details):
             self._log(sentence)
         self._on_box(info)
 

@@ -16,7 +16,7 @@ MISSED = (
 )
 
 
-def remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None) -> list[str]:
+def connection_remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None) -> list[str]:
     """Sentences for the log; none for a version 2 box that allows everything the guard is set to."""
     said = [] if details else [MISSED]
     allowed = narrowed(wanted, info)

@@ -118,7 +118,7 @@ class BridgeNode(PlantNode):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Asked:
+class BridgeOptions:
     """What the command line asks for."""
 
     port: PortSettings
@@ -127,7 +127,7 @@ class Asked:
     realtime: bool
 
 
-def arguments(own: Sequence[str]) -> Asked:
+def arguments(own: Sequence[str]) -> BridgeOptions:
     """Parse the command line."""
     parser = argparse.ArgumentParser(
         prog="bridge",
@@ -144,7 +144,7 @@ def arguments(own: Sequence[str]) -> Asked:
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
     options = parser.parse_args(own)
     port = replace(defaults, path=options.port, baud=options.baud)
-    return Asked(port=port, bench=options.bench or bench_file.shipped(), realtime=options.realtime)
+    return BridgeOptions(port=port, bench=options.bench or bench_file.shipped(), realtime=options.realtime)
 
 
 def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:

@@ -23,7 +23,7 @@ from hydro_bridge.ros import (
     request_realtime,
     ros_arguments,
     run_node,
-    tell_of_namesakes,
+    warn_of_duplicate_nodes,
 )
 
 HOST = "127.0.0.1"
@@ -46,7 +46,9 @@ class DashboardNode(Node):
         self._server = PageServer(self._commands.act, host, port)
         self._feed.serve(self._server)
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        tell_of_namesakes(self, f"another live page runs here: both show the plant, this one at {self._server.address}")
+        warn_of_duplicate_nodes(
+            self, f"another live page runs here: both show the plant, this one at {self._server.address}"
+        )
         request_realtime(realtime=False)
         print(f"the live page: {self._server.address}#token={rules.token}", flush=True)
 

@@ -33,7 +33,7 @@ from hydro_bridge.ros import (
     request_realtime,
     ros_arguments,
     run_node,
-    tell_of_namesakes,
+    warn_of_duplicate_nodes,
 )
 
 _QUEUE = 2000  # messages per topic that wait while the disk is slow: 2 s of samples
@@ -61,7 +61,7 @@ class RecorderNode(Node):
         self.create_timer(FLUSH_PERIOD, partial(self._write, self._run.writer.flush), clock=steady)
         if self._unknown:
             self.create_timer(0.5, self._look_for_unknown, clock=steady)
-        tell_of_namesakes(self, f"another recorder runs here: both go on, this one in {self._run.writer.folder}")
+        warn_of_duplicate_nodes(self, f"another recorder runs here: both go on, this one in {self._run.writer.folder}")
         self._diagnostics = DiagnosticsPublisher(self, self._status)
         self.get_logger().info(f"recording into {self._run.writer.folder}; {scheduling}")
 

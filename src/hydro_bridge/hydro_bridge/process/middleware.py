@@ -14,7 +14,7 @@ _INDEX = "share/ament_index/resource_index/rmw_typesupport"
 _CHOOSER = "rmw_implementation"  # stands in the index, too, and is none
 
 
-def missing() -> str:
+def missing_middleware() -> str:
     """Why no node can start, in a sentence; empty if the middleware is installed or the default."""
     wanted = os.environ.get(RMW, "")
     prefixes = [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]

@@ -26,7 +26,7 @@ class MainOf:
     def __call__(self) -> int | None:
         """Answer signals from now on, import the module, and run its `main`, which answers them in its own way."""
         endings.answer(endings.leave)  # importing takes seconds, and a traceback tells nobody anything
-        if trouble := middleware.missing():
+        if trouble := middleware.missing_middleware():
             endings.complain(trouble)
             return 2
         main = import_module(self._module).main

@@ -19,7 +19,7 @@ from hydro_bridge.ros.messages import (
     seconds,
     state_from_message,
 )
-from hydro_bridge.ros.namesakes import tell_of_namesakes
+from hydro_bridge.ros.namesakes import warn_of_duplicate_nodes
 from hydro_bridge.ros.parameters import declare_parameters, refuse_unknown_parameters
 from hydro_bridge.ros.publisher_conflict import publisher_conflicts, with_publisher_conflicts
 from hydro_bridge.ros.recorder_watch import RecorderWatch
@@ -114,5 +114,5 @@ __all__ = [
     "start_ros",
     "state_from_message",
     "with_publisher_conflicts",
-    "tell_of_namesakes",
+    "warn_of_duplicate_nodes",
 ]

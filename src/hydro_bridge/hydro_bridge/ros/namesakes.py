@@ -9,7 +9,7 @@ from rclpy.node import Node
 _PERIOD = 1.0  # s
 
 
-def tell_of_namesakes(node: Node, sentence: str) -> None:
+def warn_of_duplicate_nodes(node: Node, sentence: str) -> None:
     """Warn with `sentence`, once, as soon as another node of this one's name is in the graph."""
 
     def look() -> None:

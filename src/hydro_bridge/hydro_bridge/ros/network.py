@@ -33,7 +33,7 @@ def stay_on_this_machine() -> None:
     UserError
         The middleware that the user has set is not installed.
     """
-    if trouble := middleware.missing():
+    if trouble := middleware.missing_middleware():
         raise UserError(trouble)
     here = os.environ.setdefault(RANGE, THIS_MACHINE) == THIS_MACHINE
     profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))

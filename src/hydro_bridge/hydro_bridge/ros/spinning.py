@@ -17,7 +17,7 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 
 from hydro_bridge.process import endings
-from hydro_bridge.ros.keys.enclave import enclave_arguments, no_keys, secured, try_keys
+from hydro_bridge.ros.keys.enclave import enclave_arguments, key_error, security_enabled, verify_keys
 from hydro_bridge.ros.network import stay_on_this_machine
 from hydro_bridge.ros.parameters import refuse_unknown_parameters
 from hydro_bridge.settings import SettingsError
@@ -46,16 +46,16 @@ def start_ros(ros: Sequence[str] = ()) -> None:
         The arguments, `--ros-args` and what follows, cannot be used, or the keys cannot.
     """
     stay_on_this_machine()
-    keys = secured()
+    keys = security_enabled()
     try:
         rclpy.init(args=["hydro", *enclave_arguments(), *ros], signal_handler_options=SignalHandlerOptions.NO)
     except RuntimeError as error:  # of which all of rclpy's are
         if keys:
-            raise no_keys(error) from None
+            raise key_error(error) from None
         sentence = re.sub(r",? at /\S+:\d+", "", str(error))
         raise SettingsError(f"ROS refuses its arguments: {' '.join(sentence.split())}") from None
     if keys:
-        try_keys()
+        verify_keys()
 
 
 def spin(node: Node, until: Future | None = None) -> bool:

@@ -47,7 +47,7 @@ class KnownBox:
         return self.info.base_kp, self.info.base_ki
 
 
-def told(ready: Callable[[], bool]) -> Requirement:
+def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
     """Requirement that the plant's node has described its box; it does so once, latched, before the first sample."""
     hint = "its node says it on /hydro/box"
     return Requirement(name="what the box says of itself", ready=ready, hint=hint, within=5.0, missing=NO_BOX)

@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
-from hydro_bridge.safety.limits import GuardSettings, narrowed, unfit, with_frequency, within_narrow
+from hydro_bridge.safety.limits import GuardSettings, narrowed, reference_fault, with_frequency, within_narrow
 from hydro_bridge.signals import SAMPLE_PERIOD, Command, CorrectionStatus, ReferenceSignal
 
 __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"]
@@ -188,7 +188,7 @@ class CommandGuard:
 
     def set_reference(self, signal: ReferenceSignal) -> bool:
         """Take a new reference; out of range or not finite: refused, the last one stays, and False comes back."""
-        reason = unfit(signal, self.settings)
+        reason = reference_fault(signal, self.settings)
         if reason:
             self.counts.references_refused += 1
             self._events.append(f"reference refused, the last one stays: {reason}")

@@ -73,7 +73,7 @@ def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
     )
 
 
-def unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
+def reference_fault(signal: ReferenceSignal, limits: GuardSettings) -> str:
     """Why a reference is rejected, as given or as the float32 that a box receives; empty if it is accepted."""
     return _unfit(signal, limits) or _unfit(_on_the_line(signal), limits)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is true about one diagnosed case: named or not, located or not, errors of its numbers, its held-out fit."""
+"""Score of one diagnosed case: named or not, located or not, parameter errors, held-out fit."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What can be concealed, and how large it is drawn: effects of the emulator's truth file by id.
+"""Effects that can be concealed, and the distribution of their sizes: effects of the emulator's truth file by id.
 
 A size is drawn evenly on a logarithmic scale from `low`, about five times what three 20 s recordings resolve at nominal
 noise, to `high`; a faint one from a fifth of `low` up to it.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pictures of a proof: what was said against what is concealed, errors against size, coverage, held-out fit."""
+"""Plots of a proof: confusion matrix, errors against size, coverage of intervals, held-out fit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def draw(results: Sequence[Result], folder: Path) -> dict[str, Path]:
 
 
 def draw_confusion(matrix: dict[str, dict[str, int]], path: Path) -> None:
-    """Rows: what is concealed; columns: what was said."""
+    """Confusion matrix. Rows: concealed causes; columns: claimed ones."""
     rows = sorted(matrix, key=lambda name: (name == "nothing", name))
     said = {name for counts in matrix.values() for name in counts}
     columns = [name for name in rows if name in said] + sorted(said - set(rows) - set(_VERDICTS))

@@ -80,7 +80,7 @@ def _play(runs: Sequence[Run], attempt: Attempt, folder: Path) -> None:
 
 
 def fresh(bag: Path) -> Path:
-    """Where a recording stands until it is accepted."""
+    """Temporary folder of a recording until it is accepted."""
     return bag.with_name(f"{bag.name}-fresh")
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an operator does about a run that cannot be used, knowing nothing but that run.
+"""Retakes of unusable runs, decided from the run alone, as an operator would.
 
 First lower gains and a smaller reference. If the bench still trips or swings from stop to stop, the box is told of a
 stronger valve: its force law then compensates the velocity term by less than all of it, and the loop is damped again.

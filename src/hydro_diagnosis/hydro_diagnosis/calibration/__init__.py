@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much evidence chance reaches: null simulations, and the threshold that a claim must pass.
+"""Calibration of the evidence threshold by null simulations.
 
 May import the stages before it, up to `experiment_design`.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings in which nothing is missing, searched without a threshold: what evidence chance reaches.
+"""Null simulations: the nominal bench, recorded and searched without a threshold, for the evidence of chance.
 
 The bench as believed is recorded, and searched for the one claim that explains it best: its evidence is what choosing
 among all hypotheses makes of noise. Above a threshold that exceeds it nothing is claimed.
@@ -44,7 +44,7 @@ class Trial:
 
 @dataclass(frozen=True)
 class Calibration:
-    """What a threshold is worth."""
+    """False-claim statistics of a threshold."""
 
     threshold: float
     """BIC."""
@@ -82,7 +82,7 @@ def trial(bench: Bench, seed: int) -> Trial:
 
 
 def calibrated(trials: Sequence[Trial], threshold: float) -> Calibration:
-    """What a threshold is worth by these trials."""
+    """Compute the false-claim statistics of a threshold from trials."""
     false = sum(one.evidence > threshold for one in trials)
     share, middle, excess = _tail(trials)
     expected = share * exp(-max(threshold - middle, 0.0) / excess) if share else 0.0

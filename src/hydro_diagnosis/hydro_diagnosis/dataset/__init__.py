@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From paths to what is fitted and what is held out: loading, streaming of long recordings, their informative windows.
+"""Data sets: loading, fitted and held-out parts, streaming of long recordings, informative windows.
 
 May import `io`, `preprocessing` and `wiring`.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which windows of long recordings tell most: those that together take the bench to most places."""
+"""Selection of informative windows of long recordings: those that together cover most of the state space."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From paths to what is fitted and what is held out: recordings read side by side, split, and cut to what is needed."""
+"""Loading of data sets: recordings are read in parallel, split into fitted and held-out parts, and trimmed."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an effect is: a named cause with parameters, that says what it does to command, flows, forces or measurements.
+"""Base class of effects: named causes with parameters that act on command, flows, forces or measurements.
 
 Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same
 hooks serve

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What resists the piston: dry and viscous friction, a constant force, a cushion, the moving mass."""
+"""Effects on the piston's motion: dry and viscous friction, a constant force, a cushion, the moving mass."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors make of the truth: gain, bias, lag."""
+"""Sensor effects: gain, bias, lag."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ KNOTS = 24
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A hidden input that nobody named."""
+    """An unnamed hidden input."""
 
     equation: str
     sensor: str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How sure a parameter is: 95 % by profile likelihood, with what the likelihood cannot know added.
+"""Confidence intervals of parameters: 95 % by profile likelihood, widened by systematic errors.
 
 A parameter is moved, all others are fitted anew, and the deviance must rise by 3.84. Residuals are not quite
 independent

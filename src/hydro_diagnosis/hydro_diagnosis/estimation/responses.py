@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a hidden input in one equation shows in the residuals: its way through observer, test function and sensors."""
+"""Response of the residuals to a hidden input in one equation, through observer, test function and sensors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ UNIT_SIZE = {"pressure_a": 1e-7, "pressure_b": 1e-7, "actuation": 1e-4, "motion"
 
 
 class Responses:
-    """How an input in one equation shows in the residual vector."""
+    """Response of the residual vector to an input in one equation."""
 
     def __init__(self, problem: Problem, claims: Sequence[Claim], equation: str, sensor: str) -> None:
         self.problem = problem
@@ -116,7 +116,7 @@ class Responses:
 
 
 def forget(signal: FloatArray, step: float) -> FloatArray:
-    """What a slow observer leaves of a signal."""
+    """High-pass effect of a slow observer on a signal."""
     gain = step / OBSERVER_MEMORY
     followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], signal, zi=[signal[0]])
     return signal - np.asarray(followed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What to record next, where rivals cannot be told apart by the recordings at hand.
+"""Experiment design: what to record next to distinguish hypotheses that the recordings do not separate.
 
 May import the stages before it, up to `selection`.
 """

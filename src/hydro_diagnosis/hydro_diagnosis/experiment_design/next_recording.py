@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which recording to make next, when rivals cannot be told apart by those at hand.
+"""Choice of the next recording, when the present ones do not separate the hypotheses.
 
 Every reference of a small catalog is rehearsed on the believed bench. What matters is how much of one cause's
 signature the other cannot mimic by any values of its parameters: the distance of two fitted models, in BIC.

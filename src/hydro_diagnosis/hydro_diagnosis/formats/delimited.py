@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of text by any logger: encoding, separator and decimal sign are found, headers read, blocks told apart.
+"""Text tables of any logger: encoding, separator, decimal sign, headers and blocks are detected.
 
 dSPACE ControlDesk, TwinCAT Scope, LabVIEW and others put a header of key and values above the numbers, names and units
 in rows of their own, one column of times per raster or one block below the other; spreadsheets of half of Europe write

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a file holds: columns by name, their units, and the clock by which each was sampled."""
+"""Contents of a file: columns by name, their units, and their sampling clocks."""
 
 from __future__ import annotations
 

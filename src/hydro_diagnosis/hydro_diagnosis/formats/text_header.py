@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What stands above the numbers of a table of text: names, units, and how many lines it takes.
+"""Header of a text table: names, units, and number of lines.
 
 Three shapes are read. A row of names, with a row of units below it or units in brackets behind the names. Rows that
 begin with a key, as ControlDesk writes them: `path;...`, `unit;...`, then `trace_values;` before the first row of
@@ -25,7 +25,7 @@ _FOLLOWING = 4
 
 @dataclass(frozen=True)
 class Header:
-    """What stands above a block of numbers."""
+    """Header above a block of numbers."""
 
     length: int
     """Lines before the first row of numbers."""

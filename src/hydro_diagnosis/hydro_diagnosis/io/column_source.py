@@ -30,7 +30,7 @@ _BARE = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
 
 @dataclass(frozen=True)
 class Source:
-    """Where a field comes from."""
+    """Source of a field."""
 
     column: str
     """Name in the file; empty for a constant."""

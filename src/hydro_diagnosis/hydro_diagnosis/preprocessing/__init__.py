@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a recording can be used: quality checks, stopped sensors, time stamps, noise, smoothing.
+"""Preprocessing of recordings: quality checks, frozen sensors, time stamps, noise, smoothing.
 
 May import `io`.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a diagnosis leaves: report.html with its plots, and corrected.yaml.
+"""Results of a diagnosis: report.html with its plots, and corrected.yaml.
 
 May import all stages before it; `findings` holds report.json.
 """

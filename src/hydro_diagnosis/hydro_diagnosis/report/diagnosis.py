@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a diagnosis hands to the pages that show it: the findings, and what they were made from."""
+"""Input of the report pages: the findings, and the data behind them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The picture of where a mismatch lives: each equation's unexplained part over time, and what stands out."""
+"""Plot of the residuals: each equation's unexplained part over time."""
 
 from __future__ import annotations
 

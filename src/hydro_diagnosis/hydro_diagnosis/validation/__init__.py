@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a corrected model is worth on recordings that no parameter has seen.
+"""Accuracy of a corrected model on held-out recordings.
 
 May import `estimation` and `model`.
 """

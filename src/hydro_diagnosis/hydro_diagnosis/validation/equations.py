@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a diagnosis is worth on held-out recordings: simulated forward, and equation by equation.
+"""Accuracy of a diagnosis on held-out recordings: forward simulation, and equation by equation.
 
 `equation_errors` is what each equation leaves of the recordings, without simulating. For rigs whose recordings cannot
 be simulated (no pressures, no current) this is the proof. The relative errors that the literature on inverse models

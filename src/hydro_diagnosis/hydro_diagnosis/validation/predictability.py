@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which held-out windows a model cannot predict itself: there the doubt of the start decides what comes of it.
+"""Detection of unpredictable held-out windows, whose outcome is decided by the uncertainty of the initial state.
 
 Whether dry friction stops the piston, and when it breaks loose, can hang on a pressure that no sensor resolves. Two
 runs of one model, both from starts that the sensors allow, then end far apart, and neither says anything against the

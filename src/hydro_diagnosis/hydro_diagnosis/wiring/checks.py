@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every bench of this kind does, whatever else is wrong with it; each check with the mistakes that break it.
+"""Checks that every bench of this kind satisfies, each with the wiring mistakes that violate it.
 
 A force goes with the pressures that make it, a spring's with its travel, the piston runs where the valve sends it,
 numbers are of the size of the bench's, and no sensor copies another. The margins are several times what any effect of

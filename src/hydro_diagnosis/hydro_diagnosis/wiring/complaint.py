@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a check of the wiring says: something that no bench does, and the mistakes that would explain it."""
+"""Result of a failed wiring check, with the mistakes that would explain it."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be wrong with how channels were wired, named or scaled, and the column map that undoes it."""
+"""Possible mistakes in wiring, naming and scaling of channels, and the column map that corrects each."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How two channels go together: correlation, slope and the time by which one follows the other.
+"""Relations between two channels: correlation, slope and delay.
 
 Slow means (10 ms) for signs and sizes, rates of change for times: neither noise nor the dynamics of sensors and valve
 weigh in them.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Mistakes of wiring, naming and units, told in words with the map that repairs them, before anything is diagnosed.
+"""Detection of mistakes in wiring, naming and units before the diagnosis, with the column map that corrects them.
 
 What no bench does is complained about (`checks`, `delays`); a mistake is named when undoing it leaves no
 complaint, the fewest mistakes first. Nothing is ever repaired in silence.

@@ -13,7 +13,7 @@ from pathlib import Path
 import rclpy
 
 from hydro_bridge.cli.console import command
-from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
+from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
 from hydro_bridge.ros import CompanionError, ros_arguments, start_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_policy.nodes.startup.options import SCRATCH, add_plant_options, restore_plant_options
@@ -105,9 +105,9 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
         begun = {"start": NEW_ONLY, "configuration": configuration_of(settings) or NEW_ONLY, "seed": settings.seed}
         place = {"runs": str(run.path.absolute().parent), "name": run.path.name}
         refuse_changes(parser(), words, str(run.path), {**begun, **place})
-        restore_plant_options(result, run.load_plant(), given(parser(), words))
+        restore_plant_options(result, run.load_plant(), explicit_options(parser(), words))
         options = result.parse_args(words)
-    options.plant_named = options.demo or options.resume is not None or "plant" in given(parser(), words)
+    options.plant_named = options.demo or options.resume is not None or "plant" in explicit_options(parser(), words)
     return options
 
 

@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from hydro_bridge.bags.recording_run import code_version
 from hydro_bridge.cli.console import UserError, progress
-from hydro_bridge.cli.resuming import NEW_ONLY, given, refuse_changes
+from hydro_bridge.cli.resuming import NEW_ONLY, explicit_options, refuse_changes
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.process import endings
 from hydro_bridge.viewer.runs import refresh_index
@@ -101,7 +101,7 @@ def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, 
         "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
     }  # fmt: skip
     refuse_changes(parser(), words, str(run.path), begun)
-    episodes = given(parser(), words).get("episodes", settings.episodes)
+    episodes = explicit_options(parser(), words).get("episodes", settings.episodes)
     if episodes != settings.episodes:
         settings = replace(settings, episodes=episodes)
         run.save_settings(settings)

@@ -15,7 +15,7 @@ import yaml
 
 from hydro_bridge.bags.recording import RecordingError
 from hydro_bridge.cli.console import writable, writable_folder
-from hydro_bridge.errors import explained
+from hydro_bridge.errors import user_message
 from hydro_bridge.files.settings_file import from_mapping, read_yaml
 from hydro_bridge.process import endings
 from hydro_bridge.process.realtime import drop_realtime
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with endings.raised():
             _run(options)
     except (SettingsError, RecordingError, ValueError, OSError) as error:
-        endings.complain(explained(error))
+        endings.complain(user_message(error))
         return 2
     except endings.Ended as ended:  # before it serves, or because it spins
         if ended.sentence:

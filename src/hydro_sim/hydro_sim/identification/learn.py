@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from tqdm import tqdm
 
 from hydro_bridge.cli.console import UserError, command, progress, writable
-from hydro_bridge.cli.resuming import given, refuse_changes
+from hydro_bridge.cli.resuming import explicit_options, refuse_changes
 from hydro_sim.files import recordings
 from hydro_sim.files.pairing import MadeFor
 from hydro_sim.files.recordings import DataError
@@ -56,7 +56,7 @@ def main() -> None:
     """Entry point."""
     options = parser().parse_args()
     if options.structure == learn_bench.STRUCTURE:
-        learn_bench.run(options, given(parser(), sys.argv[1:]))
+        learn_bench.run(options, explicit_options(parser(), sys.argv[1:]))
         return
     _check(options)
     out, began = Path(options.out), time.monotonic()
@@ -103,7 +103,7 @@ def resumed(options: argparse.Namespace) -> Checkpoint | None:
         name: getattr(before.settings, name) for name in ("structure", "horizon", "batch", "seed", "printed_loss")
     }
     refuse_changes(parser(), sys.argv[1:], str(path), {**begun, "hidden": list(before.settings.hidden)})
-    said = given(parser(), sys.argv[1:])
+    said = explicit_options(parser(), sys.argv[1:])
     loop = replace(before.settings.adam, **{name: said[name] for name in ("epochs", "patience") if name in said})
     device = said.get("device", before.settings.device)
     return replace(before, settings=replace(before.settings, adam=loop, device=device))

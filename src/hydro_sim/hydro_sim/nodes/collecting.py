@@ -33,7 +33,7 @@ from hydro_bridge.ros import (
     publisher_conflicts,
     spin,
 )
-from hydro_bridge.safety.box_info import KnownBox, told
+from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import Flag
 from hydro_bridge.signals import ReferenceSignal as Signal
@@ -72,7 +72,7 @@ class CollectNode(Node):
         self.box: KnownBox | None = None
         """What the plant says of its box: schedules ask for gains in all, and a box takes changes to its own."""
         self._heard = self._asked = inf  # when the first sample came; when the authority was first asked for, s
-        self._readiness = Readiness([self._plant_needed(), told(lambda: self.box is not None)], _warn)
+        self._readiness = Readiness([self._plant_needed(), box_info_requirement(lambda: self.box is not None)], _warn)
         self._met, self._finished, self._driving = Future(), Future(), False
         self._recorder: Companion | None = None
         self._begun, self._still_since = False, inf  # whether it may be armed; since when it is not, s

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Annotated, Any
 
-from hydro_bridge.link.clock import set_by
+from hydro_bridge.link.clock import clock_step_message
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray
@@ -186,7 +186,7 @@ class Simulation:
             return self.samples * round(1e9 * SAMPLE_PERIOD)
         step = self.pacer.host_clock.look()
         if step:
-            self._log(set_by(step))
+            self._log(clock_step_message(step))
         return self.pacer.scheduled_ns
 
     def _wait(self, sequence: int, resend: Callable[[], None]) -> None:

@@ -36,7 +36,7 @@ def enclave_arguments() -> list[str]:
     return ["--ros-args", "--enclave", enclave_of(executable)] if executable in RIGHTS else []
 
 
-def secured() -> bool:
+def security_enabled() -> bool:
     """Whether security is enabled: then a missing key stops this process and its children, unless overridden.
 
     Raises
@@ -53,7 +53,7 @@ def secured() -> bool:
     return True
 
 
-def try_keys() -> None:
+def verify_keys() -> None:
     """Join the graph and leave it, so that missing or rejected keys fail at the start.
 
     Raises
@@ -72,10 +72,10 @@ def try_keys() -> None:
         ).destroy_node()
     except RuntimeError as error:
         rclpy.try_shutdown()
-        raise no_keys(error) from None
+        raise key_error(error) from None
 
 
-def no_keys(error: RuntimeError) -> SettingsError:
+def key_error(error: RuntimeError) -> SettingsError:
     """ROS's error about unusable keys, as one sentence."""
     said = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
     keystore = os.environ.get(KEYSTORE) or "not set"

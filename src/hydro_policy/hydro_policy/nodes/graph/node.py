@@ -36,7 +36,7 @@ from hydro_bridge.ros import (
     spin,
     state_from_message,
 )
-from hydro_bridge.safety.box_info import KnownBox, told
+from hydro_bridge.safety.box_info import KnownBox, box_info_requirement
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.msg import BenchState, Correction, Gains
@@ -123,7 +123,10 @@ class GraphNode(Node):
         NotReadyError
             No plant came within its time, or nobody says what it is.
         """
-        needed = (requirements.plant(lambda: self._sampled < math.inf), told(lambda: self.box is not None))
+        needed = (
+            requirements.plant(lambda: self._sampled < math.inf),
+            box_info_requirement(lambda: self.box is not None),
+        )
         self._meeting, self._done = Readiness(needed, self.warn), Future()
         if self.box is not None:
             self._on_box(self.box)
