@@ -53,9 +53,36 @@ MOST = np.array([1e5, 1e9, 1e5, 1e9, 1e8, 1e8, 1.0, 20.0, 0.1, 1e4, 1e5, 1e9, 1e
 """Magnitudes that loop_filter.h still computes with."""
 
 
+CONSTANTS = (
+    "bulk", "area", "ratio", "dead_a", "dead_b", "supply", "tank", "ka_positive", "ka_negative", "kb_positive",
+    "kb_negative", "offset", "leak", "mass", "viscous", "spring", "rest", "spool_omega", "spool_damping", "cell_omega",
+    "cell_damping", "coulomb", "stribeck", "stribeck_velocity", "bristle", "bristle_damping", "damping_velocity",
+    "gain_h", "bias_h", "gain_l", "bias_l", "stroke",
+)  # fmt: skip
+"""Members of `hydro_model` in C."""
+SET = {
+    "tank": 2e5, "offset": 1.5e-3, "leak": 2e-12, "gain_h": 1.1, "bias_h": 7.0, "gain_l": 0.92, "bias_l": -4.0,
+    "stroke": 0.09375,
+}  # fmt: skip
+"""Those that are 0 or 1 where nothing is missing, and a stroke in whole powers of 2."""
+
+
 def shipped() -> LoopParts:
     """The default filter's parts."""
     return loop_parts(LearnedMetric.load(), Learned.load().model, Bench.nominal())  # type: ignore[arg-type]
+
+
+def uneven(parts: LoopParts) -> LoopParts:
+    """The same on a model none of whose constants is 0, 1 or another's equal: what the shipped one leaves out shows."""
+    constants = parts.loop.model[0].copy()
+    constants *= np.linspace(0.85, 1.15, len(constants))
+    assert len(constants) == len(CONSTANTS)
+    for name, value in SET.items():
+        constants[CONSTANTS.index(name)] = value
+    smooth = constants.copy()
+    smooth[[CONSTANTS.index("bristle"), CONSTANTS.index("bristle_damping")]] = 0.0
+    rest = parts.loop.model[1:]
+    return parts._replace(loop=parts.loop._replace(model=(constants, *rest), free=(smooth, *rest)))
 
 
 def written(folder: Path, parts: LoopParts) -> Path:
@@ -83,6 +110,30 @@ def replay(program: Path, precision: str, rows: FloatArray) -> FloatArray:
     given = np.ascontiguousarray(rows, KINDS[precision]).tobytes()
     done = subprocess.run([str(program)], input=given, capture_output=True, check=True, timeout=300)
     return np.frombuffer(done.stdout, KINDS[precision]).reshape(len(rows), 4).astype(np.float64)
+
+
+def edges(parts: LoopParts) -> FloatArray:
+    """Samples with nothing before them, where the model or the force law has another form on each side.
+
+    The spool stands just closed; the piston at an end, or on a stop with no force, or with less than 1 N; a chamber
+    above twice the supply.
+    """
+    constants = dict(zip(CONSTANTS, parts.loop.model[0], strict=True))
+    into, leaves = 2.0**-10, 1e7 * 2.0**-10 / 4e3  # m; the speed [m/s] at which the stop's damping takes its force
+    places = [(position, 0.0, 4e6, 6e6) for position in (0.05, 0.0, float(parts.loop.bench["stroke"][0]))]
+    places += [(0.05, 0.0, 60e6, 6e6), (0.05, 0.0, 4e6, 60e6)]
+    for position, speed in ((-into, leaves), (constants["stroke"] + into, -leaves)):
+        places += [(position, speed + more, 4e6, 6e6) for more in (0.0, 1e-4, -1e-4)]
+    none = np.append(np.full(WIDTH, np.nan), 1.0)
+    rows = []
+    for position, speed, pressure_a, pressure_b in places:
+        for current in (-constants["offset"], 0.01, -0.01):
+            row = np.zeros(WIDTH + 1)
+            row[[4, 5, 6, 7]] = pressure_a, pressure_b, position, speed
+            row[PLACES] = current, current, 2000.0, 0.0, 150.0
+            row[WIDTH] = 1.0
+            rows += [none, row]
+    return np.array(rows)
 
 
 def decided(parts: LoopParts, rows: FloatArray) -> FloatArray:

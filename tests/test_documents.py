@@ -154,6 +154,14 @@ def test_generated_pages_are_current() -> None:
     assert stale == [], "make reference"
 
 
+def test_architecture_has_a_row_for_every_folder() -> None:
+    text = (DOCS / "manual" / "explanation" / "architecture.md").read_text(encoding="utf-8")
+    for package in ROOT.glob("src/hydro_*/hydro_*"):
+        folders = {path.parent.name for path in package.glob("*/__init__.py")}
+        table = text.partition(f"| `{package.name}` | holds |")[2].partition("\n\n")[0]
+        assert {*re.findall(r"^\| `(\w+)/`", table, re.MULTILINE)} == folders
+
+
 def test_every_page_has_a_name_of_its_own() -> None:
     names = [path.name for path in DOCS.rglob("*.md") if path.name != "index.md" and path.parent.name != "commands"]
     assert sorted(names) == sorted(set(names))

@@ -21,10 +21,12 @@ from tests.firmware_filter import (
     compiled,
     decided,
     drawn,
+    edges,
     hostile,
     recorded,
     replay,
     shipped,
+    uneven,
     written,
 )
 
@@ -80,6 +82,15 @@ def test_drawn_samples_are_decided_as_in_python_but_for_rounding(parts: LoopPart
     other, worst, measure = compare(replay(programs["double"], "double", rows), expected, "drawn")
     assert other == 0.0 and worst < 1e-12 and measure < 1e-9
     assert np.all(np.bincount(expected[:, 3].astype(int)) > 500), "every status is tried"
+
+
+def test_an_uneven_model_is_decided_as_in_python_but_for_rounding(parts: LoopParts, tmp_path: Path) -> None:
+    other = uneven(parts)
+    program = compiled(written(tmp_path, other), "double", "-O2")
+    trials = {"drawn": drawn(20_000, 9), "at edges": edges(other), "recorded": recorded(other, 4, 10_000)}
+    for label, rows in trials.items():
+        differing, worst, measure = compare(replay(program, "double", rows), decided(other, rows), f"uneven, {label}")
+        assert differing == 0.0 and worst < 1e-12 and measure < 1e-9
 
 
 def test_single_precision_stays_near(parts: LoopParts, programs: dict[str, Path]) -> None:

@@ -24,6 +24,7 @@ from tests.test_graph_dashboard import ARMED, dashboard
 
 pytestmark = [pytest.mark.graph, pytest.mark.skipif(bool(MISSING), reason=MISSING)]
 
+PAGE = "a person, by the live page"
 SHORT = ("--ros-args", "-p", "task.steps_per_episode:=300", "-p", "warmup_steps:=100", "-p", "exam.every:=0")
 HELD = (45.0, 5.0)
 """Changes that make (60, 10) of the box's (15, 5)."""
@@ -69,9 +70,9 @@ def test_a_person_overrides_gives_back_and_ends_the_run_and_the_recording_knows_
     calls = [message.msg for _, message in objects(bag, LOG) if message.name.endswith(".calls")]
     expected = (
         r"trainer: armed for trainer",
-        r"override, hold \(60, 10\) for 60 s: gains overridden by hand: \(60, 10\) for 60 s",
-        r"override, hold \(400, 10\) for 60 s: refused: \(400, 10\) cannot be held here: .*",
-        r"override, give the gains back: override ended: .*",
+        PAGE + r": override, hold \(60, 10\) for 60 s: gains overridden by hand: \(60, 10\) for 60 s",
+        PAGE + r": override, hold \(400, 10\) for 60 s: refused: \(400, 10\) cannot be held here: .*",
+        PAGE + r": override, give the gains back: override ended: .*",
         r"trainer: disarmed, given back",
     )
     assert [one for one in expected if not any(re.fullmatch(one, call) for call in calls)] == [], calls

@@ -12,14 +12,18 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.paper import claims, metric, report
+from benchmarks.paper import metric, report, times
 from benchmarks.paper.certificate import AtRate, NetworkDynamics, NetworkMetric, paper_filter
-from benchmarks.paper.claims import CLAIMS, NOT_RUN
+from benchmarks.paper.claims import CLAIMS
 from benchmarks.paper.foreign import ForeignPlant
+from benchmarks.paper.reasons import MISSING, REASONS, why
 from benchmarks.paper.store import FULL, PRINTED, QUICK, Store
+from benchmarks.paper.verdicts import AS_PAPER, CONTRARY, EQUAL, NOT_RUN, less, verdict
+from hydro_bridge.signals import STATE_DTYPE
 from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
+from hydro_filter.training.data import STABLE, UNSTABLE, Rollout
 from hydro_sim.files.recordings import Run
 from hydro_sim.neural.network_model import NetworkModel
 
@@ -104,7 +108,7 @@ def test_training_and_filter_have_the_same_certificate(model: NetworkModel) -> N
     made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
     certificate = paper_filter(metric_of(made, model), model).inner.certificate
     assert isinstance(certificate, Certificate)
-    rows = metric._normalized(sample, certificate.dynamics, certificate.controller)  # type: ignore[arg-type]
+    rows = metric._normalized(sample, certificate.dynamics, certificate.controller, certificate.current_max)  # type: ignore[arg-type]
     parts = [torch.from_numpy(row)[None, None] for row in rows]
     grown, _ = metric.growth(made, metric.Samples(*parts, torch.tensor([[True]])))
     assert -certificate.evaluate(sample).b == pytest.approx(float(grown.detach()), rel=1e-9)
@@ -113,12 +117,18 @@ def test_training_and_filter_have_the_same_certificate(model: NetworkModel) -> N
 def test_the_loss_follows_the_label(model: NetworkModel) -> None:
     made, sample = network(), Sample(STATE, 1e-3, 90.0, 60.0)
     certificate = paper_filter(metric_of(made, model), model).inner.certificate
-    rows = metric._normalized(sample, certificate.dynamics, certificate.controller)  # type: ignore[arg-type]
+    rows = metric._normalized(sample, certificate.dynamics, certificate.controller, certificate.current_max)  # type: ignore[arg-type]
     parts = [torch.from_numpy(row)[None, None] for row in rows]
     losses = {stable: metric.loss(made, metric.Samples(*parts, torch.tensor([[stable]]))) for stable in (True, False)}
     value = -certificate.evaluate(sample).b
     weight = PRINTED["training_metric"]["contraction_weight"]
     assert float((losses[True] - losses[False]).detach()) == pytest.approx(weight * value, rel=1e-6)
+
+
+def test_the_shipped_metric_says_what_it_is_worth() -> None:
+    told = metric._ours()
+    assert told["epochs"] == 0
+    assert told["stable_verified"] > 0.9 and told["unstable_found"] > 0.5
 
 
 def test_a_correction_is_held_for_ten_samples() -> None:
@@ -146,11 +156,67 @@ def test_the_foreign_bench_rests_and_repeats() -> None:
 
 
 @pytest.mark.parametrize(
-    ("found", "words"),
-    [([], NOT_RUN), ([True, True], "holds"), ([True, False], "holds in part"), ([False], "does not hold here")],
+    ("found", "cell"),
+    [
+        ([], NOT_RUN),
+        ([[AS_PAPER], [AS_PAPER]], "holds (2 of 2)"),
+        ([[AS_PAPER, CONTRARY]], "holds in part (1 of 2; 1 of 2 seeds)"),
+        ([[AS_PAPER, EQUAL], [EQUAL, EQUAL]], "holds in part (1 of 4, 3 equal)"),
+        ([[CONTRARY], [EQUAL]], "does not hold here (0 of 2, 1 equal)"),
+        ([[EQUAL], [EQUAL]], "no difference (0 of 2, 2 equal)"),
+    ],
 )
-def test_verdicts(found: list[bool], words: str) -> None:
-    assert claims.judged(found) == words
+def test_verdicts(found: list[list[int]], cell: str) -> None:
+    assert verdict(found).cell(2) == cell
+
+
+def test_what_is_equal_to_the_bit_is_no_difference(tmp_path: Path) -> None:
+    quick = Store(tmp_path, QUICK)
+    for name in ("one-0", "other-0"):
+        quick.piece(name, lambda: {"rmse": [1.0, float("nan")]})
+    assert verdict(less("one-{}", "other-{}", "rmse")(quick)).words == "no difference"
+
+
+def test_every_claim_has_reasons_and_says_where_none_is_left(tmp_path: Path) -> None:
+    quick = Store(tmp_path, QUICK)
+    assert set(REASONS) == {claim.key for claim in CLAIMS}
+    assert {why(claim.key, quick) for claim in CLAIMS} == {MISSING}
+
+
+def test_a_reason_follows_the_pieces(tmp_path: Path) -> None:
+    """The analytic model is near the emulator's truth: said with the share that it errs by, and only while it is."""
+    told = []
+    for number, error in enumerate((0.004, 0.5)):
+        quick = Store(tmp_path / str(number), QUICK)
+        quick.piece("model-analytic", lambda e=error: {"over_range": [e] * 8})  # type: ignore[misc]
+        told.append(why("model", quick))
+    assert "err by 0.4 % of f_l's range, not by 91 % as" in told[0]
+    assert told[1] == MISSING
+
+
+def test_an_agent_that_is_the_one_that_came_is_said_to_be(tmp_path: Path) -> None:
+    quick = Store(tmp_path, QUICK)
+    quick.piece("rmse-default-paper-II-0", lambda: {"rmse": [4.0, 5.0, 8.0, 9.0]})
+    quick.piece("rmse-default-paper-I-0", lambda: {"rmse": [4.0, 5.0, 8.0, 9.0], "last": [8.0, 10.0, 16.0, 18.0]})
+    page = report.text(Store(tmp_path, FULL), quick)
+    assert "no difference (0 of 4, 4 equal; 1 of 2 seeds) | *quick*: RMSE after 2 episodes, to II's: I +0 %" in page
+    assert "its last policy +100 %. In 1 of 1 I is II" in page
+    assert "| default | I, paper, last policy | 8.00 | 10.00 | 16.00 | 18.00 | 1 |" in page
+
+
+def test_held_out_are_rollouts_of_each_label(model: NetworkModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every fourth is unstable, as the gains are drawn: with every fifth held out none or few of them would be."""
+    states = np.zeros(1000, STATE_DTYPE)
+
+    def drawn(plant: object, bench: object, settings: object, index: int) -> Rollout:
+        return Rollout(states=states, gains=(1.0, 1.0), label=UNSTABLE if index % 4 == 0 else STABLE)
+
+    monkeypatch.setattr(metric, "roll_out", drawn)
+    monkeypatch.setattr(metric, "WINDOWS", 3)
+    training, held_out, labels = metric.material(model, 8, 0)
+    assert labels == {"stable": 6, "unstable": 2, "neither": 0}
+    for part, stable in ((training, 15), (held_out, 3)):
+        assert [int(part.stable.sum()), len(part.stable) - int(part.stable.sum())] == [stable, 3]
 
 
 def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
@@ -161,13 +227,35 @@ def test_without_results_nothing_is_claimed(tmp_path: Path) -> None:
     page = (tmp_path / "paper.md").read_text()
     assert page.count("0 pieces are there") == 2
     assert "### Table" not in page
+    assert "| metrics, long | 0 of 5 |  | 0 of 2 |  |" in page and "All pieces of a size" not in page
+
+
+def test_a_whole_run_costs_what_its_pieces_do_or_smaller_ones_scaled(tmp_path: Path) -> None:
+    full, quick = Store(tmp_path, FULL), Store(tmp_path, QUICK)
+    for kind in times.KINDS:
+        for name in kind.names(QUICK):
+            _keep(quick, name, 36.0)
+    expected = {kind.name: len(kind.names(FULL)) * kind.work(FULL) / kind.work(QUICK) for kind in times.KINDS}
+    assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
+    _keep(full, "metric-long-3", 360.0)
+    expected["metrics, long"] = 10.0 * 5
+    assert times.whole(full, quick) == pytest.approx(sum(expected.values()) / 100.0)
+
+
+def _keep(store: Store, name: str, cpu: float) -> None:
+    store.piece(name, dict)
+    file = store.folder / f"{name}.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | {"cpu": cpu}))
 
 
 def test_a_page_shows_what_is_there_and_judges_it(tmp_path: Path) -> None:
     quick = Store(tmp_path, QUICK)
     for seed in range(QUICK.seeds):
         quick.piece(f"rmse-default-III-{seed}", lambda: {"rmse": [3.0, 6.0, 9.0, 12.0]})
-        quick.piece(f"rmse-default-paper-I-{seed}", lambda: {"rmse": [4.0, 5.0, 8.0, float("nan")]})
+        quick.piece(
+            f"rmse-default-paper-I-{seed}",
+            lambda: {"rmse": [4.0, 5.0, 8.0, float("nan")], "last": [4.0, 5.0, 8.0, 9.0]},
+        )
     page = report.text(Store(tmp_path, FULL), quick)
     claim = "I beats fixed (90, 15) (each sine; paper: three of four)"
     assert f"| {claim} | not run yet | holds in part (4 of 8) |" in page

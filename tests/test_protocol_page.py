@@ -33,7 +33,9 @@ from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.kernel import CORRECTION_HOLD, RECOVERY, RECOVERY_MARGIN
 from hydro_sim.model.bench import Bench
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "manual" / "reference" / "protocol.md"
+ROOT = Path(__file__).resolve().parent.parent
+PAGE = ROOT / "docs" / "manual" / "reference" / "protocol.md"
+FRAMES = ROOT / "firmware" / "test" / "test_frames.h"
 INFO = BoxInfo(name="example 1.0", delta_kp_min=-5.0, integral="bumpless")
 DETAILS = BoxDetails(
     epoch=7,
@@ -78,6 +80,11 @@ def test_the_codec_reads_the_bytes_of_the_page() -> None:
     assert [type(frame).__name__ for frame in frames] == ["Hello", "Hello", "Details", "State", "CommandFrame"]
     assert frames[3][2] == VALUES and frames[3][5:] == (1, 1)
     assert frames[4][2] == COMMAND
+
+
+def test_the_firmware_is_tried_with_the_bytes_of_the_page() -> None:
+    texts = re.findall(r"=((?:\s+\"[0-9a-f ]+\")+);", FRAMES.read_text(encoding="utf-8"))
+    assert [bytes.fromhex(re.sub(r"\W", "", text)) for text in texts] == examples()
 
 
 def test_the_command_before_cobs_is_that_of_the_frame() -> None:

@@ -95,6 +95,7 @@ def test_what_it_cannot_do_it_says_in_a_sentence(
         (("launch", "hydro_policy", "train.launch.py", "plant:=bench"), "plant:=bench needs port:="),
         (("launch", "hydro_policy", "train.launch.py", "plant:=moon"), "sim, emulator, bench can be chosen"),
         (("launch", "hydro_policy", "train.launch.py", "plant=sim"), "name:=value is meant"),
+        (("param", "set", "trainer", "sac.discount", "null"), "'null' is no value of a parameter"),
     ],
 )
 def test_before_the_graph_is_asked_what_is_wrong_is_a_sentence(words: tuple[str, ...], sentence: str) -> None:
@@ -119,6 +120,12 @@ def test_before_the_graph_is_asked_what_is_wrong_is_a_sentence(words: tuple[str,
         ),
         ("x = 1", "is no launch file in Python"),
         ("def generate_launch_description(): return 1", "describes nothing to launch"),
+        (
+            "from launch import LaunchDescription\nfrom launch_ros.actions import Node\n"
+            "def generate_launch_description(): return LaunchDescription([Node(package='hydro_bridge', "
+            "executable='recorder', sigterm_timeout='soon')])",
+            "sigterm_timeout soon: a number of seconds, 0 or more, is meant",
+        ),
     ],
 )
 def test_a_launch_file_that_uses_more_is_refused_by_name(tmp_path: Path, content: str, sentence: str) -> None:

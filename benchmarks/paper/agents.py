@@ -4,8 +4,8 @@
 Authority *paper* (K_p to 90, K_i to 15) and *wide* (to 300, 100). II is `pretrain` on the shipped model; I goes on
 from it on the bench as `trainer` does, without a clock: the same samples to the bit. Bench *default* is the emulator's
 truth, *outside* is `foreign`. No filter, the bumpless integral, the mean action of the best policy of the run's own
-examinations, which for I include the one before its first episode. Sines of 300 N, each from rest: 2 s to settle, then
-at least four periods; one noise seed for each training seed.
+examinations, which for I include the one before its first episode; and of I's last policy, which the paper may mean.
+Sines of 300 N, each from rest: 2 s to settle, then at least four periods; one noise seed for each training seed.
 """
 
 from __future__ import annotations
@@ -45,6 +45,7 @@ PLANTS: dict[str, Callable[[], Plant]] = {"default": lambda: TruthPlant(profile(
 EXAMS = 8
 """Examinations of I on the bench after the first."""
 CHATTER_EPISODES = 2
+CHATTER_FILTERS = ("none", "paper-short", "ours")
 EVALUATION = EvaluationSettings(periods=4)
 """2 s to settle, at least four periods."""
 
@@ -86,14 +87,16 @@ def run_outside(store: Store) -> None:
 def run_chatter(store: Store) -> None:
     """u' during training on the default bench without a filter, behind the paper's, and behind ours."""
     for seed in range(store.size.seeds):
-        for chosen in ("none", "paper-long", "ours"):
+        for chosen in CHATTER_FILTERS:
             store.piece(f"chatter-{chosen}-{seed}", lambda c=chosen, s=seed: _chatter(store, c, s))  # type: ignore[misc]
 
 
 def _tables(store: Store, bench: str) -> None:
-    for seed in range(store.size.seeds):
+    seeds = range(store.size.seeds)
+    for seed in seeds:
         store.piece(f"rmse-{bench}-III-{seed}", lambda s=seed: _rmse(bench, FixedGains(90.0, 15.0), s))  # type: ignore[misc]
-        for authority in AUTHORITIES:
+    for authority in AUTHORITIES:
+        for seed in seeds:
             for who, make in (("II", _second), ("I", _first)):
                 name = f"rmse-{bench}-{authority}-{who}-{seed}"
                 store.piece(name, lambda m=make, a=authority, s=seed: m(store, bench, a, s))  # type: ignore[misc]
@@ -128,16 +131,21 @@ def _second(store: Store, bench: str, authority: str, seed: int) -> Result:
 def _first(store: Store, bench: str, authority: str, seed: int) -> Result:
     start, episodes = simulated(store, authority, seed), store.size.bench_episodes
     session, graph = train(PLANTS[bench](), start, episodes, max(episodes // EXAMS, 1), seed)
-    best = session.keeper.best
+    came = actor_parameters(start.agent)
+    best, last = (came if found is None else found for found in (session.keeper.best, session.keeper.good))
     told = {"episodes": session.progress.episode, "trips": graph.trips, "ended": str(session.gave_up or "")}
-    told |= {"exams": [float(exam["score"]) for exam in session.progress.exams]}
-    return {**_rmse(bench, _controller(start, actor_parameters(start.agent) if best is None else best), seed), **told}
+    told |= {key: [float(exam[key]) for exam in session.progress.exams] for key in ("score", "error")}
+    told |= {"last": _rmse(bench, _controller(start, last), seed)["rmse"]}
+    return {**_rmse(bench, _controller(start, best), seed), **told}
 
 
 def train(
     plant: Plant, start: InitialAgent, episodes: int, every: int, seed: int, corrector: Corrector | None = None
 ) -> tuple[TrainingSession, Listening]:
-    """Episodes on a bench as `trainer` does them, examined every so many (0: never), each sine twice."""
+    """Episodes on a bench as `trainer` does them, examined every so many (0: never), each sine twice.
+
+    A run that trips again and again ends after a minute for each episode, and ten more where there are examinations.
+    """
     settings = start.adopted(TrainingSettings(episodes=episodes, seed=seed))
     settings = replace(settings, exam=replace(settings.exam, every=every, repeats=2))
     reach = settings.task.gains
@@ -145,7 +153,7 @@ def train(
     graph = Listening(plant, Bench.nominal(), guard=guard, seed=seed, corrector=corrector)
     learner = InlineLearner(settings, start=start.agent)
     session = TrainingSession(settings, learner, graph)
-    graph.run(session, 60.0 * episodes + 600.0, learner)
+    graph.run(session, 60.0 * episodes + (600.0 if every else 0.0), learner)
     return session, graph
 
 

@@ -41,11 +41,11 @@ def weights(store: Store, loss: str, seed: int) -> Path:
 
 def run(store: Store) -> None:
     """All networks and both other models."""
-    for seed in range(store.size.seeds):
-        for loss in LOSSES:
-            train(store, loss, seed)
     store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal())))
     store.piece("model-ours", lambda: judged(Learned.load().model))
+    for loss in LOSSES:
+        for seed in range(store.size.seeds):
+            train(store, loss, seed)
 
 
 def train(store: Store, loss: str, seed: int) -> Result:

@@ -9,10 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.paper import captions, claims
+from benchmarks.paper import captions, reasons, times
+from benchmarks.paper.claims import CLAIMS
 from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, PRINTED, TIMES, Result, Store
+from benchmarks.paper.verdicts import Claim
 from hydro_bridge.cli.console import Table
 from hydro_bridge.files.atomic import write_whole
+from hydro_bridge.signals import FloatArray
 
 Rows = list[list[str]]
 
@@ -24,11 +27,11 @@ def write(full: Store, quick: Store, page: Path | None, json: Path | None) -> No
          "quick": "the same of --quick", "quick_as_paper": "", "quick_of": ""},
         title="Claims of the paper",
     )  # fmt: skip
-    for claim in claims.CLAIMS:
+    for claim in CLAIMS:
         large, small = claim.verdict(full), claim.verdict(quick)
         table.add(
-            claim=claim.text, full=large[0], full_as_paper=large[1], full_of=large[2], quick=small[0],
-            quick_as_paper=small[1], quick_of=small[2],
+            claim=claim.text, full=large.words, full_as_paper=large.as_paper, full_of=large.count, quick=small.words,
+            quick_as_paper=small.as_paper, quick_of=small.count,
         )  # fmt: skip
     table.show(json)
     if page is not None:
@@ -38,7 +41,7 @@ def write(full: Store, quick: Store, page: Path | None, json: Path | None) -> No
 
 def text(full: Store, quick: Store) -> str:
     """The whole page."""
-    parts = [captions.HEAD, _claims(full, quick), captions.OPEN]
+    parts = [captions.HEAD, _claims(full, quick), captions.OPEN, _times(full, quick)]
     for store in (full, quick):
         parts.append(_sizes(store))
         if any(store.folder.glob("*.json")):
@@ -48,13 +51,26 @@ def text(full: Store, quick: Store) -> str:
 
 def _claims(full: Store, quick: Store) -> str:
     rows = []
-    for claim in claims.CLAIMS:
-        row = [claim.text]
-        for store in (full, quick):
-            words, right, count = claim.verdict(store)
-            row.append(f"{words} ({right} of {count})" if count else words)
-        rows.append([*row, claim.reason(full) or claim.reason(quick)])
+    for claim in CLAIMS:
+        cells = [claim.verdict(store).cell(store.size.seeds) for store in (full, quick)]
+        rows.append([claim.text, *cells, _why(claim, full, quick)])
     return "\n## Claims\n\n" + markdown(["claim", "full", "quick", "why"], rows)
+
+
+def _why(claim: Claim, full: Store, quick: Store) -> str:
+    """By the full size, or by the quick one where the full one was not run."""
+    for store in (full, quick):
+        if claim.verdict(store).count:
+            return f"*{store.size.name}*: {reasons.why(claim.key, store)}"
+    return ""
+
+
+def _times(full: Store, quick: Store) -> str:
+    head = ["pieces", "full: there", "CPU of one [s]", "quick: there", "CPU of one [s]"]
+    hours = {"full": times.whole(full, quick), "quick": times.whole(quick, quick)}
+    told = "; ".join(f"{name} {found:.2g} h" for name, found in hours.items() if found is not None)
+    line = f"\nAll pieces of a size, on one core: {told}.\n" if told else ""
+    return captions.TIMES + "\n" + markdown(head, times.rows(full, quick)) + line
 
 
 def _sizes(store: Store) -> str:
@@ -84,23 +100,31 @@ def _models(store: Store) -> str:
 
 
 def _metrics(store: Store) -> str:
-    rows, found = [], _all(store, "metric-{}")
-    for epochs in (0, PRINTED["training_metric"]["epochs"], store.size.metric_epochs) if found else ():
-        after = [one["history"][epochs] for one in found]
-        shares = [cell([100.0 * one[key] for one in after]) for key in ("stable_verified", "unstable_found")]
-        rows.append([str(epochs), cell([one["loss"] for one in after], 3), *shares, str(len(found))])
+    rows = []
+    for told, name, place in (("0", "short", 0), ("3", "short", -1), (str(store.size.metric_epochs), "long", -1)):
+        if found := _all(store, f"metric-{name}-{{}}"):
+            after = [one["history"][place] for one in found]
+            keys = ("stable_verified", "unstable_found")
+            shares = [cell(100.0 * np.array([one[key] for one in after], float), missing="none") for key in keys]
+            rows.append([told, cell([one["loss"] for one in after], 3), *shares, str(len(found))])
+    if ours := store.kept("metric-ours"):
+        shares = [f"{100.0 * ours[key]:.2f}" for key in ("stable_verified", "unstable_found")]
+        rows.append([f"ours, as shipped: {ours['epochs']}", "", *shares, "1"])
     head = ["epochs", "loss", "stable samples verified [%]", "unstable samples found [%]", "seeds"]
-    return captions.METRICS + "\n" + (markdown(head, rows) if rows else "not run yet\n")
+    found = _all(store, "metric-short-{}")
+    labels = {name: sum(one["rollouts"][name] for one in found) for name in ("stable", "unstable", "neither")}
+    told = "Rollouts by label, all seeds: " + ", ".join(f"{count} {name}" for name, count in labels.items()) + ".\n"
+    return captions.METRICS + "\n" + (markdown(head, rows) + "\n" + told if rows else "not run yet\n")
 
 
 def _validation(store: Store) -> str:
     rows: Rows = []
     for name in CASES:
         for chosen in FILTERS:
-            if found := store.kept(f"validation-{name}-{chosen}"):
-                bounded = f"{sum(found['bounded'])}/{len(found['bounded'])}"
-                figures = [cell(found["rmse"]), cell(found["chatter"], 3), *cells(found["gammas"], 3)]
-                rows.append([name, chosen, bounded, *figures])
+            if found := _all(store, f"validation-{name}-{chosen}-{{}}"):
+                bounded = f"{sum(one['bounded'] for one in found)}/{len(found)}"
+                sizes = (cell([one[key] for one in found], digits) for key, digits in (("rmse", 2), ("chatter", 3)))
+                rows.append([name, chosen, bounded, *sizes, *cells([one["gammas"] for one in found], 3)])
         if name in PRINTED["val_cont"]:
             rows.append([name, "printed", "", "", "", *(f"{value:g}" for value in PRINTED["val_cont"][name])])
     head = ["gains", "filter", "bounded", "RMSE [N]", "u' [A/s]", "gamma_1 [%]", "gamma_2 [%]", "gamma_3",
@@ -114,8 +138,10 @@ def _rmse(store: Store) -> str:
         names = {"III": f"rmse-{bench}-III-{{}}"}
         names |= {f"{who}, {auth}": f"rmse-{bench}-{auth}-{who}-{{}}" for auth in AUTHORITIES for who in ("I", "II")}
         for who, name in names.items():
-            if found := _all(store, name):
-                rows.append([bench, who, *cells([one["rmse"] for one in found], 2), str(len(found))])
+            found = _all(store, name)
+            for key, told in (("rmse", who), ("last", f"{who}, last policy")):
+                if found and key in found[0]:
+                    rows.append([bench, told, *cells([one[key] for one in found], 2), str(len(found))])
     rows += [["paper's", who, *(f"{value:.2f}" for value in PRINTED["rmse"][who]), ""] for who in ("I", "II", "III")]
     head = ["bench", "controller, authority", *(f"{f:g} Hz" for f in PRINTED["rmse"]["frequencies"]), "seeds"]
     return captions.RMSE + "\n" + markdown(head, rows)
@@ -123,11 +149,12 @@ def _rmse(store: Store) -> str:
 
 def _chatter(store: Store) -> str:
     rows = []
-    for chosen in ("none", "paper-long", "ours"):
+    for chosen in ("none", "paper-short", "ours"):
         if found := _all(store, f"chatter-{chosen}-{{}}"):
             trips = sum(one["trips"] for one in found)
-            rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(len(found))])
-    body = markdown(["filter", "u' RMS [A/s]", "trips", "seeds"], rows) if rows else "not run yet\n"
+            done = sum(one["episodes"] for one in found)
+            rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(done), str(len(found))])
+    body = markdown(["filter", "u' RMS [A/s]", "trips", "episodes", "seeds"], rows) if rows else "not run yet\n"
     return captions.CHATTER + "\n" + body
 
 
@@ -142,12 +169,12 @@ def _all(store: Store, name: str) -> list[Result]:
     return [found for one in names if (found := store.kept(one)) is not None]
 
 
-def cell(values: Sequence[float], digits: int = 2) -> str:
-    """Mean and standard deviation; a run that was stopped is said."""
+def cell(values: Sequence[float] | FloatArray, digits: int = 2, *, missing: str = "stopped") -> str:
+    """Mean and standard deviation; where some are not finite, how many, and why: `missing`."""
     array = np.array(values, float)
-    stopped = int(np.isnan(array).sum())
-    if stopped:
-        return f"stopped {stopped}/{len(array)}"
+    lacking = int(np.isnan(array).sum())
+    if lacking:
+        return f"{missing} {lacking}/{len(array)}"
     mean = f"{array.mean():.{digits}f}"
     return f"{mean} ± {array.std(ddof=1):.{digits}f}" if len(array) > 1 else mean
 

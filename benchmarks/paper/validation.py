@@ -11,10 +11,10 @@ import numpy as np
 
 from benchmarks.paper import metric
 from benchmarks.paper.certificate import paper_filter
-from benchmarks.paper.store import CASES, FILTERS, PRINTED, Result, Store
+from benchmarks.paper.store import CASES, FILTERS, Result, Store
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.validation import cases, runs
-from hydro_filter.validation.trial import Corrector, Run, Trial, gammas
+from hydro_filter.validation.trial import Corrector, Trial, gammas
 from hydro_filter.validation.trial import run as run_trial
 from hydro_sim.emulator.truth.config import profile
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -22,10 +22,12 @@ from hydro_sim.model.bench import Bench
 
 
 def run(store: Store) -> None:
-    """Every filter in every case."""
-    for name in CASES:
-        for chosen in FILTERS:
-            store.piece(f"validation-{name}-{chosen}", lambda n=name, c=chosen: _cell(store, n, c))  # type: ignore[misc]
+    """Every filter in every case, seed by seed; those that need no training first."""
+    for chosen in FILTERS:
+        for seed in range(store.size.seeds):
+            for name in CASES:
+                piece = f"validation-{name}-{chosen}-{seed}"
+                store.piece(piece, lambda n=name, c=chosen, s=seed: _run(store, n, c, s))  # type: ignore[misc]
 
 
 def corrector(store: Store, chosen: str, seed: int) -> Corrector:
@@ -35,25 +37,18 @@ def corrector(store: Store, chosen: str, seed: int) -> Corrector:
         return runs.make_filter(
             runs.Task(plant="emulator", case="stable", filter=shipped, seed=seed, seconds=1.0), Bench.nominal()
         )
-    epochs = PRINTED["training_metric"]["epochs"] if chosen == "paper-short" else store.size.metric_epochs
-    return paper_filter(metric.load(store, epochs, seed), metric.model_of(store, seed))
+    return paper_filter(metric.load(store, chosen.removeprefix("paper-"), seed), metric.model_of(store, seed))
 
 
-def _cell(store: Store, name: str, chosen: str) -> Result:
-    case, plant, bench = cases.CASES[name], TruthPlant(profile("default")), Bench.nominal()
-    done: list[Run] = []
-    for seed in range(store.size.seeds):
-        gains = case.draw(seed, store.size.validation_seconds)
-        trial = Trial(bench=bench, reference=case.reference, gains=gains, seed=seed)
-        done.append(run_trial(trial, plant, corrector(store, chosen, seed)))
-    each = [gammas(one.results, bench.valve_current_max) for one in done]
-    settled = [one.states[min(runs.SETTLING, len(one.states) // 2) :] for one in done]
-    errors = [runs.tracking_error(states) for states in settled]
+def _run(store: Store, name: str, chosen: str, seed: int) -> Result:
+    case, bench = cases.CASES[name], Bench.nominal()
+    gains = case.draw(seed, store.size.validation_seconds)
+    trial = Trial(bench=bench, reference=case.reference, gains=gains, seed=seed)
+    done = run_trial(trial, TruthPlant(profile("default")), corrector(store, chosen, seed))
+    settled = done.states[min(runs.SETTLING, len(done.states) // 2) :]
     units = np.array([100.0, 100.0, 1.0, 100.0, 1.0])
     return {
-        "bounded": [one.bounded for one in done],
-        "seconds": [len(one.states) * SAMPLE_PERIOD for one in done],
-        "rmse": [float(np.sqrt(np.mean(error**2))) for error in errors],
-        "chatter": [runs.chattering(states) for states in settled],
-        "gammas": (units * np.array(each)).tolist(),
+        "bounded": done.bounded, "seconds": len(done.states) * SAMPLE_PERIOD,
+        "rmse": float(np.sqrt(np.mean(runs.error_of(settled) ** 2))), "chatter": runs.chattering(settled),
+        "gammas": (units * np.array(gammas(done.results, bench.valve_current_max))).tolist(),
     }  # fmt: skip

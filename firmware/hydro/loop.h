@@ -224,9 +224,8 @@ static inline void hydro_linearize(
     hydro_real current, hydro_real k_p, hydro_linear *linear)
 {
     const hydro_model *c = &loop->model;
-    const hydro_real lifted[HYDRO_PLANT] = {
-        x[4], x[5], x[6], x[7], memory->spool, memory->spool_rate, (x[2] - c->bias_l) / c->gain_l, x[3] / c->gain_l};
-    hydro_real s[HYDRO_PLANT], share[2], area_b = c->ratio * c->area, total;
+    const hydro_real lifted[HYDRO_MOVING] = {x[4], x[5], x[6], x[7], memory->spool, memory->spool_rate};
+    hydro_real s[HYDRO_MOVING], share[2], area_b = c->ratio * c->area, total;
     hydro_real side = memory->spool + c->offset >= HYDRO_R(0) ? HYDRO_R(1) : HYDRO_R(-1);
     share[0] = c->area / (c->dead_a + c->area * x[6]); /* a nudge of f_h is the chambers' by their stiffness */
     share[1] = area_b / (c->dead_b + area_b * (c->stroke - x[6]));

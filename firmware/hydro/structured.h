@@ -1,8 +1,9 @@
 /* SPDX-License-Identifier: Apache-2.0 */
 /* Optional, of the default filter: the structured model over one sample, and what nudges of its state do to it.
  *
- *   s  p_a  p_b  x_p  x_p'  spool  spool'  F  F'         F: load force behind the amplifier of its load cell
- *   d  (9, 8)   rows: s, then the valve current; a column is a direction. d' = (ds'/ds) d through each stage
+ *   s  p_a  p_b  x_p  x_p'  spool  spool'
+ *   d  (9, 8)   rows: s; F and F', the load force behind the amplifier of its load cell; the valve current.
+ *               A column is a direction. d' = (ds'/ds) d through each stage
  *
  * Four steps of Runge-Kutta 4 for both. Dry friction is left out: it is a bounded disturbance to the certificate.
  * docs/manual/explanation/physics.md has the equations; hydro_filter.model.tangent is the same in Python.
@@ -20,7 +21,8 @@
 #endif
 #endif
 
-#define HYDRO_PLANT 8               /* length of s */
+#define HYDRO_MOVING 6              /* length of s: the load cell is linear, its own state bends no derivative */
+#define HYDRO_PLANT 8               /* rows of d that move */
 #define HYDRO_CURRENT_ROW 8         /* of d */
 #define HYDRO_DIRECTIONS 8          /* columns of d */
 #define HYDRO_SUBSTEPS 4            /* of a sample */
@@ -83,7 +85,8 @@ static inline void hydro_chambers(const hydro_model *c, const hydro_real *s, hyd
 static inline void hydro_motion(
     const hydro_model *c, const hydro_real *s, hydro_real current, hydro_real *rate, hydro_slopes *p)
 {
-    hydro_real area_b = c->ratio * c->area, spring = c->spring * (s[2] - c->rest), w, damped;
+    hydro_real area_b = c->ratio * c->area, spring = c->spring * (s[2] - c->rest), w = c->spool_omega;
+    hydro_real damped = HYDRO_R(2) * c->spool_damping;
     hydro_real into = s[2] < HYDRO_R(0) ? s[2] : hydro_max(s[2] - c->stroke, HYDRO_R(0));
     hydro_real stop = HYDRO_R(HYDRO_STOP_STIFFNESS) * into + HYDRO_R(HYDRO_STOP_DAMPING) * s[3];
     bool presses = (into < HYDRO_R(0) && stop < HYDRO_R(0)) || (into > HYDRO_R(0) && stop > HYDRO_R(0));
@@ -95,8 +98,6 @@ static inline void hydro_motion(
     p->vb = -area_b / c->mass;
     p->vx = -(c->spring + (presses ? HYDRO_R(HYDRO_STOP_STIFFNESS) : HYDRO_R(0))) / c->mass;
     p->vv = -(c->viscous + (presses ? HYDRO_R(HYDRO_STOP_DAMPING) : HYDRO_R(0))) / c->mass;
-    w = c->spool_omega;
-    damped = HYDRO_R(2) * c->spool_damping;
     rate[4] = s[5];
     rate[5] = w * (w * (current - s[4]) - damped * s[5]);
     p->us = w * w;
@@ -104,8 +105,6 @@ static inline void hydro_motion(
     p->uv = -damped * w;
     w = c->cell_omega;
     damped = HYDRO_R(2) * c->cell_damping;
-    rate[6] = s[7];
-    rate[7] = w * (w * (spring - s[6]) - damped * s[7]);
     p->lx = w * w * c->spring;
     p->ll = -w * w;
     p->lv = -damped * w;
@@ -153,13 +152,15 @@ static inline void hydro_bound(const hydro_model *c, hydro_real *s, hydro_real d
 static inline void hydro_sample_ahead(
     const hydro_model *c, hydro_real *s, hydro_real current, hydro_real d[][HYDRO_DIRECTIONS])
 {
-    hydro_real rate[HYDRO_PLANT], probe[HYDRO_PLANT], total[HYDRO_PLANT];
+    hydro_real rate[HYDRO_MOVING], probe[HYDRO_MOVING], total[HYDRO_MOVING];
     hydro_real at[HYDRO_PLANT][HYDRO_DIRECTIONS], summed[HYDRO_PLANT][HYDRO_DIRECTIONS];
     hydro_slopes p;
     for (int step = 0; step < HYDRO_SUBSTEPS; step++) {
-        for (int i = 0; i < HYDRO_PLANT; i++) {
+        for (int i = 0; i < HYDRO_MOVING; i++) {
             probe[i] = s[i];
             total[i] = HYDRO_R(0);
+        }
+        for (int i = 0; i < HYDRO_PLANT; i++) {
             for (int k = 0; k < HYDRO_DIRECTIONS; k++) {
                 at[i][k] = d[i][k];
                 summed[i][k] = HYDRO_R(0);
@@ -169,14 +170,16 @@ static inline void hydro_sample_ahead(
             hydro_real weight = stage == 0 || stage == 3 ? HYDRO_R(1) : HYDRO_R(2);
             hydro_real reach = stage == 2 ? HYDRO_R(HYDRO_STEP) : HYDRO_R(0.5 * HYDRO_STEP);
             hydro_motion(c, probe, current, rate, &p);
-            for (int i = 0; i < HYDRO_PLANT; i++) {
+            for (int i = 0; i < HYDRO_MOVING; i++) {
                 total[i] += weight * rate[i];
                 probe[i] = s[i] + reach * rate[i];
             }
             hydro_push(&p, d, weight, reach, summed, at);
         }
-        for (int i = 0; i < HYDRO_PLANT; i++) {
+        for (int i = 0; i < HYDRO_MOVING; i++) {
             s[i] += HYDRO_R(HYDRO_STEP / 6.0) * total[i];
+        }
+        for (int i = 0; i < HYDRO_PLANT; i++) {
             for (int k = 0; k < HYDRO_DIRECTIONS; k++) {
                 d[i][k] += HYDRO_R(HYDRO_STEP / 6.0) * summed[i][k];
             }

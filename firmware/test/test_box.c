@@ -6,6 +6,7 @@
 #include "check.h"
 #include "test_law.h"
 #include "test_line.h"
+#include "test_frames.h"
 
 static hydro_arming arming;
 static hydro_guard guard;
@@ -348,6 +349,10 @@ int main(void)
     test_force_law();
     test_currents_of_the_page();
     test_rates();
+    test_frames_of_the_page();
+    test_a_command_of_the_page();
+    test_parts_of_a_command();
+    test_unstuffing();
     test_conversation();
     test_a_box_begins_anew();
     test_what_waits();

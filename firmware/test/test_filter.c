@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The default filter's last step by numbers: the smallest change that a quadratic asks for, and what counts of noise.
- * Ends with 0, or names the check that fails.
+/* The default filter's first and last step by numbers: which samples are believed, what counts of noise, and the
+ * smallest change that a quadratic asks for. Ends with 0, or names the check that fails.
  */
 #include "check.h"
 
@@ -47,6 +47,34 @@ static void test_what_counts_of_noise(void)
     CHECK(hydro_counting(HYDRO_R(0.5), 1) == 0 && hydro_counting(1, 1) == 0);
     CHECK(hydro_counting(HYDRO_R(1.5), 1) == HYDRO_R(0.5) && near(hydro_counting(HYDRO_R(1.25), 1), 0.15625));
     CHECK(hydro_counting(2, 1) == 1 && hydro_counting(50, 1) == 1 && hydro_counting(1, 0) == 1);
+    CHECK(hydro_counting(0, 0) == 0);
+}
+
+/* Whether a sample is believed that is quiet but for one column; by a bench with more oil than its model. */
+static bool believed(int column, double value)
+{
+    hydro_loop loop = {0};
+    hydro_real values[HYDRO_STATE_REALS] = {0};
+    loop.bench.valve_current_max = HYDRO_R(0.04);
+    loop.bench.piston_area = loop.model.area = HYDRO_R(2e-3);
+    loop.bench.area_ratio = loop.model.ratio = HYDRO_R(0.5);
+    loop.bench.stroke = loop.model.stroke = HYDRO_R(0.08);
+    loop.bench.dead_volume_a = loop.bench.dead_volume_b = HYDRO_R(1);
+    loop.model.dead_a = HYDRO_R(4e-5); /* half of it is 10 mm of the piston */
+    loop.model.dead_b = HYDRO_R(4e-5); /* and 20 mm of the rod's side */
+    values[6] = HYDRO_R(0.04);
+    values[column] = HYDRO_R(value);
+    return hydro_believable(&loop, values);
+}
+
+static void test_what_is_believed(void)
+{
+    for (int sign = -1; sign <= 1; sign += 2) {
+        CHECK(believed(HYDRO_CURRENT, sign * 0.079) && !believed(HYDRO_CURRENT, sign * 0.081));
+        CHECK(believed(HYDRO_REFERENCE_RATE, sign * 0.9e9) && !believed(HYDRO_REFERENCE_RATE, sign * 1.1e9));
+    }
+    CHECK(believed(6, -0.0099) && !believed(6, -0.0101));
+    CHECK(believed(6, 0.0999) && !believed(6, 0.1001));
 }
 
 int main(void)
@@ -54,5 +82,6 @@ int main(void)
     test_what_can_be_restored();
     test_what_cannot();
     test_what_counts_of_noise();
+    test_what_is_believed();
     return 0;
 }

@@ -44,6 +44,10 @@ def writable(path: str) -> str:
     if os.path.isdir(path):
         raise UnwritableError(f"{path} is a folder: name a file")
     _refuse_unwritable(path, "written")
+    if os.path.isfile(path):  # it is replaced by a new one, which takes its folder
+        folder = Path(path).resolve().parent
+        if not os.access(folder, os.W_OK):
+            raise UnwritableError(f"{path} cannot be written: you may not write to {folder}: choose another place")
     return path
 
 

@@ -137,6 +137,14 @@ def test_a_place_below_a_file_or_a_folder_of_others_is_refused_and_nothing_made(
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+def test_a_file_that_may_be_written_in_a_folder_that_may_not_is_refused(tmp_path, monkeypatch):
+    (tmp_path / "file").touch()
+    monkeypatch.setattr("os.access", lambda path, mode: path != tmp_path)
+    with pytest.raises(UserError, match=f"file cannot be written: you may not write to {tmp_path}: choose another"):
+        writable(str(tmp_path / "file"))
+    assert writable("/dev/stdout") == "/dev/stdout"
+
+
 def test_a_file_is_no_folder_and_a_folder_no_file(tmp_path):
     (tmp_path / "file").touch()
     with pytest.raises(UserError, match="is a file: name a folder"):

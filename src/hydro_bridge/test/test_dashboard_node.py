@@ -67,9 +67,9 @@ def test_without_a_plant_the_page_is_told_so(page: tuple[ClientConnection, str, 
     ("command", "said"),
     [
         ({"command": "disarm"}, "no plant runs here"),
-        ({"command": "arm", "epoch": "0"}, "no plant says"),
+        ({"command": "arm", "epoch": "0"}, "no plant runs here"),
         ({"command": "arm", "epoch": "0", "token": "guessed"}, "needs the token"),
-        ({"command": "end", "epoch": "1"}, "no plant says"),
+        ({"command": "end", "epoch": "1"}, "no plant runs here"),
         ({"command": "open the door"}, "no such command"),
     ],
 )

@@ -69,7 +69,9 @@ def test_stale_correction_gives_base_gains_no_correction_and_is_told_once():
         command = guard.command(now)
         assert (command.delta_kp, command.delta_ki, command.delta_u) == (0.0, 0.0, 0.0) and not command.filter_fresh
     assert guard.counts.stale_correction == 3
-    assert guard.take_events() == ["no correction for 20 ms: base gains, no correction"]
+    assert guard.take_events() == [
+        "no correction for 20 ms: base gains, no correction; see whether the filter runs, and the machine is busy"
+    ]
     guard.set_correction(0.0, CorrectionStatus.PASS, 78, 0.05)
     assert guard.command(0.05).delta_kp == 30.0
     assert guard.take_events() == ["corrections are fresh again"]
@@ -117,7 +119,7 @@ def test_not_finite_is_dropped_counted_and_the_last_value_ages_on(bad):
     assert guard.command(0.01).delta_kp == 30.0
     assert guard.counts.not_finite == 2
     assert not guard.command(0.0201).filter_fresh
-    assert guard.take_events()[0] == "gains are not finite: dropped"
+    assert guard.take_events()[0] == "gains are not finite: dropped, the ones before hold"
 
 
 def test_out_of_range_is_clamped_counted_and_told_once():

@@ -343,6 +343,11 @@ def test_anybody_disarms_and_nobody_arms_without_a_name(steered, probe):
         other.wait(refused.done)
         assert not refused.result().success and "ros2 run hydro_bridge arm" in refused.result().message
         assert other.arm(True).message == "armed for probe"
+        named = other.arming.call_async(Claim.Request(act=Claim.Request.DISARM, name="a person"))
+        other.wait(named.done)
+        assert named.result().message == "disarmed" and not named.result().epoch and not steered.armed()
+        told = ("somebody, by /hydro/arm: disarmed", "probe: armed for probe", "a person: disarmed")
+        other.wait(lambda: all(f"[bridge.calls]: {sentence}" in steered.output.getvalue() for sentence in told))
     finally:
         other.close()
 

@@ -62,7 +62,7 @@ def test_only_who_has_to_may_command_the_plant() -> None:
     assert allowed("topic", "publish", CORRECTION) == {"filter"}
     assert allowed("topic", "publish", STATE) == {"bridge", "sim", "replayer"}
     assert allowed("topic", "publish", AUTHORITY) == {"bridge", "sim"}
-    assert allowed("service", "request", ARM_SERVICE) == drivers | {"arm", "dashboard"}
+    assert not allowed("service", "request", ARM_SERVICE), "who has a key disarms by name"
     assert allowed("service", "request", CLAIM_SERVICE) == drivers | {"arm", "dashboard"}
     assert allowed("service", "request", OVERRIDE_SERVICE) == {"override", "dashboard"}
     assert allowed("service", "request", END_SERVICE) == {"dashboard"}

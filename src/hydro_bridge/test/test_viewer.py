@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from rosbags.typesys import Stores, get_typestore
 
+from hydro_bridge.bags.cdr import STATE_TYPE, encode_states
 from hydro_bridge.bags.recording import BagWriter, RecordingError
 from hydro_bridge.dashboard.series import STATE_COLUMNS
 from hydro_bridge.signals import Flag
@@ -108,6 +109,22 @@ def test_episodes_examinations_rollbacks_and_overrides_are_marked_once_each() ->
     assert marks.sorted()[0].text == "episode 1; the last one: RMSE 12.3 N, return -5"
 
 
+def test_weights_are_marked_where_they_change_after_a_second_of_rest_with_how_often_they_did() -> None:
+    steps = np.zeros(1200, [("time", "f8"), ("weights", "u8")])
+    steps["time"] = 100.0 + 0.01 * np.arange(1200)
+    steps["time"][900:] += 20.0  # an examination: no steps
+    steps["weights"][:300] = 0xA
+    steps["weights"][300:] = 0x100 + np.arange(900) // 2  # learning changes them 50 times a second
+    marks = Marks()
+    for part in np.split(steps, [0, 137, 300, 301, 900]):
+        marks.steps(part)
+    assert [(mark.time, mark.text) for mark in marks.sorted()] == [
+        (100.0, "weights 00000000000a, the first to act"),
+        (103.0, "weights 000000000100, 1 change since the mark before"),
+        (129.0, "weights 00000000022c, 300 changes since the mark before"),
+    ]
+
+
 def test_calls_are_marked_with_their_answer_and_of_the_log_only_warnings(tmp_path: Path, states) -> None:
     begin = float(states["time"][0])
     said = [(20, "bridge.calls", "somebody: armed"), (20, "bridge", "guard"), (30, "filter", "it does not fit")]
@@ -141,6 +158,34 @@ def test_windows_of_a_diagnosis_are_marked_where_its_report_lies_beside(
     assert [(mark.time, mark.text) for mark in marks] == [(pytest.approx(2.5), "motion, for 0.50 s: friction")]
     assert run(monkeypatch, str(bag)) == 0
     assert "motion, for 0.50 s: friction" in (bag.parent / "run.html").read_text()
+
+
+def test_a_report_is_matched_by_the_first_sample_and_not_by_the_folder(bag: Path, states) -> None:
+    found = report(bag.parent, {"another name": [[2.5, 3.0]], "run": [[1.0, 2.0]]})
+    begin = float(states["time"][0])
+    content = json.loads(found.read_text())
+    content["recordings"] = [{"name": "another name", "begin": begin}, {"name": "run", "begin": begin - 3600.0}]
+    found.write_text(json.dumps(content))
+    marks = [mark for mark in read_recorded(bag, report=found).marks if mark.kind == "window"]
+    assert [mark.time for mark in marks] == [pytest.approx(2.5)]
+
+
+def test_words_of_a_simulation_off_real_time_stand_where_its_samples_were(tmp_path: Path, states) -> None:
+    """Ten times real time: 5 s of samples are logged within half a second, an hour after their stamps."""
+    begin = float(states["time"][0])
+    with BagWriter(tmp_path / "run") as writer:
+        writer.add_topic("/hydro/state", STATE_TYPE)
+        writer.add_topic("/rosout", LOG_TYPE)
+        for n, row in enumerate(encode_states(states)):
+            logged = round((begin + 3600.0 + 1e-4 * n) * 1e9)
+            writer.write("/hydro/state", row.tobytes(), logged)
+            if n == 3000:
+                sec, nanosec = divmod(logged, 10**9)
+                word = LOG(STAMP(sec, nanosec), 30, "sim", "look", "", "", 0)
+                writer.write("/rosout", bytes(STORE.serialize_cdr(word, LOG_TYPE)), logged)
+    assert [mark.time for mark in read_recorded(tmp_path / "run").marks if mark.kind == "log"] == [
+        pytest.approx(3.0, abs=0.01)
+    ]
 
 
 @pytest.mark.parametrize("content", ["{", "[]", '{"location": [{"windows": {"run": [[1]]}}]}'])

@@ -131,6 +131,8 @@ class Report:
     checked: list[str]
     """Equations, as in `Location.equation`; sensor: the hydraulic force against the pressures."""
     not_checked: list[str]
+    recordings: list[dict[str, Any]]
+    """What it is on, as `location` names them: `name`, and `begin`, the stamp [s] of the first sample of a bag."""
     data_quality: list[str]
     baseline: dict[str, Any]
     versions: dict[str, str]

@@ -25,6 +25,7 @@ from hydro_diagnosis.estimation.unrecorded_rows import untold
 from hydro_diagnosis.experiment_design.next_recording import next_recording
 from hydro_diagnosis.findings import INTERRUPTED, DiagnosisInterrupted, Report
 from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.io.identity import identified
 from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.baseline import baseline
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -100,6 +101,7 @@ def diagnose(
     facts: dict[str, Any] = {
         "checked": [name for block, names in _EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in _EQUATIONS.items() if block not in problem.blocks for name in names],
+        "recordings": [identified(path) for path in (*recordings, *holdout)],
         "data_quality": [*base.notes, *quality],
         "baseline": {"bench": believed.to_mapping(), "model": base.model},
         "versions": {"hydro_diagnosis": _version()},

@@ -282,7 +282,9 @@ def test_place_that_cannot_be_written_is_found_before_anything_is_sealed(
 
 
 @pytest.mark.slow
-def test_proof_goes_on_after_time_was_up_and_opens_its_own_seal(tmp_path: Path) -> None:
+def test_proof_goes_on_after_time_was_up_and_opens_its_own_seal(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
     words = ["--cases", "2", "--seed", str(SEED), "--workers", "2", "--out", str(tmp_path / "proof")]
     assert run([*words, "--minutes", "0"]) == 3
     assert run(words) == 0
@@ -298,9 +300,20 @@ def test_proof_goes_on_after_time_was_up_and_opens_its_own_seal(tmp_path: Path) 
     assert len(content["cases"]) == 2
     assert {case["case"]: case["passed"] for case in content["cases"]} == {"case-000": True, "case-001": True}
     assert "data:image/png" in (folder / "proof.html").read_text()
-    answered = (folder / "blind" / "case-000" / "answer.json").stat().st_mtime_ns
+    answers = [folder / "blind" / f"case-00{number}" / "answer.json" for number in range(2)]
+    _answer_by_another_version(answers[0])
+    written = [path.stat().st_mtime_ns for path in answers]
+    capfd.readouterr()
     assert run(words) == 0
-    assert (folder / "blind" / "case-000" / "answer.json").stat().st_mtime_ns == answered
+    assert [path.stat().st_mtime_ns for path in answers] == written
+    assert "another version (another): --again" in capfd.readouterr().err
+    assert run([*words, "--again"]) == 0
+    assert "another version" not in capfd.readouterr().err
+    assert [path.stat().st_mtime_ns == before for path, before in zip(answers, written, strict=True)] == [False, True]
+
+
+def _answer_by_another_version(path: Path) -> None:
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"engine": "another"}))
 
 
 def test_case_survives_the_seal() -> None:

@@ -110,6 +110,23 @@ def test_a_closure_is_no_effect() -> None:
         replace(BENCH, effects=({"id": "closure", **made},))
 
 
+@pytest.mark.parametrize("table", [pytest.param(one, id=f"{one.equation} {one.form}") for one in grammar.TABLES])
+def test_a_table_is_the_same_number_by_number(table: Table) -> None:
+    low, high = LIMITS[table.variable]
+    over = np.linspace(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, 501)
+    at = laws.Signals(velocity=np.full_like(over, 0.03), pressure_a=np.full_like(over, 2e5))
+    at = (
+        replace(at, pressure_a=over)
+        if table.variable == "pressure_difference"
+        else replace(at, **{table.variable: over})
+    )
+    values = {name: float(np.sin(k)) for k, name in enumerate(table.names[2:])}
+    wanted = table.value(at, BENCH, [low, high, *values.values()])
+    np.testing.assert_allclose(
+        closure(table, BENCH, (low, high)).given(at, values), wanted, rtol=1e-12, atol=1e-12 * np.ptp(wanted)
+    )
+
+
 def test_a_table_is_constant_beyond_what_was_seen() -> None:
     table = grammar.ALL["motion", "table over velocity"]
     numbers = [-0.1, 0.2, *np.arange(laws.KNOTS, dtype=float)]

@@ -9,13 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import fastjsonschema
+import numpy as np
 import pandas as pd
 import pytest
 
 import hydro_diagnosis
-from hydro_bridge.signals import StateArray
+from hydro_bridge.bags.recording import BagWriter
+from hydro_bridge.signals import STATE_DTYPE, StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.io.identity import identified
 from hydro_sim.model.bench import Bench
 
 SCHEMA = Path(hydro_diagnosis.__file__).parent / "data" / "report.schema.json"
@@ -39,6 +42,15 @@ def test_no_mismatch(valid: Callable[[Any], Any], csv: Path) -> None:
     report = json.loads(diagnose([csv]).report.to_json())
     valid(report)
     assert report["verdict"] == "no_mismatch"
+    assert report["recordings"] == [{"name": csv.stem, "begin": None}]
+
+
+def test_a_bag_is_known_by_the_stamp_of_its_first_sample(tmp_path: Path) -> None:
+    states = np.zeros(50, STATE_DTYPE)
+    states["time"], states["sequence"] = 1.7e9 + 0.25 + 1e-3 * np.arange(50), np.arange(50)
+    with BagWriter(tmp_path / "bag") as writer:
+        writer.write_states(states)
+    assert identified(tmp_path / "bag") == {"name": "bag", "begin": pytest.approx(1.7e9 + 0.25, abs=1e-6)}
 
 
 def test_something_left_that_nobody_knows(
@@ -59,7 +71,7 @@ def test_something_left_that_nobody_knows(
 
 
 @pytest.mark.parametrize("key", ["verdict", "location", "effects", "fit", "next_recording", "checked", "not_checked",
-                                 "data_quality", "baseline", "versions", "seconds"])  # fmt: skip
+                                 "data_quality", "baseline", "versions", "recordings", "seconds"])  # fmt: skip
 def test_a_missing_key_breaks_the_contract(valid: Callable[[Any], Any], written: Path, key: str) -> None:
     report = json.loads((written / "report.json").read_text())
     del report[key]

@@ -83,6 +83,10 @@ def test_better_is_better_by_more_than_the_noise(score: float, errors: list[floa
     assert significantly_better(score, 1.0, errors) is better
 
 
+def test_a_run_knows_its_noise_unless_told_otherwise() -> None:
+    assert TrainingSettings().exam.evaluation.repeats > 1
+
+
 def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better() -> None:
     learner, progress = Learner(), Progress(reference_rmse=FIXED.tolist())
     state = RunState(TrainingSettings(), learner, progress, None, RunRecord())  # type: ignore[arg-type]

@@ -6,6 +6,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import subprocess
 import time
 from collections.abc import Iterator
@@ -14,6 +15,7 @@ from functools import partial
 from hashlib import sha256
 from pathlib import Path
 
+import numpy as np
 import pytest
 import yaml
 
@@ -36,6 +38,7 @@ from hydro_bridge.ros import (
 )
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_bridge.signals import Flag
+from hydro_bridge.viewer.recorded import read_recorded
 from hydro_filter.controller.factory import DEFAULT
 from hydro_msgs.msg import BenchState, BoxInfo
 from hydro_msgs.srv import Claim, OverrideGains
@@ -84,12 +87,16 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
         "--name",
         "a",
         *short,
+        timeout=280.0,
     )
     assert done.returncode == 0, done.stderr
     folder = RunDirectory(tmp_path / "a")
     for path in (folder.policy, folder.bag, folder.latest, folder.log):
         assert path.exists() and str(path) in done.stdout
     assert "--resume" in done.stdout and "episode 2/2" in done.stderr
+    assert re.search(
+        rf"policy {re.escape(str(folder.policy))}: weights [0-9a-f]{{12}}, SHA-256 [0-9a-f]{{64}}", done.stderr
+    )
     checkpoint = load_checkpoint(folder.latest)
     assert checkpoint.trainer["episode"] == 2 and checkpoint.trainer["total_steps"] == 500
     episodes = [e for e in json.loads(folder.record.read_text())["events"] if e["kind"] == "episode"]
@@ -99,6 +106,18 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     assert not recording.state["flags"][-1] & Flag.ARMED
     assert len(recording["/hydro/gains"]) >= 500
     assert recording["/hydro/training"]["updates"].max() > 0  # how many is the machine's affair
+    gains, steps = recording["/hydro/gains"], recording["/hydro/policy"]
+    drawn = dict(zip(gains["step"].tolist(), gains["delta_kp"].tolist(), strict=True))
+    assert len(steps) >= 500 and set(steps["step"].tolist()) <= set(drawn)
+    apart = [drawn[row["step"]] - row["mean_delta_kp"] for row in steps]
+    assert np.std(apart) > 0.1 and len(np.unique(steps["weights"])) > 1, "drawn around the mean of weights that learn"
+    assert (steps["reward"][1:] < 0.0).sum() >= 498 and np.isnan(steps["reward"][0])
+    told = recording["/hydro/training"]
+    losses = np.array([told[f"{name}_loss"] for name in ("critic", "actor", "temperature")])
+    learnt = np.concatenate(([False], told["updates"][:-1] > 0))
+    assert learnt.any() and np.isfinite(losses[:, learnt]).all() and np.isnan(losses[:, told["updates"] == 0]).all()
+    marks = [mark.text for mark in read_recorded(folder.bag).marks if mark.kind == "weights"]
+    assert re.fullmatch("weights [0-9a-f]{12}, the first to act", marks[0]) and 1 <= len(marks) < 10
     assert {"config.yaml", "bench.yaml"} <= set(recording.attachments)
     assert recording.metadata["hydro"]["model_sha256"] == sha256(shipped().read_bytes()).hexdigest()
 
@@ -116,6 +135,10 @@ def test_evaluate_compares_a_policy_with_fixed_gains(tmp_path: Path) -> None:
     files = ("--json", str(figures), "--plot", str(plot), "--runs", str(tmp_path / "runs"), "--name", "a")
     done = run("evaluate", *words, "--frequencies", "2", *files)
     assert done.returncode == 0, done.stderr
+    told = (
+        f"policy {policy}: weights {load_policy(policy)[0].digest()}, SHA-256 {sha256(policy.read_bytes()).hexdigest()}"
+    )
+    assert told in done.stderr
     scores = {score["controller"]: score for score in json.loads(figures.read_text())["runs"]}
     assert list(scores) == ["policy policy", "fixed (52.5, 10)", "fixed (100, 15)"]
     assert scores["policy policy"]["rmse"] == pytest.approx(scores["fixed (52.5, 10)"]["rmse"], rel=0.15)

@@ -26,6 +26,9 @@ class Heard:
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         raise AssertionError("a watch sends no gains")
 
+    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        raise AssertionError("a watch does not learn")
+
     def reference(self, signal: ReferenceSignal) -> None:
         self.references.append(signal)
 
@@ -113,7 +116,7 @@ def test_enter_before_all_is_ready_is_answered_and_not_kept() -> None:
     assert heard.armings == [False, True]
     run(watch, ARMED, 5.5, 5.6)
     watch.arm_now(5.6)
-    assert heard.armings == [False, True] and heard.said[-1] == "the plant is armed already"
+    assert heard.armings == [False, True] and heard.said[-1] == "the plant is armed already: nothing was done"
 
 
 def test_a_persons_word_is_dropped_where_readiness_goes_before_it_is_carried_out() -> None:

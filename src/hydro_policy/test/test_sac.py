@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from hydro_policy.sac.algorithm import Sac, SquashedGaussian
+from hydro_policy.sac.algorithm import Losses, Sac, SquashedGaussian
 from hydro_policy.sac.mlp import StackedMlp
 from hydro_policy.sac.replay import Batch, ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
@@ -82,6 +82,28 @@ def test_target_value_follows_the_equation() -> None:
     torch.testing.assert_close(target[ended], scale * batch.reward[ended])
 
 
+def test_losses_are_those_whose_gradients_are_descended() -> None:
+    """A small step up a gradient raises its loss, of the same batch, by that step times the gradient's square."""
+    sac, batch, step = Sac(4, 2, SacSettings(seed=7), torch.float64), random_batch(16), 1e-7
+    noise = torch.randn(2, 16, 2, generator=torch.Generator().manual_seed(3), dtype=torch.float64)
+    for optimizer in (sac.critic_optimizer, sac.actor_optimizer, sac.entropy_optimizer):
+        optimizer.learning_rate = 0.0
+
+    def losses() -> Losses:
+        draws = iter(noise.clone())
+        sac._noise = lambda rows: next(draws)  # type: ignore[method-assign]
+        sac.update(batch)
+        return sac.losses
+
+    for loss, network in enumerate((sac.critics, sac.actor_network)):
+        before, slope = losses()[loss], network.gradient.clone()
+        network.parameters.add_(step * slope)
+        assert losses()[loss] - before == pytest.approx(step * float(slope @ slope), rel=1e-3)
+        network.parameters.sub_(step * slope)
+    sac.log_entropy_coefficient.zero_()
+    assert losses().temperature == 0.0, "-log(alpha) of it"
+
+
 def test_target_critics_move_by_tau() -> None:
     sac = Sac(4, 2, SacSettings(target_rate=0.25), torch.float64)
     before = sac.target_critics.parameters.clone()
@@ -125,14 +147,17 @@ def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dty
     noise = torch.randn(5, 2, rows, 2, generator=plain.generator, dtype=dtype)
     draws = iter(noise.view(10, rows, 2))
     plain._noise = lambda count: next(draws)  # type: ignore[method-assign]
+    losses = []
     for drawn in places:
         parts = torch.from_numpy(table[drawn.numpy()]).to(dtype).split(memory.widths, dim=1)
         plain.update(Batch(parts[0], parts[2], parts[3].squeeze(1), parts[1], parts[4].squeeze(1)))
+        losses.append(plain.losses)
     tolerance = {"rtol": 1e-11, "atol": 1e-13} if dtype == torch.float64 else {"rtol": 1e-3, "atol": 2e-5}
     for name in ("actor_network", "critics", "target_critics"):
         found, want = getattr(compiled, name).parameters, getattr(plain, name).parameters
         torch.testing.assert_close(found, want, **tolerance)
     assert compiled.entropy_coefficient == pytest.approx(plain.entropy_coefficient, rel=1e-6)
+    assert compiled.losses == pytest.approx(np.mean(losses, axis=0), rel=1e-9 if dtype == torch.float64 else 1e-3)
     assert (compiled.updates, compiled.actor_optimizer.steps) == (plain.updates, plain.actor_optimizer.steps)
 
 

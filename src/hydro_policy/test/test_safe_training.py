@@ -85,6 +85,7 @@ def test_an_examined_policy_is_the_one_that_learning_had_reached_and_acts_by_its
     repeat = EvaluationSession(EXAM.evaluation, [PolicyController(session.policy, GainRange(), "policy")], again)
     again.run(repeat, 30.0)
     np.testing.assert_allclose([s.rmse for s in repeat.scores], session.record.of("exam")[-1]["rmse"], rtol=0.1)
+    assert session.record.of("exam")[-1]["policy"] == session.policy.digest(), "it is known which weights were examined"
 
 
 def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_policy_acts_again() -> None:
@@ -96,6 +97,7 @@ def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_po
     assert session.finished and len(stops) == 4, "three rollbacks in a row are allowed"
     assert "4 rollbacks in a row" in session.gave_up
     assert all("error of" in stop["reason"] or "chattering" in stop["reason"] for stop in stops), "not the box"
+    assert f"rolled back to the last good one ({session.policy.digest()})" in stops[-1]["sentence"]
     assert graph.references[-1].waveform is Waveform.HOLD and graph.gains_published[-1][:2] == (0.0, 0.0)
     rows, _ = learner.replay.stored()
     assert (rows[:, -1] == 1).sum() == 4 and (rows[rows[:, -1] == 1, -2] == -1000.0).all()

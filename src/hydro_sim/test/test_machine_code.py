@@ -29,7 +29,8 @@ def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def test_a_damaged_library_is_compiled_anew(apart: Path) -> None:
     """In another process: this one has the library in memory."""
-    make = f"from hydro_sim.model import machine_code; print(machine_code.cached_library('x', lambda: {SOURCE!r}).answer())"
+    library = f"machine_code.cached_library('x', lambda: {SOURCE!r})"
+    make = f"from hydro_sim.model import machine_code; print({library}.answer())"
     first = subprocess.run([sys.executable, "-c", make], capture_output=True, text=True, check=True)
     (kept,) = apart.glob("*.so")
     kept.write_bytes(kept.read_bytes()[:100])

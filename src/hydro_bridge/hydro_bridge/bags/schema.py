@@ -21,6 +21,7 @@ PACKAGED = (
     "hydro_msgs/msg/BoxInfo",
     "hydro_msgs/msg/Correction",
     "hydro_msgs/msg/Gains",
+    "hydro_msgs/msg/PolicyStep",
     "hydro_msgs/msg/ReferenceSignal",
     "hydro_msgs/msg/TrainingStatus",
     "diagnostic_msgs/msg/DiagnosticArray",

@@ -96,7 +96,7 @@ class Rules:
         if not hmac.compare_digest(command.token.encode(), self.token.encode()):
             raise RefusedError(f"{command.command} needs the token that the terminal shows")
         if not epoch:
-            raise RefusedError("no plant says who may command it")
+            raise RefusedError("nothing was done: no plant runs here, or it has not said yet who may command it")
         if command.epoch != str(epoch):
             raise RefusedError(
                 "nothing was done: the plant was disarmed, tripped or changed hands after this page showed it; "

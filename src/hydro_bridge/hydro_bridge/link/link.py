@@ -284,7 +284,7 @@ class Link:
 
     def _restarted(self) -> None:
         """Disarm, and begin the conversation anew: the box may have forgotten the version, or be another one."""
-        self._warn("the box was restarted: disarmed until armed anew")
+        self._warn("the box was restarted, by itself or by its power: it is disarmed until armed anew")
         with self.lock:
             self.guard.set_arm(False)
             self.state, self._greeted = LinkState.OPEN, None

@@ -14,10 +14,9 @@ from math import inf
 
 import rclpy
 from rclpy.node import Node
-from std_srvs.srv import SetBool
 
 from hydro_bridge.cli.console import UserError, command
-from hydro_bridge.ros import ARM_SERVICE, CLAIM_SERVICE, ros_arguments, start_ros
+from hydro_bridge.ros import CLAIM_SERVICE, ros_arguments, start_ros
 from hydro_msgs.srv import Claim
 
 
@@ -61,16 +60,15 @@ def ask(node: Node, *, arm: bool, timeout: float, whom: str = "") -> str:
     UserError
         There is no plant, or none that answers within `timeout` [s], or it refuses.
     """
-    client = node.create_client(Claim, CLAIM_SERVICE) if arm else node.create_client(SetBool, ARM_SERVICE)
-    request = (
-        Claim.Request(act=Claim.Request.ARM, name=node.get_name(), whom=whom) if arm else SetBool.Request(data=False)
-    )
+    client = node.create_client(Claim, CLAIM_SERVICE)
+    act = Claim.Request.ARM if arm else Claim.Request.DISARM
+    request = Claim.Request(act=act, name="a person, by `arm`", whom=whom)
     if not client.wait_for_service(timeout_sec=timeout):
         raise UserError("no plant runs here: start a bridge or a simulation first")
     answer = client.call_async(request)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=timeout)
     if not answer.done():
-        raise UserError(f"the plant did not answer within {timeout:g} s")
+        raise UserError(f"the plant did not answer within {timeout:g} s: it may have done it or not; look at its flags")
     if not answer.result().success:
         raise UserError(f"the plant refuses: {answer.result().message}")
     return str(answer.result().message)

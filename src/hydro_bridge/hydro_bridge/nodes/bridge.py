@@ -84,7 +84,10 @@ class BridgeNode(PlantNode):
         guard = CommandGuard(settings=declare_parameters(self, GuardSettings(), "guard."))
         port = Port(declare_parameters(self, settings))
         if not guard.settings.require_filter:
-            self.get_logger().warning("guard.require_filter is false: gains reach the valve UNFILTERED")
+            self.get_logger().warning(
+                "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
+                "leave it out unless that is meant"
+            )
         logger, self._bench = self.get_logger(), bench
         self.link = BridgeSide(port, guard, self._publish, logger.info, logger.warning, self._on_box)
         self.connect(self.link)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Carries out a page's commands through the services that people use: /hydro/arm, /hydro/claim, /hydro/override."""
+"""Carries out a page's commands through the services that people use: /hydro/claim, /hydro/override, /hydro/end."""
 
 from __future__ import annotations
 
@@ -12,14 +12,15 @@ from contextlib import suppress
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from hydro_bridge.dashboard.commands import PageCommand, RefusedError, Rules, read
 from hydro_bridge.dashboard.server import ANSWER_WITHIN
 from hydro_bridge.dashboard.words import encoded
-from hydro_bridge.ros import ARM_SERVICE, CLAIM_SERVICE, END_SERVICE, OVERRIDE_SERVICE
+from hydro_bridge.ros import CLAIM_SERVICE, END_SERVICE, OVERRIDE_SERVICE
 from hydro_msgs.srv import Claim, OverrideGains
 
+_WHO = "a person, by the live page"
 _NO_PLANT = "no plant runs here that could be told"
 _NO_RUN = "nobody commands the plant: there is no run here"
 
@@ -41,7 +42,6 @@ class PageCommands:
 
     def __init__(self, node: Node, rules: Rules, epoch: Callable[[], int], holder: Callable[[], str]) -> None:
         self._node, self._rules, self._epoch, self._holder = node, rules, epoch, holder
-        self._disarm = node.create_client(SetBool, ARM_SERVICE)
         self._claim = node.create_client(Claim, CLAIM_SERVICE)
         self._override = node.create_client(OverrideGains, OVERRIDE_SERVICE)
         self._end = node.create_client(Trigger, END_SERVICE)
@@ -70,16 +70,17 @@ class PageCommands:
 
     def _asked(self, command: PageCommand) -> tuple[Client, object, str]:
         if command.command == "disarm":
-            return self._disarm, SetBool.Request(data=False), _NO_PLANT
+            return self._claim, Claim.Request(act=Claim.Request.DISARM, name=_WHO), _NO_PLANT
         if command.command == "arm":
-            request = Claim.Request(act=Claim.Request.ARM, name=self._node.get_name(), epoch=int(command.epoch))
+            request = Claim.Request(act=Claim.Request.ARM, name=_WHO, epoch=int(command.epoch))
             return self._claim, request, _NO_PLANT
         if command.command == "end":
             return self._end, Trigger.Request(), _NO_RUN
         if command.command == "release":
-            return self._override, OverrideGains.Request(active=False, whom=self._holder()), _NO_RUN
+            return self._override, OverrideGains.Request(active=False, name=_WHO, whom=self._holder()), _NO_RUN
         gains = OverrideGains.Request(
             active=True,
+            name=_WHO,
             proportional_gain=command.kp,
             integral_gain=command.ki,
             seconds=command.seconds,

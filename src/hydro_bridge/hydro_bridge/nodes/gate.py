@@ -3,7 +3,7 @@
 
 ::
 
-    /hydro/claim      take the authority, arm with it, give it back
+    /hydro/claim      take the authority, arm with it, give it back; disarm, for anybody, by name
     /hydro/authority  who has it, and the epoch that commands must carry
     /hydro/arm        disarms for anybody, at once; arms for nobody
 
@@ -120,6 +120,8 @@ class Gate:
                 self._arm(request.claim, request.epoch, request.whom),
                 f"armed for {self.authority.holder or 'nobody: base gains'}",
             )
+        elif request.act == Claim.Request.DISARM:
+            trouble, done = self._disarm(), "disarmed"
         elif request.act == Claim.Request.GIVE:
             trouble = self._take_back(request.claim, request.whom)
             done = f"disarmed, handed over to {request.whom}" if request.whom else "disarmed, given back"
@@ -137,11 +139,15 @@ class Gate:
         return response
 
     def _on_arm(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        trouble = BY_NAME if request.data else self._plant.arm(False)
-        self._follow()
+        trouble = BY_NAME if request.data else self._disarm()
         response.success, response.message = not trouble, trouble or "disarmed"
         self._words.called("somebody, by /hydro/arm", response.message)
         return response
+
+    def _disarm(self) -> str:
+        trouble = self._plant.arm(False)
+        self._follow()
+        return trouble
 
     def _arm(self, claim: int, epoch: int, whom: str) -> str:
         if whom and whom != self.authority.holder:
@@ -157,8 +163,7 @@ class Gate:
     def _take_back(self, claim: int, heir: str) -> str:
         if not claim or claim != self.authority.claim:
             return f"{self.authority.holder or 'nobody'} commands this plant now"
-        trouble = self._plant.arm(False)
-        self._follow()
+        trouble = self._disarm()
         self.authority.give(claim, self._now(), heir)
         return trouble
 

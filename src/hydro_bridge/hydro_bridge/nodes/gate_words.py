@@ -57,6 +57,7 @@ class GateWords:
             names = sorted({info.node_name for info in self._node.get_publishers_info_by_topic(topic)})
             self._node.get_logger().warning(
                 f"refused: {count} of {topic} without the authority over this plant (from {', '.join(names) or 'gone'})"
+                ": the valve does not follow them; end what sends them, or wait until it has the authority"
             )
 
     def say(self, sentence: str) -> None:

@@ -149,4 +149,6 @@ class PlantNode(Node):
         flags, before = self._flags, self._tripped
         self._tripped = bool(flags & Flag.TRIPPED)
         if self._tripped and not before:
-            self.get_logger().warning(f"the box tripped ({flag_names(flags)}): disarm it, then arm it")
+            self.get_logger().warning(
+                f"the box tripped ({flag_names(flags)}) and closed the valve: see why, disarm it, then arm it"
+            )

@@ -98,7 +98,10 @@ class RecorderNode(Node):
             write(*what)
         except OSError as error:
             self.failed = True
-            self.get_logger().error(f"{self._run.writer.folder}: the recording ends here: {error.strerror}")
+            self.get_logger().error(
+                f"{self._run.writer.folder}: the recording ends here: {error.strerror}; what it holds can be read, the "
+                "bench goes on unrecorded: make room, and start another recorder"
+            )
             self.done.set_result(None)
 
     def _look_for_unknown(self) -> None:

@@ -80,7 +80,8 @@ class ReplayerNode(Node):
         return response
 
     def _refuse_authority(self, request: Claim.Request, response: Claim.Response) -> Claim.Response:
-        response.message = "a recording cannot be armed"
+        response.success = request.act == Claim.Request.DISARM
+        response.message = "disarmed" if response.success else "a recording cannot be armed"
         return response
 
     def _status(self) -> Status:

@@ -17,7 +17,7 @@ from hydro_bridge.ros.keys.enclave import ENABLE, ENFORCE, KEYSTORE, STRATEGY
 from hydro_bridge.ros.keys.keystore import domain, make_keystore
 from hydro_bridge.ros.keys.policy import policy_xml
 from hydro_bridge.ros.keys.rights import RIGHTS, enclave_of
-from hydro_bridge.ros.topics import ARM_SERVICE, CLOCK, GRAPH, OVERRIDE_SERVICE
+from hydro_bridge.ros.topics import CLAIM_SERVICE, CLOCK, END_SERVICE, GRAPH, OVERRIDE_SERVICE
 
 
 def parser() -> argparse.ArgumentParser:
@@ -42,7 +42,7 @@ def rights_table() -> Table:
     )
     for name in (*GRAPH, CLOCK):
         table.add(**{"name": name, "from": _who("publishes", name), "to": _who("subscribes", name)})
-    for name in (ARM_SERVICE, OVERRIDE_SERVICE):
+    for name in (CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE):
         table.add(**{"name": name, "from": _who("answers", name), "to": _who("calls", name)})
     return table
 

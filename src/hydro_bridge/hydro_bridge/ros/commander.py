@@ -13,11 +13,10 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.service import Service
 from rclpy.task import Future
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Trigger
 
 from hydro_bridge.ros.messages import reference_to_message
 from hydro_bridge.ros.topics import (
-    ARM_SERVICE,
     AUTHORITY,
     AUTHORITY_QOS,
     CLAIM_SERVICE,
@@ -58,7 +57,6 @@ class Commander:
         self._node, self._changed, self._end = node, changed, end
         self._end_service: Service | None = None
         self._claims = node.create_client(Claim, CLAIM_SERVICE)
-        self._arming = node.create_client(SetBool, ARM_SERVICE)
         self._said = Authority()  # the plant's last word on who commands
         self._claim = self._epoch = self._known = 0  # the last: the epoch when the plant was asked last
         self._answer: Future | None = None
@@ -110,9 +108,9 @@ class Commander:
 
     def arm(self, arm: bool) -> Future | None:
         """Ask for arming or disarming if this node may and the plant is there; the plant's answer."""
-        if not (self.held and self._claims.service_is_ready() and self._arming.service_is_ready()):
+        if not (self.held and self._claims.service_is_ready()):
             return None
-        return self._ask(Claim.Request.ARM) if arm else self._arming.call_async(SetBool.Request(data=False))
+        return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM)
 
     def give(self, heir: str = "") -> Future | None:
         """Give the authority back, which disarms; the plant's answer, or None if there is nothing to give.

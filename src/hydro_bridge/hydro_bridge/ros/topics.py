@@ -9,7 +9,16 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import Log
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
 
-from hydro_msgs.msg import Authority, BenchState, BoxInfo, Correction, Gains, ReferenceSignal, TrainingStatus
+from hydro_msgs.msg import (
+    Authority,
+    BenchState,
+    BoxInfo,
+    Correction,
+    Gains,
+    PolicyStep,
+    ReferenceSignal,
+    TrainingStatus,
+)
 
 STATE = "/hydro/state"
 GAINS = "/hydro/gains"
@@ -18,6 +27,7 @@ AUTHORITY = "/hydro/authority"
 CORRECTION = "/hydro/correction"
 REFERENCE = "/hydro/reference"
 TRAINING = "/hydro/training"
+POLICY = "/hydro/policy"
 DIAGNOSTICS = "/diagnostics"
 LOG = "/rosout"
 """ROS's own: what every node logs, and what was asked of it (`hydro_bridge.ros.journal`)."""
@@ -46,6 +56,7 @@ BOX_QOS = _qos(1, reliable=True, latched=True)
 AUTHORITY_QOS = _qos(1, reliable=True, latched=True)
 REFERENCE_QOS = _qos(1, reliable=True, latched=True)
 TRAINING_QOS = _qos(10, reliable=True)
+POLICY_QOS = _qos(100, reliable=True)
 DIAGNOSTICS_QOS = _qos(10, reliable=True)
 LOG_QOS = _qos(1000, reliable=True, latched=True)
 """As ROS offers its log."""
@@ -58,6 +69,7 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     GAINS: (Gains, GAINS_QOS),
     REFERENCE: (ReferenceSignal, REFERENCE_QOS),
     TRAINING: (TrainingStatus, TRAINING_QOS),
+    POLICY: (PolicyStep, POLICY_QOS),
     DIAGNOSTICS: (DiagnosticArray, DIAGNOSTICS_QOS),
     LOG: (Log, LOG_QOS),
 }

@@ -118,7 +118,7 @@ class CommandGuard:
     def set_gains(self, delta_kp: float, delta_ki: float, now: float) -> None:
         """Take new gain changes [1/s], [1/s^2]; not finite: dropped, and the last ones age on."""
         good = isfinite(delta_kp) and isfinite(delta_ki)
-        self._tell("gains", not good, "gains are not finite: dropped", "gains are finite again")
+        self._tell("gains", not good, "gains are not finite: dropped, the ones before hold", "gains are finite again")
         if not good:
             self.counts.not_finite += 1
             return
@@ -254,7 +254,8 @@ class CommandGuard:
         outcome = (
             "base gains, no correction" if self.settings.require_filter else "UNFILTERED gains pass, no correction"
         )
-        return f"no correction for {1e3 * self.settings.correction_age_max:g} ms: {outcome}"
+        age = 1e3 * self.settings.correction_age_max
+        return f"no correction for {age:g} ms: {outcome}; see whether the filter runs, and the machine is busy"
 
     def _tell(self, trouble: str, present: bool, began: str, ended: str) -> None:
         if present != (trouble in self._troubles):

@@ -4,12 +4,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import dataclass
 from pathlib import Path
 
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.viewer.marks import Mark
 
 REPORT = "report.json"
+_SAME = 1e-3  # s between two stamps of one sample; no other recording begins in the same millisecond
 
 
 def report_beside(bag: Path) -> Path | None:
@@ -18,8 +20,27 @@ def report_beside(bag: Path) -> Path | None:
     return report if report.is_file() else None
 
 
-def windows(report: Path, bag: Path) -> list[Mark]:
-    """A mark where each window begins, in s from the recording's first sample; none if the report is on others.
+@dataclass(frozen=True, kw_only=True)
+class Findings:
+    """What a report says of each recording it is on."""
+
+    report: Path
+    marks: dict[str, list[Mark]]
+    """By the recording's name: where each window begins, in s from its first sample."""
+    begins: list[tuple[str, float | None]]
+    """Name, and the stamp [s] of the first sample, where it is a bag; empty in reports of former versions."""
+
+    def of(self, bag: Path, begin: float) -> list[Mark]:
+        """Those of the recording whose first sample is stamped `begin`; where the report has no stamps, by its name."""
+        if not self.begins:
+            names = [name for name in self.marks if Path(name).name in (bag.name, bag.stem)]
+        else:
+            names = [name for name, stamp in self.begins if stamp is not None and abs(stamp - begin) < _SAME]
+        return [mark for name in dict.fromkeys(names) for mark in self.marks.get(name, [])]
+
+
+def read_findings(report: Path) -> Findings:
+    """What report.json of a diagnosis says.
 
     Raises
     ------
@@ -27,13 +48,17 @@ def windows(report: Path, bag: Path) -> list[Mark]:
         The file cannot be read, or is no report of a diagnosis.
     """
     try:
-        return [
-            Mark(float(begin), "window", f"{place['equation']}, for {end - begin:.2f} s: {place['sentence']}")
-            for place in json.loads(report.read_text(encoding="utf-8"))["location"]
-            for name, stretches in place["windows"].items()
-            if Path(name).name in (bag.name, bag.stem)
-            for begin, end in stretches
-        ]
+        content = json.loads(report.read_text(encoding="utf-8"))
+        marks: dict[str, list[Mark]] = {}
+        for place in content["location"]:
+            for name, stretches in place["windows"].items():
+                told = [
+                    f"{place['equation']}, for {end - begin:.2f} s: {place['sentence']}" for begin, end in stretches
+                ]
+                begins = [float(begin) for begin, _ in stretches]
+                marks.setdefault(name, []).extend(map(Mark, begins, ["window"] * len(told), told))
+        stamps = [(entry["name"], entry["begin"]) for entry in content.get("recordings", ())]
+        return Findings(report=report, marks=marks, begins=stamps)
     except OSError as error:
         raise RecordingError(f"{report}: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, AttributeError):

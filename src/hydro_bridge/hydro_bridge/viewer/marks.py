@@ -10,6 +10,7 @@ watchdog     flag WATCHDOG: no commands for 50 ms
 authority    /hydro/authority: another holder
 episode      /hydro/training: the next episode, and what the last one came to
 examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
+weights      /hydro/policy: other weights act than before (`viewer.weights`)
 rollback     "rollbacks" in the trainer's diagnostics
 override     "override" in the trainer's diagnostics: gains held by hand, to within their 0.5 s
 call         /rosout, names that end in `calls`: who asked to arm, disarm or override, and the answer
@@ -26,9 +27,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_bridge.dashboard.words import PHASES, flag_words
 from hydro_bridge.signals import Flag, StateArray
+from hydro_bridge.viewer.weights import WeightChanges
 
 MARKS = 20_000
 """At most; what comes later is counted, not kept."""
@@ -60,6 +63,7 @@ class Marks:
         self._holder: str | None = None
         self._episode, self._phase, self._learner = -1, -1, True
         self._said: dict[str, str] = {}
+        self._weights = WeightChanges()
 
     def sorted(self) -> list[Mark]:
         """All of them, by time."""
@@ -95,6 +99,11 @@ class Marks:
         if bool(message["learner_alive"]) != self._learner:
             self._add(time, "learner", "the learner runs again" if message["learner_alive"] else "the learner is down")
         self._phase, self._episode, self._learner = phase, episode, bool(message["learner_alive"])
+
+    def steps(self, steps: npt.NDArray[np.void]) -> None:
+        """Enter PolicyStep records, with `time` [s]: which weights acted."""
+        for time, text in self._weights.add(steps):
+            self._add(time, "weights", text)
 
     def diagnostics(self, time: float, name: str, values: Mapping[str, str]) -> None:
         """Enter a status of the node `name`."""

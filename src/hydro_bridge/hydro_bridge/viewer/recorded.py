@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
@@ -15,15 +16,17 @@ from hydro_bridge.bags.reader import STATE_TOPIC, as_states
 from hydro_bridge.bags.source import BagSource, MessageDecoder, Table, decode_span
 from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.dashboard import series, words
-from hydro_bridge.viewer.findings import windows
+from hydro_bridge.viewer.findings import read_findings
 from hydro_bridge.viewer.growing import GrowingThinner
 from hydro_bridge.viewer.marks import Mark, Marks
+from hydro_bridge.viewer.sample_clock import SampleClock
 
 CORRECTION_TOPIC, TRAINING_TOPIC, AUTHORITY_TOPIC = "/hydro/correction", "/hydro/training", "/hydro/authority"
-DIAGNOSTICS_TOPIC, LOG_TOPIC = "/diagnostics", "/rosout"
+POLICY_TOPIC, DIAGNOSTICS_TOPIC, LOG_TOPIC = "/hydro/policy", "/diagnostics", "/rosout"
 TOLD_BY = {
     CORRECTION_TOPIC: "the filter's correction and certificate",
     TRAINING_TOPIC: "episodes and examinations",
+    POLICY_TOPIC: "which weights acted",
     AUTHORITY_TOPIC: "who commanded",
     DIAGNOSTICS_TOPIC: "rollbacks and overrides",
     LOG_TOPIC: "who asked to arm, disarm or override, and what the nodes warned of,",
@@ -34,6 +37,7 @@ _NEEDED = {
     STATE_TOPIC: frozenset[str](),  # `as_states` says what is missing
     CORRECTION_TOPIC: frozenset(column.field for column in series.CORRECTION_COLUMNS),
     TRAINING_TOPIC: frozenset({"phase", "episode", "episode_return", "force_rmse", "learner_alive"}),
+    POLICY_TOPIC: frozenset({"weights"}),
 }
 _OBJECTS = {
     AUTHORITY_TOPIC: "hydro_msgs/msg/Authority",
@@ -77,6 +81,7 @@ class _Reading:
     corrections: GrowingThinner | None = None
     marks: Marks = field(default_factory=Marks)
     curve: words.Curve = field(default_factory=words.Curve)
+    clock: SampleClock = field(default_factory=SampleClock)
     foreign: set[str] = field(default_factory=set)
     """Topics whose messages are of another version or type."""
 
@@ -140,14 +145,15 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
     RecordingError
         Nothing there, damaged, or no samples of a bench in it, or none within the span; or no report.
     """
-    found = [] if report is None else windows(report, Path(path))
+    found = None if report is None else read_findings(report)
     source = BagSource(Path(path))
     reading = _Reading(span=span)
     decoder = MessageDecoder(source)
-    tables = {
+    tables: dict[str, Callable[[Table], None]] = {
         STATE_TOPIC: lambda table: reading.take_states(as_states(table, source.path)),
         CORRECTION_TOPIC: reading.take_corrections,
         TRAINING_TOPIC: reading.take_training,
+        POLICY_TOPIC: lambda table: reading.marks.steps(reading.within(table)),
     }
     messages: dict[str, int] = {}
     for scan, channel, block, part in source.spans():
@@ -156,7 +162,10 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
         if topic in tables:
             layout = source.layout(scan, channel)
             if layout is not None and set(layout.table.names or ()) >= _NEEDED[topic]:
-                tables[topic](decode_span(scan.path, topic, layout, block, part))
+                table = decode_span(scan.path, topic, layout, block, part)
+                if topic == STATE_TOPIC:
+                    reading.clock.see(part.log_times, table["time"])
+                tables[topic](table)
             else:
                 reading.foreign.add(topic)
         elif topic in _OBJECTS:
@@ -164,12 +173,13 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
                 reading.foreign.add(topic)
                 continue
             try:
-                for _, message in decoder.objects(scan, channel, block, part):
+                for logged, message in decoder.objects(scan, channel, block, part):
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
-                    reading.take_object(topic, stamp.sec + 1e-9 * stamp.nanosec, message)
+                    time = reading.clock.at(stamp.sec + 1e-9 * stamp.nanosec, logged)
+                    reading.take_object(topic, time, message)
             except AttributeError:  # fields of another version
                 reading.foreign.add(topic)
-    for mark in found:
+    for mark in found.of(Path(path), reading.begin) if found else ():
         reading.marks.add(Mark(reading.begin + mark.time, mark.kind, mark.text))
     return _finished(source, reading, messages)
 
@@ -210,7 +220,7 @@ def within(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
 
 def _lacking(messages: dict[str, int], reading: _Reading, left_out: int) -> list[str]:
     notes = [f"{topic} was not recorded: {what} cannot be shown" for topic, what in TOLD_BY.items()
-             if topic not in messages]  # fmt: skip
+             if topic not in messages and (topic != POLICY_TOPIC or TRAINING_TOPIC in messages)]  # fmt: skip
     notes += [f"{topic} is of another version or type: it is not shown" for topic in sorted(reading.foreign)]
     if left_out:
         notes.append(f"{left_out} samples have stamps from before the first one, or from an hour after the one before")

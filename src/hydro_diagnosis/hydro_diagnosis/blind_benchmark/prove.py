@@ -51,6 +51,8 @@ def parser() -> argparse.ArgumentParser:
     options.add_argument("--partial", action="store_true", help="when time is up, open the seal and score what is done")
     options.add_argument("--kinds", nargs="+", choices=list(PARTS), metavar="KIND",
                          help=f"score these kinds alone: {', '.join(PARTS)}")  # fmt: skip
+    options.add_argument("--again", action="store_true",
+                         help="diagnose anew what another version of the diagnosis answered")  # fmt: skip
     add_json_argument(options)
     return options
 
@@ -69,6 +71,8 @@ def run(arguments: Sequence[str]) -> int:
     recorded = _record(cases, folder / BLIND, chosen, until)
     if recorded and chosen.only_record:
         return 0
+    if chosen.again:
+        _forget_other_versions(folder)
     finished = recorded and _diagnose(folder / BLIND, chosen.workers, until - time.monotonic())
     done = [case.name for case in cases if (folder / BLIND / case.name / ANSWER).exists()]
     if not finished:
@@ -138,6 +142,18 @@ def _diagnose(folder: Path, workers: int, seconds: float) -> bool:
     return status == 0
 
 
+def _forget_other_versions(folder: Path) -> None:
+    """Remove what another version of the diagnosis answered, and what was computed for it."""
+    from hydro_diagnosis.blind_benchmark.blind import ANSWER
+    from hydro_diagnosis.engine import engine
+
+    this = engine()
+    for answer in (folder / BLIND).glob(f"*/{ANSWER}"):
+        if json.loads(answer.read_text())["engine"] != this:
+            (folder / OPENED / f"{answer.parent.name}.json").unlink(missing_ok=True)
+            answer.unlink()
+
+
 def _asked(result: Result, kinds: Sequence[str] | None) -> bool:
     return kinds is None or result.case.kind in kinds
 
@@ -155,6 +171,7 @@ def _results(cases: Sequence[Case], folder: Path, workers: int) -> list[Result]:
 def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_file: str | None) -> None:
     """Print the table; write proof.json, the pictures and proof.html."""
     from hydro_diagnosis.blind_benchmark import pictures
+    from hydro_diagnosis.engine import engine
 
     engines = sorted({str(result.answer["engine"]) for result in results})
     about = {**about, "engine": ", ".join(engines)}
@@ -166,8 +183,10 @@ def _show(results: Sequence[Result], folder: Path, about: dict[str, str], json_f
     content = {"about": about, "standards": table.rows, "confusion": confusion(results), "failures": failed,
                "floors": pictures.floors(results), "cases": [_row(result) for result in results]}  # fmt: skip
     write_whole(folder / "proof.json", (json.dumps(content, indent=1) + "\n").encode())
-    if len(engines) > 1:
-        print(f"warning: cases were diagnosed by {len(engines)} versions of the diagnosis", file=sys.stderr)
+    if engines != [engine()]:
+        others = ", ".join(other for other in engines if other != engine())
+        print(f"warning: cases were diagnosed by another version ({others}): --again diagnoses them anew",
+              file=sys.stderr)  # fmt: skip
     print(f"{len(failed)} cases failed: {folder / 'proof.html'}, proof.json")
 
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 from scipy.special import ndtr
 
-from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.model.segment_record import SegmentRecord
 from hydro_diagnosis.preprocessing.smoothing import KINEMATIC_WIDTH
@@ -49,7 +49,8 @@ class ForceBalance(SegmentRecord):
         piston passes within milliseconds would read a quarter too small.
         """
         force = np.zeros_like(self.x)
-        if any(claim.effect.bristles for claim in claims):
+        dry = any(type(claim.effect).drag is not Effect.drag for claim in claims)
+        if not dry or any(claim.effect.bristles for claim in claims):
             return force
         for node, weight in _GAUSS_HERMITE:
             velocity = self.v + node * KINEMATIC_WIDTH * self.spacing * self.step * self.a

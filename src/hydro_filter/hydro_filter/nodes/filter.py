@@ -219,7 +219,10 @@ class FilterNode(Node):
         name, simulated = "use_sim_time", self.count_publishers(CLOCK) > 0
         if abs(self._age) > FOREIGN and simulated != self.get_parameter(name).value:
             self.set_parameters([Parameter(name, value=simulated)])
-            self.get_logger().warning("states come by " + ("/clock" if simulated else "the machine's clock") + " now")
+            clock = "/clock" if simulated else "the machine's clock"
+            self.get_logger().warning(
+                f"the plant's samples are stamped by {clock} now: how old they are is told by it, too"
+            )
 
     def _status(self) -> Status:
         self._follow_the_plants_clock()

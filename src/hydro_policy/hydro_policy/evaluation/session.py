@@ -217,7 +217,7 @@ class EvaluationSession:
         """Base gains instead of the controller's for much of the time are no fair comparison."""
         if held > HELD_MAX:
             sentence = f"{trace.controller} at {trace.case}: base gains in {100 * held:.0f} % of the samples"
-            self._warn(f"{sentence}, corrections came late (machine too busy?)")
+            self._warn(f"{sentence}, corrections came late: if the machine is busy, end what else runs on it")
 
     def _check_gains(self, controller: Controller, trace: Trace) -> None:
         """A guard narrower than the controller would silently compare something else."""

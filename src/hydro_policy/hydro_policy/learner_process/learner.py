@@ -80,11 +80,12 @@ class LearnerMemory:
         return SharedBlob(self._good)
 
     def status(self) -> FloatArray:
-        """[updates, entropy coefficient, checkpoints written, 1 when ready, rollbacks done]."""
+        """[updates, entropy coefficient, checkpoints written, 1 when ready, rollbacks done, the three losses]."""
         return np.frombuffer(self._status, np.float64)
 
 
 UPDATES, ENTROPY, CHECKPOINTS, READY, ROLLBACKS = range(5)  # places in status
+LOSSES = slice(5, 8)  # as `hydro_policy.sac.algorithm.Losses`
 
 
 @dataclass(frozen=True)
@@ -148,6 +149,7 @@ class Learner:
         if not torch.isfinite(self.sac.actor_network.parameters.sum() + self.sac.critics.parameters.sum()):
             raise FloatingPointError(f"the networks diverged at update {self.sac.updates}")
         self._weights.publish(self.sac.actor_network.parameters.numpy().tobytes())
+        self._status[LOSSES] = self.sac.losses
         self._status[UPDATES], self._status[ENTROPY] = self.sac.updates, self.sac.entropy_coefficient
         if now - self._published >= SNAPSHOT_PERIOD:
             self._snapshot.publish(dump(self.sac))

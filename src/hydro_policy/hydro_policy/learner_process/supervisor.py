@@ -21,6 +21,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_policy.learner_process.learner import (
     CHECKPOINTS,
     ENTROPY,
+    LOSSES,
     READY,
     ROLLBACKS,
     UPDATES,
@@ -33,6 +34,7 @@ from hydro_policy.learner_process.learner import (
 )
 from hydro_policy.runs.checkpoint import Checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac.algorithm import Losses
 
 RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds, and it is not bad luck
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
@@ -73,6 +75,7 @@ class LearnerSupervisor:
             self._memory.snapshot(),
             self._memory.status(),
         )
+        self._status[LOSSES] = np.nan
         self._good = self._memory.good()
         self._rollbacks, self._unheard = 0, False  # asked for; whether the learner had no ear for the last one
         if resumed is not None:
@@ -108,6 +111,11 @@ class LearnerSupervisor:
     def entropy_coefficient(self) -> float:
         """alpha."""
         return float(self._status[ENTROPY])
+
+    @property
+    def losses(self) -> Losses:
+        """Of the last updates; NaN while there is none."""
+        return Losses(*self._status[LOSSES].tolist())
 
     @property
     def checkpoints(self) -> int:

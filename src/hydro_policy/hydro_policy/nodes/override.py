@@ -20,6 +20,7 @@ from hydro_msgs.srv import OverrideGains
 
 DISCOVERY = 10.0  # s, to find the service: on a busy machine announcements get lost and come again each few seconds
 TIMEOUT = 3.0  # s, for its answer
+_WHO = "a person, by `override`"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -47,9 +48,10 @@ def request(options: argparse.Namespace) -> OverrideGains.Request:
     if given != (0 if options.off else 2):
         raise UserError("override needs --kp and --ki, or --off")
     if options.off:
-        return OverrideGains.Request(active=False, whom=options.whom)
+        return OverrideGains.Request(active=False, name=_WHO, whom=options.whom)
     return OverrideGains.Request(
         active=True,
+        name=_WHO,
         proportional_gain=options.kp,
         integral_gain=options.ki,
         seconds=options.seconds,
@@ -85,7 +87,7 @@ def ask(node: Node, wanted: OverrideGains.Request) -> str:
     answer = client.call_async(wanted)
     rclpy.spin_until_future_complete(node, answer, timeout_sec=TIMEOUT)
     if not answer.done():
-        raise UserError(f"no answer within {TIMEOUT:g} s")
+        raise UserError(f"no answer within {TIMEOUT:g} s: look at the gains in /hydro/state, or ask again")
     if not answer.result().success:
         raise UserError(answer.result().message)
     return str(answer.result().message)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -20,6 +21,17 @@ from hydro_policy.sac.mlp import FlatAdam, StackedMlp
 from hydro_policy.sac.replay import Batch, ReplayBuffer
 from hydro_policy.sac.settings import SacSettings
 from hydro_sim.neural.mlp import Layers
+
+
+class Losses(NamedTuple):
+    """What is descended, each as its batches showed it before the update; NaN before the first."""
+
+    critics: float = math.nan
+    """1/2 sum_i mean (Q_i(o, a) - y)^2"""
+    actor: float = math.nan
+    """mean(alpha log pi(a|o) - min_i Q_i(o, a))"""
+    temperature: float = math.nan
+    """-log(alpha) (mean log pi(a|o) + target entropy)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,6 +104,8 @@ class Sac:
         self.critic_optimizer = FlatAdam(self.critics.parameters, settings.critic_learning_rate)
         self.entropy_optimizer = FlatAdam(self.log_entropy_coefficient, settings.entropy_learning_rate)
         self.updates = 0
+        self.losses = Losses()
+        """In the mean over the updates of the last `learn`, or of the last `update`."""
         self._actions, self._dtype = actions, dtype
         self._numbers = kernel.Numbers(
             observations, actions, settings.discount, settings.target_rate, settings.target_entropy,
@@ -126,7 +140,9 @@ class Sac:
         optimizers = (self.actor_optimizer, self.critic_optimizer, self.entropy_optimizer)
         gradients = (self.actor_network.gradient, self.critics.gradient, torch.zeros(1, dtype=self._dtype))
         adams = [optimizer.views(gradient) for optimizer, gradient in zip(optimizers, gradients, strict=True)]
-        kernel.learn(self._networks, *adams, self._numbers, replay.rows, places.numpy(), noise.numpy())
+        losses = np.empty((updates, len(self.losses)))
+        kernel.learn(self._networks, *adams, self._numbers, replay.rows, places.numpy(), noise.numpy(), losses)
+        self.losses = Losses(*losses.mean(axis=0).tolist())
         for optimizer in optimizers:
             optimizer.steps += updates
         self.updates += updates
@@ -135,10 +151,12 @@ class Sac:
     def update(self, batch: Batch) -> None:
         """One gradient step of critics, actor and temperature, then the targets follow: what `learn` compiles."""
         alpha = self.entropy_coefficient
-        self._update_critics(batch, alpha)
-        log_probability = self._update_actor(batch.observation, alpha)
+        critics = self._update_critics(batch, alpha)
+        actor, log_probability = self._update_actor(batch.observation, alpha)
         # temperature: descend -log(alpha) (log pi + target entropy)
-        self.entropy_optimizer.step(-(log_probability.mean() + self.settings.target_entropy).view(1))
+        slope = -(log_probability.mean() + self.settings.target_entropy).view(1)
+        self.losses = Losses(critics, actor, float(self.log_entropy_coefficient * slope))
+        self.entropy_optimizer.step(slope)
         self.target_critics.parameters.lerp_(self.critics.parameters, self.settings.target_rate)
         self.updates += 1
 
@@ -149,23 +167,26 @@ class Sac:
         value.sub_(following.log_probability, alpha=alpha).mul_(self.settings.discount).mul_(1.0 - batch.terminated)
         return value.add_(batch.reward, alpha=self.settings.reward_scale)
 
-    def _update_critics(self, batch: Batch, alpha: float) -> None:
-        """Descend 1/2 sum_i mean (Q_i(o, a) - y)^2."""
+    def _update_critics(self, batch: Batch, alpha: float) -> float:
+        """Descend 1/2 sum_i mean (Q_i(o, a) - y)^2; returns it."""
         target = self.target_value(batch, alpha)
         error = self._values(self.critics, batch.observation, batch.action).sub_(target)
+        loss = 0.5 * float(error.square().mean(1).sum())
         self.critics.backward(error.div_(len(target)).unsqueeze(2))
         self.critic_optimizer.step(self.critics.gradient)
+        return loss
 
-    def _update_actor(self, observation: Tensor, alpha: float) -> Tensor:
-        """Descend mean(alpha log pi(a|o) - min_i Q_i(o, a)); returns log pi(a|o), [batch]."""
+    def _update_actor(self, observation: Tensor, alpha: float) -> tuple[float, Tensor]:
+        """Descend mean(alpha log pi(a|o) - min_i Q_i(o, a)); returns it, and log pi(a|o), [batch]."""
         drawn = self.actor.sample(observation, self._noise(len(observation)))
         values = self._values(self.critics, observation, drawn.action)
+        loss = float((alpha * drawn.log_probability - values.amin(0)).mean())
         first = (values[0] <= values[1]).to(self._dtype)  # only the smaller critic passes its gradient on
         selected = torch.stack((first, 1.0 - first)).unsqueeze(2)
         gradient = self.critics.input_gradient(selected).sum(0)[:, -self._actions :]
         self.actor.backward(drawn, gradient, alpha)
         self.actor_optimizer.step(self.actor_network.gradient)
-        return drawn.log_probability
+        return loss, drawn.log_probability
 
     def _values(self, critics: StackedMlp, observation: Tensor, action: Tensor) -> Tensor:
         """Q_i(o, a) of both critics, [2, batch]."""

@@ -58,10 +58,11 @@ class Draw(NamedTuple):
 
 
 @njit(cache=True)
-def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places, noise):
+def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places, noise, losses):
     """Do one update for each row of `places`, shape (updates, batch): indices into the replay buffer's `rows`.
 
     `noise`: standard normal, shape (updates, 2, batch, actions), first for the targets, then for the actor.
+    `losses`: those of critics, actor and temperature before each update go there, shape (updates, 3).
     """
     count, kind, inputs = places.shape[1], networks.target_parameters.dtype, numbers.observations + numbers.actions
     width = dense.four(inputs)
@@ -75,11 +76,12 @@ def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places
         alpha = kind.type(math.exp(entropy_adam.parameters[0]))
         _gather(numbers, rows, places[k], now, following, reward, end)
         _targets(networks, numbers, following, noise[k, 0], reward, end, alpha, actor_pass, first, second, draw, target)
-        _critics(networks, now, target, first, second)
+        losses[k, 0] = _critics(networks, now, target, first, second)
         adam_kernel.step(critic_adam, k + 1)
-        _actor(networks, numbers, now, noise[k, 1], alpha, actor_pass, first, second, draw)
+        losses[k, 1] = _actor(networks, numbers, now, noise[k, 1], alpha, actor_pass, first, second, draw)
         adam_kernel.step(actor_adam, k + 1)
         entropy_adam.gradient[0] = -(draw.log_probability.sum() / kind.type(count) + numbers.target_entropy)
+        losses[k, 2] = entropy_adam.parameters[0] * entropy_adam.gradient[0]
         adam_kernel.step(entropy_adam, k + 1)
         network_kernel.soft_update(networks.target_parameters, critic_adam.parameters, numbers.target_rate)
 
@@ -113,8 +115,8 @@ def _targets(networks, numbers, following, noise, reward, end, alpha, actor_pass
 
 @njit(cache=True)
 def _critics(networks, now, target, first, second):
-    """Gradients of 1/2 sum_i mean (Q_i(o, a) - y)^2."""
-    count = len(target)
+    """Gradients of 1/2 sum_i mean (Q_i(o, a) - y)^2, and its value."""
+    count, squares = len(target), 0.0
     share = target.dtype.type(1.0 / count)
     for member in range(2):
         buffers, layers, gradient = first, networks.critics[0], networks.critic_gradients[0]
@@ -124,13 +126,16 @@ def _critics(networks, now, target, first, second):
         network_kernel.forward(padded, now, buffers, count)
         for k in range(count):
             buffers.g[k] = (buffers.y[k] - target[k]) * share
+            squares += (buffers.y[k] - target[k]) ** 2
         network_kernel.backward(padded, now, buffers, count, gradient)
+    return 0.5 * squares / count
 
 
 @njit(cache=True)
 def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw):
-    """Gradient of mean(alpha log pi(a|o) - min_i Q_i(o, a)); draws a into the inputs' action rows."""
+    """Gradient of mean(alpha log pi(a|o) - min_i Q_i(o, a)), and its value; draws a into the inputs' action rows."""
     count, actions, n = len(draw.log_probability), numbers.actions, numbers.observations
+    loss = 0.0
     kind = draw.action.dtype.type
     zero, one, two, share = kind(0.0), kind(1.0), kind(2.0), kind(1.0 / count)
     _sample(networks.actor, numbers, now, noise, actor_pass, draw)
@@ -140,6 +145,7 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
     for k in range(count):  # only the smaller critic passes its gradient on
         smaller = first.y[k] <= second.y[k]
         first.g[k], second.g[k] = (one, zero) if smaller else (zero, one)
+        loss += alpha * draw.log_probability[k] - min(first.y[k], second.y[k])
     network_kernel.backpropagate(critic_1, first, count)
     network_kernel.backpropagate(critic_2, second, count)
     slopes = np.zeros((2, dense.four(actions) * network_kernel.ROW), draw.action.dtype)
@@ -154,6 +160,7 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
             to_log_std = (to_mean * draw.deviation[j, k] - alpha) * draw.inside[j, k]
             actor_pass.g[(actions + j) * network_kernel.ROW + k] = to_log_std * share
     network_kernel.backward(block_mlp.padded(networks.actor), now, actor_pass, count, networks.actor_gradient)
+    return loss / count
 
 
 @njit(cache=True)

@@ -83,10 +83,12 @@ class Policy:
 
     def act(self, observation: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
         """Actions [..., 2] in [-1, 1] for observations [..., 13]: drawn with `rng`, or the mean's without."""
+        return np.tanh(self.distribution(observation)[0]) if rng is None else self.draw(observation, rng)[0]
+
+    def draw(self, observation: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+        """(drawn actions, the mean's), [..., 2] each in [-1, 1], for observations [..., 13]."""
         mean, log_std = self.distribution(observation)
-        if rng is not None:
-            mean = mean + np.exp(log_std) * rng.standard_normal(mean.shape)
-        return np.tanh(mean)
+        return np.tanh(mean + np.exp(log_std) * rng.standard_normal(mean.shape)), np.tanh(mean)
 
     def save(
         self, path: Path, gains: GainRange, notes: dict[str, object] | None = None, made: MadeFor | None = None

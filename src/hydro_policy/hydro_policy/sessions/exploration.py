@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import numpy as np
@@ -40,16 +41,20 @@ class Explorer:
         self._replay, self._outputs = replay, outputs
         self._observation: FloatArray | None = None
         self._action: FloatArray = np.zeros(ACTIONS)
+        self._mean: FloatArray = np.zeros(ACTIONS)  # of which the action was drawn
 
     def step(self, step: Step) -> float | None:
         """Act, then remember: gains leave as soon as they are known. Gives the last action's reward."""
         before, taken, observation = self._observation, self._action, self._act(step)
-        if before is None or observation is None:
+        if observation is None:
             return None
-        reward = self.task.reward(step.error, step.error_rate)
-        if step.whole:
-            self._remember(before, taken, reward, observation, terminated=False)
-        return reward
+        reward = math.nan
+        if before is not None:
+            reward = self.task.reward(step.error, step.error_rate)
+            if step.whole:
+                self._remember(before, taken, reward, observation, terminated=False)
+        self._tell(reward)
+        return None if before is None else reward
 
     def hold(self, gains: tuple[float, float], step: Step | None = None) -> float | None:
         """Publish these gain changes instead of the policy's; what follows is nobody's lesson.
@@ -87,7 +92,7 @@ class Explorer:
         if not np.isfinite(observation).all():
             self._observation = None  # the box trips on this; its flags come next
             return None
-        self._action = self.policy.act(observation, self.rng)
+        self._action, self._mean = self.policy.draw(observation, self.rng)
         gains = self.task.gains.gains(self._action)
         self.inference.add(time.perf_counter() - begin)
         self._publish(gains)
@@ -97,6 +102,10 @@ class Explorer:
     def _publish(self, gains: tuple[float, float]) -> None:
         self._outputs.gains(*gains, self.published)
         self.published += 1
+
+    def _tell(self, reward: float) -> None:
+        weights = int(self.policy.digest(), 16)
+        self._outputs.acted(self.published - 1, self.task.gains.gains(self._mean), reward, weights)
 
     def _remember(
         self, before: FloatArray, action: FloatArray, reward: float, after: FloatArray, terminated: bool

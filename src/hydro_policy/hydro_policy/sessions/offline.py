@@ -119,6 +119,7 @@ class OfflineGraph(Outputs):
         self.guard = CommandGuard(settings=guard or GuardSettings())
         self.sentences: list[str] = []
         self.gains_published: list[tuple[float, float, int]] = []
+        self.steps: list[tuple[int, tuple[float, float], float, int]] = []
         self.references: list[ReferenceSignal] = []
         self._measurement = plant.reset(seed)
 
@@ -126,6 +127,10 @@ class OfflineGraph(Outputs):
         """See `Outputs`."""
         self.gains_published.append((delta_kp, delta_ki, step))
         self.guard.set_gains(delta_kp, delta_ki, self.time)
+
+    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        """See `Outputs`."""
+        self.steps.append((step, mean, reward, weights))
 
     def reference(self, signal: ReferenceSignal) -> None:
         """See `Outputs`."""

@@ -74,8 +74,8 @@ class RunState:
         progress.best_lag = min(done.lag, progress.best_lag)
         return best
 
-    def add_exam(self, scores: Sequence[Score]) -> bool:
-        """Enter an examination that the policy came through; True if it is surely better than the best so far.
+    def add_exam(self, scores: Sequence[Score], digest: str = "") -> bool:
+        """Enter an examination that a policy, of this digest, came through; True if it is surely better than the best.
 
         The first one is that of the policy that came: what the run hands back is that, or better by more than noise.
         """
@@ -88,16 +88,20 @@ class RunState:
         progress.examined, progress.best_score = progress.episode, verdict.score if best else progress.best_score
         if progress.passed_at < 0 and verdict.beaten == len(verdict.rmse):
             progress.passed_at = progress.episode
-        result = {"episode": progress.episode, "rmse": list(verdict.rmse), "beaten": verdict.beaten}
+        result = {"episode": progress.episode, "policy": digest, "rmse": list(verdict.rmse), "beaten": verdict.beaten}
         progress.exams.append({**result, "score": verdict.score, "error": verdict.score_error, "best": best})
         self.record.add("exam", **progress.exams[-1], reference_rmse=progress.reference_rmse)
         return best
 
-    def add_stop(self, reason: str, where: str) -> str:
-        """Enter that the policy was stopped and rolled back; the sentence for the user. Too many: `gave_up`."""
+    def add_stop(self, reason: str, where: str, good: str = "") -> str:
+        """Enter that the policy was stopped and rolled back; the sentence for the user. Too many: `gave_up`.
+
+        `good` is the digest of the one that acts from now on; empty: there is no other.
+        """
         self.progress.rollbacks += 1
         self.last_stop = reason
         sentence = f"policy stopped in {where}: {reason}; rolled back to the last good one"
+        sentence += f" ({good})" if good else ""
         if self.keeper.exhausted:
             self.gave_up = f"{self.keeper.in_a_row} rollbacks in a row, the last: {reason}"
             sentence += f"; that was once too often ({self._settings.monitor.rollbacks_max} in a row): the run ends"

@@ -203,7 +203,7 @@ class TrainingSession:
             self._stop(reason, sample)
         elif running.finished:
             self.exam = None
-            self._go_on(best=self.state_of_run.add_exam(running.scores))
+            self._go_on(best=self.state_of_run.add_exam(running.scores, self.policy.digest()))
         return acted
 
     def _go_on(self, *, best: bool) -> None:
@@ -233,12 +233,12 @@ class TrainingSession:
         good = self.keeper.roll_back()
         if good is not None:
             self.policy.load_flat(good)
-        sentence = self.state_of_run.add_stop(reason, where)
+        sentence = self.state_of_run.add_stop(reason, where, "" if good is None else self.policy.digest())
         self.phase = Phase.FINISHED if self.state_of_run.gave_up else Phase.PAUSED
         self._outputs.say(sentence, warning=True)
 
     def _pause(self, reason: str, where: str) -> None:
-        sentence = f"paused in {where} at step {self.current.steps}: {reason}"
+        sentence = f"paused in {where} at step {self.current.steps}: {reason}; it begins anew once the plant is armed"
         self.phase, self.exam = Phase.PAUSED, None
         self.progress.interruptions += 1
         self.explorer.forget()

@@ -14,6 +14,21 @@ class Outputs(Protocol):
     def gains(self, delta_kp: float, delta_ki: float, step: int) -> None:
         """Publish gains [1/s], [1/s^2]."""
 
+    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        """Tell what a policy that learns made of `step`, once its gains are out; see `PolicyStep.msg`.
+
+        Parameters
+        ----------
+        step
+            As given to `gains`.
+        mean
+            Gains of the mean action [1/s], [1/s^2].
+        reward
+            For the step before; NaN where none was earned.
+        weights
+            Digest of the weights that acted.
+        """
+
     def reference(self, signal: ReferenceSignal) -> None:
         """Publish the force to track."""
 

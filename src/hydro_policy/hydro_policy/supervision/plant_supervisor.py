@@ -187,7 +187,7 @@ class PlantSupervisor:
     def arm_now(self, now: float) -> None:
         """A person wants it armed: done where all is ready, answered where it is not."""
         if self.armed and not self.unready(now):
-            self._outputs.say("the plant is armed already", warning=True)
+            self._outputs.say("the plant is armed already: nothing was done", warning=True)
         elif self.readiness.complete:
             self._arming.arm(now)
         else:

@@ -75,7 +75,7 @@ class ExamSettings:
     """Left out at the start of each sine, as in an evaluation."""
     measure: Annotated[float, quantity("s", 0.1, 600.0)] = 2.0
     """Measured at least of each sine; rounded up to whole periods."""
-    repeats: Annotated[int, quantity("-", 1, 20)] = 1
+    repeats: Annotated[int, quantity("-", 1, 20)] = 2
     """Runs of each sine. Their scatter is the noise that a policy must be better by to be the best; 1: any counts."""
     reference_kp: Annotated[float, quantity("1/s", 0.0, 500.0)] = 90.0
     """K_p of the fixed gains that scores are relative to (the paper's III)."""

@@ -138,10 +138,14 @@ class Table:
         """Of its numbers."""
         return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
 
+    def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
+        """Where its variable stands among the peaks of its splines, 1 to `KNOTS` - 2."""
+        return 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
+
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """What it gives, in the unit of its equation."""
         low, high, *values = numbers
-        along = 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
+        along = self.along(at, low, high)
         total: Symbol = 0.0
         for k, value in enumerate(values):
             total = total + value * _cubic(np.abs(along - k))

@@ -105,7 +105,7 @@ class Arming:
         if refusal:
             self._ask_after = time.monotonic() + _RETRY
             if refusal != self._refusal:
-                tell(f"! arming: {refusal}")
+                tell(f"! the plant was not armed: {refusal}")
         self._refusal = refusal
 
     def _read_keys(self) -> None:

@@ -62,7 +62,7 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
     finally:
         rclpy.try_shutdown()
     if lost:
-        raise UserError(f"nothing records any more: {lost}")
+        raise UserError(f"nothing records any more, so the plant was disarmed: {lost}")
     if broken:
         raise UserError(f"broken off: {options.out} holds what was played so far")
     tripped_out = node.playback.trips_in_a_row >= TRIPS_IN_A_ROW

@@ -111,7 +111,10 @@ class CollectNode(Node):
             self._driving = False
             self._commander.reference(Signal())
             if self._commander.held and not self._arming.give_back():
-                tell("! the plant did not confirm that it is disarmed; its own watchdog remains")
+                tell(
+                    "! the plant did not confirm that it is disarmed: without commands it goes to base gains, and "
+                    "disarms after 10 s; to be sure, `ros2 run hydro_bridge arm --off`"
+                )
             if self._bar is not None:  # after the plant: there may be no terminal any more
                 self._bar.close()
 

@@ -83,7 +83,10 @@ class SimNode(PlantNode):
         settings = declare_parameters(self, settings)
         guard = CommandGuard(settings=declare_parameters(self, GuardSettings(), "guard."))
         if not guard.settings.require_filter:
-            self.get_logger().warning("guard.require_filter is false: gains reach the valve UNFILTERED")
+            self.get_logger().warning(
+                "guard.require_filter is false: gains reach the valve UNFILTERED and may make the loop unstable; "
+                "leave it out unless that is meant"
+            )
         bench = Bench.load(settings.bench) if settings.bench else Bench.nominal()
         believed = Bench.load(settings.box_bench) if settings.box_bench else bench
         config = declare_parameters(self, BoxConfig(), "box.")

@@ -94,6 +94,8 @@ def _set(options: argparse.Namespace) -> int:
         wanted = yaml.safe_load(options.value)
     except yaml.YAMLError:
         raise UserError(f"{options.value!r} is no YAML") from None
+    if wanted is None:  # it would take the parameter away
+        raise UserError(f"{options.value!r} is no value of a parameter")
     with visiting() as node:
         owner = full_name(*reversed(find_node(node, options.node)))
         if _value(node, owner, options.parameter).type == ParameterType.PARAMETER_DOUBLE and type(wanted) is int:

@@ -123,7 +123,7 @@ def _hz(options: argparse.Namespace) -> None:
     if options.window < 2:
         raise UserError(f"--window {options.window}: two messages or more make a rate")
     times: deque[float] = deque(maxlen=options.window)
-    new = 0
+    new, done = 0, Future()
 
     def count(_: bytes) -> None:
         nonlocal new
@@ -132,7 +132,12 @@ def _hz(options: argparse.Namespace) -> None:
 
     def report() -> None:
         nonlocal new
-        print(_rate(times) if new else "no new messages", flush=True)
+        if done.done():
+            return
+        try:
+            print(_rate(times) if new else "no new messages", flush=True)
+        except OSError as error:  # `| head` has seen enough; raised here rclpy would print it
+            done.set_exception(error)
         new = 0
 
     with visiting() as node:
@@ -140,7 +145,9 @@ def _hz(options: argparse.Namespace) -> None:
         kind = interface(_kinds(node, topic)[0], "msg")
         node.create_subscription(kind, topic, count, _heard_as_offered(node, topic), raw=True)
         node.create_timer(_REPORT, report)
-        spin(node)
+        spin(node, done)
+    if done.done():
+        done.result()
 
 
 def _rate(times: deque[float]) -> str:

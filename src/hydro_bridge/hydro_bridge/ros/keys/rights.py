@@ -24,6 +24,7 @@ from hydro_bridge.ros.topics import (
     GRAPH,
     LOG,
     OVERRIDE_SERVICE,
+    POLICY,
     REFERENCE,
     STATE,
     TRAINING,
@@ -70,6 +71,7 @@ def node(name: str, rights: Rights) -> Rights:
 
 
 _ARMING = (ARM_SERVICE, CLAIM_SERVICE)
+"""What a plant answers. Our own programs ask by the second, with their names; the first is everybody's."""
 _PLANT = Rights(publishes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING)
 
 RIGHTS: Mapping[str, Mapping[str, Rights]] = {
@@ -90,10 +92,10 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
         "trainer": node(
             "trainer",
             Rights(
-                publishes=(GAINS, REFERENCE, TRAINING, DIAGNOSTICS),
+                publishes=(GAINS, REFERENCE, TRAINING, POLICY, DIAGNOSTICS),
                 subscribes=(STATE, BOX, AUTHORITY, CORRECTION, DIAGNOSTICS),
                 answers=(OVERRIDE_SERVICE, END_SERVICE),
-                calls=_ARMING,
+                calls=(CLAIM_SERVICE,),
             ),
         ),
     },
@@ -104,7 +106,7 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
                 publishes=(GAINS, REFERENCE),
                 subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS),
                 answers=(OVERRIDE_SERVICE, END_SERVICE),
-                calls=_ARMING,
+                calls=(CLAIM_SERVICE,),
             ),
         ),
     },
@@ -115,7 +117,7 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
                 publishes=(GAINS, REFERENCE),
                 subscribes=(STATE, BOX, AUTHORITY, DIAGNOSTICS),
                 answers=(END_SERVICE,),
-                calls=_ARMING,
+                calls=(CLAIM_SERVICE,),
             ),
         ),
     },
@@ -126,12 +128,12 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
             Rights(
                 publishes=(DIAGNOSTICS,),
                 subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
-                calls=(*_ARMING, OVERRIDE_SERVICE, END_SERVICE),
+                calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, END_SERVICE),
             ),
         ),
         "dashboard_samples": Rights(publishes=(PARAMETER_EVENTS,), subscribes=(STATE, CORRECTION)),
     },
-    "arm": {"arm": node("arm", Rights(calls=_ARMING))},
+    "arm": {"arm": node("arm", Rights(calls=(CLAIM_SERVICE,)))},
     "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},
     "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK)))},
 }

@@ -7,10 +7,10 @@ import { Series } from "./series.js";
 // Colours of Okabe and Ito; the list says in words what each is.
 const COLOURS = {
   armed: "#0072b2", trip: "#d55e00", watchdog: "#e69f00", authority: "#1a1a1a", episode: "#b8c0c6", phase: "#5c6670",
-  examination: "#00795a", rollback: "#cc79a7", override: "#56b4e9", learner: "#8a5a00",
+  examination: "#00795a", rollback: "#cc79a7", override: "#56b4e9", learner: "#8a5a00", weights: "#6a3d9a",
   call: "#7b3294", log: "#b35806", window: "#35978f",
 };
-const QUIET = ["episode", "phase", "log"]; // kinds that are not chosen at first if they are many
+const QUIET = ["episode", "phase", "log", "weights"]; // kinds that are not chosen at first if they are many
 const MANY = 40;
 const LISTED = 400; // lines: the nearest ones
 const STEP = 0.1; // of the window, for an arrow key

@@ -36,6 +36,7 @@ from hydro_policy.nodes.startup.box_expectation import box_mismatch, expected_bo
 from hydro_policy.nodes.startup.companions import start_companions
 from hydro_policy.nodes.startup.guard_range import guard_range, protection_gap
 from hydro_policy.nodes.startup.options import may_rearm, plant_options
+from hydro_policy.nodes.startup.provenance import describe_policy
 from hydro_policy.runs.run import RunDirectory
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
@@ -79,6 +80,8 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
             node.override.say,
             box.base_gains or BASE,
         )
+        for path in options.policy:
+            node.say(describe_policy(policy_file(path)))
         if not may_rearm(options):
             node.listen_for_enter()
         before: GridSession | None = None

@@ -45,6 +45,7 @@ from hydro_policy.nodes.graph.authority_wait import ALONE_WITHIN, AuthorityWait
 from hydro_policy.nodes.graph.companion_watch import CompanionWatch
 from hydro_policy.nodes.graph.gain_timing import GainTiming
 from hydro_policy.nodes.graph.override_service import OverrideService
+from hydro_policy.nodes.graph.policy_steps import PolicySteps
 from hydro_policy.sessions.session import Session
 from hydro_policy.supervision import requirements
 from hydro_policy.supervision.override import GainOverride
@@ -94,6 +95,7 @@ class GraphNode(Node):
         self._done = Future()
         self._gains_out = 0.0
         self._gains = Gains()
+        self._steps: PolicySteps | None = None
         self._commander = Commander(self, self._on_authority, endings.ask)
         self._wait = AuthorityWait(self, self._commander, self.warn)
         self._override_service = OverrideService(self, lambda: self.override, self.warn, self._fail, journal.call)
@@ -172,11 +174,18 @@ class GraphNode(Node):
         executor.remove_node(self)
         executor.shutdown()
         if not answer.done() or not answer.result().success:
-            self.warn("the plant did not confirm that it is disarmed; its own watchdog remains")
+            self.warn(
+                "the plant did not confirm that it is disarmed: without commands it goes to base gains, and disarms "
+                "after 10 s; to be sure, `ros2 run hydro_bridge arm --off`"
+            )
 
     def listen_to_corrections(self) -> None:
         """Subscribe to the filter's corrections, a thousand a second, and pass them to the session."""
         self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
+
+    def tell_steps(self) -> None:
+        """From now on /hydro/policy says what the policy makes of each step."""
+        self._steps = PolicySteps(self)
 
     def listen_for_enter(self) -> None:
         """Let Enter on the terminal arm the plant."""
@@ -187,6 +196,11 @@ class GraphNode(Node):
         """See `hydro_policy.supervision.outputs.Outputs`."""
         self._gains = self._commander.gains(delta_kp, delta_ki, step)
         self._gains_out = time.monotonic()
+
+    def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
+        """See `hydro_policy.supervision.outputs.Outputs`."""
+        if self._steps is not None:
+            self._steps.publish(step, mean, reward, weights)
 
     def reference(self, signal: ReferenceSignal) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""
@@ -278,7 +292,7 @@ class GraphNode(Node):
 
     def _on_authority(self, lost: str) -> None:
         if lost:
-            self.warn(f"the authority over the plant is lost: {lost}")
+            self.warn(f"the authority over the plant is lost, and nothing is sent until it is back: {lost}")
             self._override_service.close()
         else:
             self._override_service.open()
@@ -297,7 +311,7 @@ class GraphNode(Node):
             self._unarmed_since = math.inf
             return
         self._unarmed_since = min(self._unarmed_since, now := time.monotonic())
-        self.warn(f"arming: {response.message}")
+        self.warn(f"the plant was not armed: {response.message}")
         if now - self._unarmed_since > ALONE_WITHIN:
             self._fail(NotReadyError(f"the plant was not armed for {ALONE_WITHIN:g} s: {response.message}"))
 

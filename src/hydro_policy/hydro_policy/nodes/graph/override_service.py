@@ -64,7 +64,8 @@ class OverrideService:
         except OSError as error:  # the run's record cannot be written
             answer.success, answer.message = False, str(error)
             self._fail(error)
-        self._told(f"override, {_wanted(request)}: {'' if answer.success else 'refused: '}{answer.message}")
+        refused = "" if answer.success else "refused: "
+        self._told(f"{request.name or 'somebody'}: override, {_wanted(request)}: {refused}{answer.message}")
         return answer
 
     def _carry_out(self, request: OverrideGains.Request) -> str:

@@ -67,6 +67,8 @@ class TrainingProgress:
         message.episode_return = session.progress.last_return
         message.force_rmse = session.progress.last_rmse
         message.entropy_coefficient = self._learner.entropy_coefficient
+        losses = self._learner.losses
+        message.critic_loss, message.actor_loss, message.temperature_loss = losses
         message.updates = self._learner.updates
         message.learner_alive = self._learner.alive
         self._publisher.publish(message)
@@ -155,9 +157,15 @@ def _exam_line(result: dict[str, Any], session: TrainingSession) -> str:
     fixed = f"({settings.reference_kp:g}, {settings.reference_ki:g})"
     error = f" +- {result['error']:.3f}" if result.get("error") else ""
     return (
-        f"examined after episode {result['episode']}: RMSE {rmse} N, {result['score']:.3f}{error} of fixed {fixed}, "
+        f"examined after episode {result['episode']}{_of(result)}: "
+        f"RMSE {rmse} N, {result['score']:.3f}{error} of fixed {fixed}, "
         f"better at {result['beaten']} of {len(result['rmse'])} sines{'; the best so far' if result['best'] else ''}"
     )
+
+
+def _of(result: dict[str, Any]) -> str:
+    """Which weights an examination was of; runs of former versions did not say it."""
+    return f", policy {result['policy']}" if result.get("policy") else ""
 
 
 def _episode_line(record: dict[str, float], episodes: int) -> str:

@@ -9,6 +9,7 @@ from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hydro_policy.sac.policy import load_policy
 from hydro_sim.files.weights import shipped
 
 if TYPE_CHECKING:
@@ -38,6 +39,17 @@ def of_filter(choice: FilterChoice) -> list[str]:
     return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()] or [
         f"filter_metric={choice.metric}"
     ]
+
+
+def describe_policy(path: Path) -> str:
+    """Which policy a file holds: the digest of its weights, as diagnostics give it, and the file's, as recordings do.
+
+    Raises
+    ------
+    ValueError
+        It is no policy.
+    """
+    return f"policy {path}: weights {load_policy(path)[0].digest()}, SHA-256 {_digest(path)}"
 
 
 def _digest(path: Path) -> str:

@@ -19,6 +19,7 @@ from hydro_policy.nodes.evaluation.run import evaluate_on
 from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import TrainingProgress
 from hydro_policy.nodes.startup.options import may_rearm
+from hydro_policy.nodes.startup.provenance import describe_policy
 from hydro_policy.nodes.training.results import paper_controllers, print_files, timing, write_training_page
 from hydro_policy.nodes.training.start import (
     Prepared,
@@ -47,6 +48,8 @@ def train(options: argparse.Namespace) -> int:
         run, settings = prepared.run, prepared.settings
         node.announcer.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
+        if run.policy.is_file():
+            node.say(describe_policy(run.policy))
         record = begin_record(node, prepared, options)
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
         recording = start_plant(stack, options, prepared, node)
@@ -87,6 +90,7 @@ def begin_session(
         requirements=node.requirements,
     )
     node.listen_to_corrections()
+    node.tell_steps()
     return session
 
 

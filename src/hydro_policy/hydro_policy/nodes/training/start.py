@@ -86,6 +86,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     start, box = None, expect_box(options, node)
     if options.resume is not None:
         run = RunDirectory(options.resume)
+        writable_folder(run.path)
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
         check_run(run, settings, checkpoint)
     else:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -212,6 +214,14 @@ class ExecuteProcess(LaunchDescriptionEntity):
     sigterm_timeout: Words = field(default="5", kw_only=True)
     on_exit: Shutdown | None = field(default=None, kw_only=True)
     condition: IfCondition | None = field(default=None, kw_only=True)
+
+    def patience(self, context: LaunchContext) -> float:
+        """How long it may take to end [s]; raises UserError."""
+        words = performed(self.sigterm_timeout, context)
+        with suppress(ValueError):
+            if 0.0 <= (seconds := float(words)) < inf:
+                return seconds
+        raise UserError(f"sigterm_timeout {words}: a number of seconds, 0 or more, is meant")
 
     def command(self, context: LaunchContext) -> tuple[str, str, list[str]]:
         """Package, executable and its words; raises UserError."""

@@ -12,7 +12,6 @@ from hydro_bridge.nodes.verbs.launching.description import (
     ExecuteProcess,
     LaunchContext,
     LaunchDescriptionEntity,
-    performed,
 )
 from hydro_bridge.process.endings import undisturbed
 from hydro_bridge.ros.companion import Companion
@@ -45,20 +44,24 @@ def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
         An executable is not there; what was started has ended.
     """
     context = LaunchContext(values)
-    planned = [(process, *process.command(context)) for process in processes(entity, context)]
+    wanted = list(processes(entity, context))
+    planned = [(process, process.patience(context), process.command(context)) for process in wanted]
     if not planned:
         raise UserError("nothing is to be started")
     started: list[tuple[Companion, ExecuteProcess]] = []
+    patience: dict[Companion, float] = {}
     try:
-        for number, (process, package, executable, words) in enumerate(planned, 1):
+        for number, (process, seconds, (package, executable, words)) in enumerate(planned, 1):
             name = f"{executable}-{number}"
-            started.append((Companion(package, executable, words, name=name, output=sys.stdout), process))
-            print(f"[INFO] [{name}]: process started with pid [{started[-1][0].process.pid}]", flush=True)
+            companion = Companion(package, executable, words, name=name, output=sys.stdout)
+            patience[companion] = seconds
+            started.append((companion, process))
+            print(f"[INFO] [{name}]: process started with pid [{companion.process.pid}]", flush=True)
         return _follow(started)
     finally:
         with undisturbed():
-            for companion, process in reversed(started):
-                companion.stop(float(performed(process.sigterm_timeout, context)))
+            for companion, _ in reversed(started):
+                companion.stop(patience[companion])
 
 
 def _follow(started: list[tuple[Companion, ExecuteProcess]]) -> int:
