@@ -258,6 +258,6 @@ def test_a_page_shows_what_is_there_and_judges_it(tmp_path: Path) -> None:
         )
     page = report.text(Store(tmp_path, FULL), quick)
     claim = "I beats fixed (90, 15) (each sine; paper: three of four)"
-    assert f"| {claim} | not run yet | holds in part (4 of 8) |" in page
+    assert f"| {claim} | not run yet | 4 of 8 |" in page
     assert "| default | I, paper | 4.00 ± 0.00 | 5.00 ± 0.00 | 8.00 ± 0.00 | stopped 2/2 | 2 |" in page
     assert "| paper's | III | 3.27 | 6.31 | 9.73 | 12.97 |" in page

@@ -11,6 +11,14 @@ which show that the method runs and nothing about what it comes to; *full*: `mak
 there was not run yet. Cells: mean ± standard deviation over seeds, where there is more than one.
 """
 
+CLAIMS = """
+## Claims
+
+*as the paper says* (in all comparisons: holds; in some: in part) of all comparisons, seeds together. A quick run gives
+counts and no verdict. The filter meant is the paper's after its three epochs, *paper-short* below, where a claim does
+not say ours.
+"""
+
 OPEN = """
 ## What the paper leaves open
 

@@ -52,9 +52,9 @@ def text(full: Store, quick: Store) -> str:
 def _claims(full: Store, quick: Store) -> str:
     rows = []
     for claim in CLAIMS:
-        cells = [claim.verdict(store).cell(store.size.seeds) for store in (full, quick)]
+        cells = [claim.verdict(store).cell(store.size.seeds, judged=store is full) for store in (full, quick)]
         rows.append([claim.text, *cells, _why(claim, full, quick)])
-    return "\n## Claims\n\n" + markdown(["claim", "full", "quick", "why"], rows)
+    return captions.CLAIMS + "\n" + markdown(["claim", "full", "quick", "why"], rows)
 
 
 def _why(claim: Claim, full: Store, quick: Store) -> str:

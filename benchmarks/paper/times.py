@@ -41,6 +41,7 @@ KINDS = (
     Kind("networks, one step", ("model-one-step-{}",), lambda size: size.model_epochs),
     Kind("other models", ("model-analytic", "model-ours")),
     Kind("metrics, 3 epochs", ("metric-short-{}",), lambda size: size.rollouts),
+    Kind("metric of the shipped filter", ("metric-ours",)),
     Kind("metrics, long", ("metric-long-{}",), lambda size: size.rollouts * size.metric_epochs),
     Kind(
         "runs of Table val_cont",

@@ -43,13 +43,13 @@ class Verdict:
             return "holds" if self.as_paper == self.count else "holds in part"
         return "no difference" if self.equal == self.count else "does not hold here"
 
-    def cell(self, planned: int) -> str:
-        """With its counts; `planned`: seeds of the size."""
+    def cell(self, planned: int, *, judged: bool = True) -> str:
+        """With its counts; `planned`: seeds of the size; not `judged`: the counts alone."""
         if not self.count:
             return NOT_RUN
         told = f"{self.as_paper} of {self.count}" + (f", {self.equal} equal" if self.equal else "")
         missing = f"; {self.seeds} of {planned} seeds" if 0 < self.seeds < planned else ""
-        return f"{self.words} ({told}{missing})"
+        return f"{self.words} ({told}{missing})" if judged else told + missing
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from hydro_bridge.viewer.growing import JUMP, GrowingThinner
 from hydro_bridge.viewer.marks import MARKS, Mark, Marks
 from hydro_bridge.viewer.page import rendered
 from hydro_bridge.viewer.recorded import read_recorded, within
+from hydro_bridge.viewer.sample_clock import SampleClock
 from hydro_bridge.viewer.view import main
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
@@ -168,6 +169,36 @@ def test_a_report_is_matched_by_the_first_sample_and_not_by_the_folder(bag: Path
     found.write_text(json.dumps(content))
     marks = [mark for mark in read_recorded(bag, report=found).marks if mark.kind == "window"]
     assert [mark.time for mark in marks] == [pytest.approx(2.5)]
+
+
+@pytest.mark.parametrize(
+    ("recordings", "marked"),
+    [
+        ([("another name", 0.0), ("run", 0.0)], [1.0]),  # they begin alike: the name decides
+        ([("run", 0.0), ("run", -60.0)], []),  # one name, two recordings: whose the windows are is open
+    ],
+)
+def test_windows_that_may_be_another_recordings_are_not_marked(
+    bag: Path, states, recordings: list[tuple[str, float]], marked: list[float]
+) -> None:
+    found = report(bag.parent, {"another name": [[2.5, 3.0]], "run": [[1.0, 2.0]]})
+    begin = float(states["time"][0])
+    told = [{"name": name, "begin": begin + since} for name, since in recordings]
+    found.write_text(json.dumps(json.loads(found.read_text()) | {"recordings": told}))
+    marks = [mark.time for mark in read_recorded(bag, report=found).marks if mark.kind == "window"]
+    assert marks == pytest.approx(marked)
+
+
+def test_a_clock_in_real_time_leaves_stamps_as_they_are_however_long_no_sample_comes() -> None:
+    clock = SampleClock()
+    clock.see(np.array([1000, 1001], np.int64) * 10**9, np.array([1000.0, 1001.5]))  # a burst: half again as fast
+    assert clock.at(1060.0, 1060.01) == 1060.0
+
+
+def test_a_clock_off_real_time_moves_what_the_wall_clock_has_stamped() -> None:
+    clock = SampleClock()
+    clock.see(np.array([1000, 1001], np.int64) * 10**9, np.array([0.0, 10.0]))
+    assert clock.at([1002.0, 25.0], [1002.0, 1002.0]).tolist() == [20.0, 25.0]
 
 
 def test_words_of_a_simulation_off_real_time_stand_where_its_samples_were(tmp_path: Path, states) -> None:

@@ -11,7 +11,7 @@ from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.viewer.marks import Mark
 
 REPORT = "report.json"
-_SAME = 1e-3  # s between two stamps of one sample; no other recording begins in the same millisecond
+_SAME = 1e-3  # s between two stamps of one sample
 
 
 def report_beside(bag: Path) -> Path | None:
@@ -31,12 +31,17 @@ class Findings:
     """Name, and the stamp [s] of the first sample, where it is a bag; empty in reports of former versions."""
 
     def of(self, bag: Path, begin: float) -> list[Mark]:
-        """Those of the recording whose first sample is stamped `begin`; where the report has no stamps, by its name."""
-        if not self.begins:
-            names = [name for name in self.marks if Path(name).name in (bag.name, bag.stem)]
-        else:
-            names = [name for name, stamp in self.begins if stamp is not None and abs(stamp - begin) < _SAME]
-        return [mark for name in dict.fromkeys(names) for mark in self.marks.get(name, [])]
+        """Those of the recording whose first sample is stamped `begin`; where the report has no stamps, by its name.
+
+        Of several that begin alike the name decides. A name that two recordings share has none: whose they are is open.
+        """
+        named = [name for name in self.marks if Path(name).name in (bag.name, bag.stem)]
+        if self.begins:
+            every = [name for name, _ in self.begins]
+            alike = [name for name, stamp in self.begins if stamp is not None and abs(stamp - begin) < _SAME]
+            named = [name for name in alike if len(alike) == 1 or name in named]
+            named = [name for name in named if every.count(name) == 1]
+        return [mark for name in named for mark in self.marks.get(name, [])]
 
 
 def read_findings(report: Path) -> Findings:

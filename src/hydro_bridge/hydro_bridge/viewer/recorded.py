@@ -165,6 +165,8 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
                 table = decode_span(scan.path, topic, layout, block, part)
                 if topic == STATE_TOPIC:
                     reading.clock.see(part.log_times, table["time"])
+                elif topic in (TRAINING_TOPIC, POLICY_TOPIC):  # the trainer stamps by the wall clock
+                    table["time"] = reading.clock.at(table["time"], 1e-9 * part.log_times)
                 tables[topic](table)
             else:
                 reading.foreign.add(topic)
@@ -175,7 +177,7 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
             try:
                 for logged, message in decoder.objects(scan, channel, block, part):
                     stamp = message.stamp if topic == LOG_TOPIC else message.header.stamp
-                    time = reading.clock.at(stamp.sec + 1e-9 * stamp.nanosec, logged)
+                    time = float(reading.clock.at(stamp.sec + 1e-9 * stamp.nanosec, logged))
                     reading.take_object(topic, time, message)
             except AttributeError:  # fields of another version
                 reading.foreign.add(topic)

@@ -30,9 +30,10 @@ class SampleClock:
         self._rate = float(times[-1] - times[0]) / span if span > 0.0 else self._rate
         self._logged, self._time = 1e-9 * float(logged[-1]), float(times[-1])
 
-    def at(self, stamp: float, logged: float) -> float:
-        """The samples' time [s] of a message by its stamp [s] and by when it was logged [s]."""
-        if not self._rate or abs(stamp - logged) > APART:  # no samples yet, or stamped by the samples' clock
-            return stamp
-        time = self._time + self._rate * (logged - self._logged)
-        return time if abs(time - logged) > APART else stamp
+    def at(self, stamps: npt.ArrayLike, logged: npt.ArrayLike) -> FloatArray:
+        """The samples' time [s] of messages by their stamps [s] and by when they were logged [s], of one shape."""
+        stamps, logged = np.asarray(stamps, np.float64), np.asarray(logged, np.float64)
+        if not self._rate or abs(self._time - self._logged) <= APART:  # no samples yet, or one clock
+            return stamps
+        by_wall_clock = np.abs(stamps - logged) <= APART
+        return np.where(by_wall_clock, self._time + self._rate * (logged - self._logged), stamps)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which recording a report is on: its name in the report, and the stamp of its first sample, which no other one has."""
+"""Which recording a report is on: its name in the report, and the stamp of its first sample."""
 
 from __future__ import annotations
 
@@ -18,4 +18,4 @@ def identified(path: str | Path) -> dict[str, Any]:
     try:
         return {"name": path.name, "begin": float(next(stream_bag(path))["time"][0])}
     except (RecordingError, StopIteration, IndexError):  # a bag of other topics
-        return {"name": path.name, "begin": None}
+        return {"name": path.stem, "begin": None}

@@ -24,7 +24,7 @@ RETRIES = 2
 """Of a sine in which corrections came late: what it says is not the policy's doing."""
 
 SURE = 2.0
-"""Standard errors that a score must be better by; one in forty of those that only seem so."""
+"""Standard errors that a score must be better by: a single comparison passes by chance about once in forty times."""
 
 EXAMINED = "policy"
 """Name of the policy in an examination's scores."""

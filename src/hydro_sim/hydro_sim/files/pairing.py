@@ -123,6 +123,6 @@ def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *,
 
 
 def raise_if_mismatched(trouble: str) -> None:
-    """Raise PairingError unless `sentence` is empty."""
+    """Raise PairingError unless `trouble` is empty."""
     if trouble:
         raise PairingError(trouble)

@@ -8,6 +8,7 @@ import sys
 import threading
 import time
 from contextlib import suppress
+from functools import partial
 
 from rclpy.experimental import EventsExecutor
 from rclpy.node import Node
@@ -88,7 +89,7 @@ class Arming:
         self._ask_after = now + _SETTLE
         self._answer = self._commander.arm(arm)
         if self._answer is not None:
-            self._answer.add_done_callback(self._on_answer)
+            self._answer.add_done_callback(partial(self._on_answer, arm))
 
     def _may_arm(self, tripped: bool) -> bool:
         """Whether a person has said so since the plant was armed last; says how."""
@@ -100,12 +101,13 @@ class Arming:
             tell(f"! {self._told}")
         return self._granted
 
-    def _on_answer(self, answer: Future) -> None:
+    def _on_answer(self, arm: bool, answer: Future) -> None:
         refusal = "" if answer.result() is None or answer.result().success else answer.result().message
         if refusal:
             self._ask_after = time.monotonic() + _RETRY
             if refusal != self._refusal:
-                tell(f"! the plant was not armed: {refusal}")
+                what = "was not armed" if arm else "did not confirm that it is disarmed"
+                tell(f"! the plant {what}: {refusal}")
         self._refusal = refusal
 
     def _read_keys(self) -> None:

@@ -176,7 +176,7 @@ def _arguments(own: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--rearm",
         choices=("auto", "ask"),
-        help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or /hydro/arm",
+        help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`",
     )
     add_page_option(parser)
     add_json_argument(parser)

@@ -37,7 +37,7 @@ def enclave_arguments() -> list[str]:
 
 
 def security_enabled() -> bool:
-    """Whether security is enabled: then a missing key stops this process and its children, unless overridden.
+    """Whether security is enabled; if so, enforce it for this process and its children unless the user has chosen.
 
     Raises
     ------

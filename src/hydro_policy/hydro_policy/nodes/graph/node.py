@@ -162,7 +162,7 @@ class GraphNode(Node):
     def disarm(self) -> None:
         """Release the authority, which disarms the plant, and wait at most 2 s for the answer.
 
-        Where there is an `successor` the plant keeps it for that one.
+        With a `successor` set, the plant keeps the authority for that node.
         """
         self._session = None
         answer = self._commander.give(self.successor)
@@ -210,7 +210,7 @@ class GraphNode(Node):
         """See `hydro_policy.supervision.outputs.Outputs`."""
         answer = self._commander.arm(arm)
         if answer is not None:
-            answer.add_done_callback(self._on_arm_answer)
+            answer.add_done_callback(self._on_arm_answer if arm else self._on_disarm_answer)
 
     def say(self, sentence: str, warning: bool = False) -> None:
         """See `hydro_policy.supervision.outputs.Outputs`."""
@@ -314,6 +314,11 @@ class GraphNode(Node):
         self.warn(f"the plant was not armed: {response.message}")
         if now - self._unarmed_since > ALONE_WITHIN:
             self._fail(NotReadyError(f"the plant was not armed for {ALONE_WITHIN:g} s: {response.message}"))
+
+    def _on_disarm_answer(self, answer: Future) -> None:
+        response = answer.result()
+        if response is not None and not response.success:
+            self.warn(f"the plant did not confirm that it is disarmed: {response.message}")
 
     def _read_keys(self) -> None:
         with suppress(OSError, ValueError):  # the terminal has gone

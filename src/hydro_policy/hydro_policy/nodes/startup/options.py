@@ -71,7 +71,7 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--rearm",
         choices=("auto", "ask"),
-        help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or /hydro/arm",
+        help="who arms: auto (default with sim and emulator), or you on purpose (otherwise), by Enter or `arm`",
     )
     group.add_argument(
         "--hand-over",

@@ -7,6 +7,7 @@ import argparse
 import sys
 import time
 from contextlib import ExitStack
+from pathlib import Path
 
 import torch
 
@@ -36,6 +37,16 @@ from hydro_policy.sessions.training import TrainingSession
 from hydro_policy.supervision import requirements
 
 
+def say_policy(node: GraphNode, path: Path, *, resumed: bool) -> None:
+    """Say which policy is in the run's folder; one that is damaged is only told: checkpoints have what acts."""
+    if not path.is_file():
+        return
+    try:
+        node.say(("the best so far: " if resumed else "") + describe_policy(path))
+    except ValueError as error:
+        node.warn(f"{error}; the run goes on from its checkpoint, and the file is written anew with the next best")
+
+
 def train(options: argparse.Namespace) -> int:
     """Prepare, train, evaluate. In any case: disarm, write a checkpoint, stop the companions, in this order."""
     began = time.monotonic()
@@ -48,8 +59,7 @@ def train(options: argparse.Namespace) -> int:
         run, settings = prepared.run, prepared.settings
         node.announcer.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.say(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
-        if run.policy.is_file():
-            node.say(describe_policy(run.policy))
+        say_policy(node, run.policy, resumed=options.resume is not None)
         record = begin_record(node, prepared, options)
         learner = LearnerSupervisor(settings, run, prepared.checkpoint, prepared.agent)
         recording = start_plant(stack, options, prepared, node)

@@ -82,7 +82,10 @@ def remove_rejected_run(prepared: Prepared, node: GraphNode) -> Iterator[None]:
 
 
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
-    """Prepare a new run with its folder and first checkpoint, or one to resume; raises before anything is created."""
+    """Prepare a new run with its folder and first checkpoint, or one to resume.
+
+    What cannot be used is refused before anything is created.
+    """
     start, box = None, expect_box(options, node)
     if options.resume is not None:
         run = RunDirectory(options.resume)
