@@ -18,7 +18,7 @@ from hydro_bridge.ros import start_ros
 
 SPIN_TIME = 1.0
 """s that a list waits at least; and on, until nothing new has come for `_CALM`."""
-PATIENCE = 5.0
+PATIENCE = 10.0
 """s that what was named is waited for: on a busy machine announcements get lost, and come again each few seconds."""
 _CALM = 0.5
 _LOOK = 0.05
