@@ -24,12 +24,16 @@ from hydro_policy.sessions.training import TrainingSession
 
 
 def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> list[Controller]:
-    """The paper's three controllers: I trained on the bench, II pretrained, III fixed; without II the base gains."""
-    gains = session.settings.task.gains
-    best = session.keeper.best
-    if best is not None:
+    """The paper's three controllers: I trained on the bench, II pretrained, III fixed; without II the base gains.
+
+    I is the best policy of the run, or the last one where none was better than the one that training started from.
+    """
+    gains, best = session.settings.task.gains, session.keeper.best
+    improved = best is not None and trained_a_better_one(session)
+    if improved:
         session.policy.load_flat(best)
-    controllers: list[Controller] = [PolicyController(session.policy, gains, "I: policy, trained here")]
+    name = "I: policy, trained here" if improved else "I: last policy, trained here"
+    controllers: list[Controller] = [PolicyController(session.policy, gains, name)]
     if start is not None:
         before = Policy(start.sac.hidden_size)
         before.load_flat(actor_parameters(start.agent))
@@ -37,6 +41,11 @@ def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> l
     base = session.settings.base_gains
     controllers.append(FixedGains(90.0, 15.0, base))
     return controllers if start is not None else [*controllers, FixedGains(15.0, 5.0, base)]
+
+
+def trained_a_better_one(session: TrainingSession) -> bool:
+    """Whether a policy trained here was examined better than the initial one, by more than noise."""
+    return any(exam["best"] and exam["episode"] > 0 for exam in session.progress.exams)
 
 
 def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:

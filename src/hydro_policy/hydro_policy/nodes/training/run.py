@@ -21,7 +21,13 @@ from hydro_policy.nodes.graph.node import GraphNode
 from hydro_policy.nodes.graph.progress import TrainingProgress
 from hydro_policy.nodes.startup.options import may_rearm
 from hydro_policy.nodes.startup.provenance import describe_policy
-from hydro_policy.nodes.training.results import paper_controllers, print_files, timing, write_training_page
+from hydro_policy.nodes.training.results import (
+    paper_controllers,
+    print_files,
+    timing,
+    trained_a_better_one,
+    write_training_page,
+)
 from hydro_policy.nodes.training.start import (
     Prepared,
     begin_record,
@@ -123,6 +129,8 @@ def drive(
         bar.close()
     inference = session.explorer.inference.sentence()
     node.say(f"gains at 100 Hz: jitter {node.timing.jitter.sentence()}; of which inference {inference}")
+    if session.progress.exams and not trained_a_better_one(session):
+        node.say("no policy trained here was better, by more than noise, than the one it started from: that is kept")
     if not finished or session.gave_up or not options.evaluate:
         return finished and not session.gave_up, None
     wait_for(learner, node)  # a finished run that was resumed: nobody has yet
