@@ -29,10 +29,10 @@ def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> l
     I is the best policy of the run, or the last one where none was better than the one that training started from.
     """
     gains, best = session.settings.task.gains, session.keeper.best
-    improved = best is not None and trained_a_better_one(session)
-    if improved:
+    name = "I: last policy, trained here"
+    if best is not None and trained_a_better_one(session):
         session.policy.load_flat(best)
-    name = "I: policy, trained here" if improved else "I: last policy, trained here"
+        name = "I: policy, trained here"
     controllers: list[Controller] = [PolicyController(session.policy, gains, name)]
     if start is not None:
         before = Policy(start.sac.hidden_size)
