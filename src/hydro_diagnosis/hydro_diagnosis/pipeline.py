@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`diagnose`: recordings in, a report out. The stages in their order; what they do stands in their modules."""
+"""`diagnose`: from recordings to a report. The stages in order; each is documented in its own module."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ def diagnose(
     model
         Learned weights as the baseline, in place of `bench` (structured ones: see `baseline`).
     columns
-        Which column of a file, or field or topic of a bag, is what: see `columns`.
+        Column map of a file, or of a bag's fields or topics: see `column_map`.
     without
-        Causes that it cannot be, by id or by id and options (`friction_viscous:directional`): they are not tried.
+        Causes that are ruled out, by id or by id and options (`friction_viscous:directional`): they are not tried.
     as_wired
-        Go on where channels contradict each other or the bench file (`wiring`), instead of saying what is wrong.
+        Continue where channels contradict each other or the bench file (`wiring`), instead of refusing them.
     settings
         Of the search.
     progress

@@ -125,5 +125,5 @@ def run_emulator(words: Sequence[str]) -> None:
 
 
 def whole(bag: Path) -> bool:
-    """Whether a recording was finished."""
+    """Return whether a recording was finished."""
     return (bag / "metadata.yaml").exists()

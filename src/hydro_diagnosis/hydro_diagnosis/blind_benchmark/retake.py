@@ -34,9 +34,9 @@ class Attempt:
     amplitude: float = 1.0
     """Share of the drawn reference's amplitude."""
     kp: float = 1e3
-    """1/s, the most that is used of what was drawn."""
+    """Upper limit [1/s] of the drawn K_p."""
     ki: float = 1e3
-    """1/s^2, likewise."""
+    """Upper limit [1/s^2] of the drawn K_i."""
     believed_flow: float = 1.0
     """`valve_nominal_flow` that the box assumes, over that of bench.yaml."""
 

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base class of effects: named causes with parameters that act on command, flows, forces or measurements.
 
-Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same
-hooks serve
-the regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes through
-`Memory`, which either filters a whole record or advances one step.
+Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same hooks
+serve the regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes
+through `Memory`, which either filters a whole record or advances one step.
 """
 
 from __future__ import annotations

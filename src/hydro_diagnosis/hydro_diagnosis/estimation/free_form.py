@@ -19,7 +19,7 @@ from hydro_diagnosis.estimation.responses import UNIT_SIZE, Responses
 from hydro_diagnosis.model.segment_model import SegmentModel
 
 KNOTS = 24
-"""Of each function; of time: per recording."""
+"""Knots of each function; of time: per recording."""
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are not bags, as named columns and single numbers, each format by a module of its own."""
+"""Importers of files that are not bags, as named columns and single numbers; one module per format."""
 
 from __future__ import annotations
 

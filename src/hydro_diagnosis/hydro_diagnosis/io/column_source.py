@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One entry of a column map: where a field comes from, as text, as words or as a number (`columns` says how)."""
+"""One entry of a column map: source of a field, as text, as words or as a number (`column_map`)."""
 
 from __future__ import annotations
 

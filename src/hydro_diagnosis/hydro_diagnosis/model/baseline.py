@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The baseline: what is believed of the bench, as a `Bench` whose `effects` stand already and are not claimed again.
+"""Baseline: the assumed bench, as a `Bench` whose `effects` are known and are not claimed again.
 
 It comes from a bench.yaml, from a diagnosis' corrected.yaml, or from the learned weights of `ros2 run hydro_sim learn`:
 then the constants that were learned are the bench's numbers, and spool, leak, friction, bristles and amplifier its
@@ -27,12 +27,12 @@ NUMBERS = (
 """Learned constants that are numbers of a bench."""
 GAINS = ("valve_gain_a_positive", "valve_gain_a_negative", "valve_gain_b_positive", "valve_gain_b_negative")
 GAIN_ALIKE = 0.002
-"""Share by which the four learned gains may differ from their mean without a word."""
+"""Share by which the four learned gains may differ from their mean without a note."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """What is believed, where it comes from, and what of it the diagnosis cannot carry."""
+    """The assumed bench, its origin, and the parts of it that the diagnosis cannot represent."""
 
     bench: Bench
     model: str

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chamber equations along a segment: what pressure they build, and what a slow observer of them does not follow."""
+"""Chamber equations along a segment: the pressures that they build, and the innovations of a slow observer."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from hydro_sim.model.bench import Bench
 
 Kept = TypeVar("Kept")
 SHELF = 8
-"""Intermediate results that a segment keeps at most."""
+"""Largest number of intermediate results that a segment keeps."""
 HASTENED = 3
-"""Rounds in which pressures behind lagging sensors and the flows that they drive are brought together."""
+"""Iterations between the pressures behind lagging sensors and the flows that they drive."""
 OBSERVER_MEMORY = 0.12
-"""s. A shorter memory forgets the slow drift that a small leak builds up."""
+"""Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
 TIMING_DOUBT = 3e-6
-"""s, to which the equations, integrated sample by sample, and the sensors agree on when something happened."""
+"""Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
 
 
 class ChamberObserver(SegmentRecord):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A segment with everything in it that does not depend on claims, and what sensors make of its channels."""
+"""Quantities of a segment that do not depend on claims, and the sensor models of its channels."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
 BLOCK = 0.1
-"""s per mean of the hydraulic balance."""
+"""Averaging time [s] of the hydraulic balance."""
 TAIL = 20
-"""Recorded rows at its end that are not judged, and `MARGIN` before and after one that is missing."""
+"""Recorded rows at a segment's end that are not judged, and `MARGIN` before and after one that is missing."""
 MARGIN = 6
 SETTLE = 0.3
-"""s at the start of a segment that are not judged: filters and observer settle."""
+"""Time [s] at the start of a segment that is not judged: filters and observer settle."""
 
 
 class SegmentRecord:

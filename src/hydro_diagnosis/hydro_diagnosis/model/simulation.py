@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forward simulation of the bench with claims, from the recorded valve current, many windows side by side.
 
-The same effects' hooks that make the residuals make the rates here; the states are x_p, x_p', p_a, p_b by RK4. What
-else has a past (droop, bristles, play) starts where the recording itself puts it.
+The same effects' hooks that make the residuals make the rates here; the states are x_p, x_p', p_a, p_b by RK4. Other
+elements with memory (droop, bristles, play) start in the states that the recording gives.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ Indices = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Grip:
-    """What dry friction does within one step, per lane."""
+    """Effect of dry friction within one step, per lane."""
 
     holding: FloatArray
     """N, that brings the mass to rest."""
@@ -212,7 +212,7 @@ class Plant:
 
 
 def _sticks(claims: Sequence[Claim]) -> bool:
-    """Whether there is dry friction that no bristles carry."""
+    """Return whether there is dry friction that no bristles carry."""
     bristled = any(claim.effect.bristles for claim in claims)
     return not bristled and any(type(claim.effect).drag is not Effect.drag for claim in claims)
 

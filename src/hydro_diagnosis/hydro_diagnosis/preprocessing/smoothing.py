@@ -17,11 +17,11 @@ from scipy.signal import oaconvolve
 from hydro_bridge.signals import FloatArray
 
 KINEMATIC_WIDTH = 1.0
-"""Recorded rows, of the Gaussian behind position, velocity and acceleration."""
+"""Width [recorded rows] of the Gaussian behind position, velocity and acceleration."""
 TOTAL_WIDTH = 1.5
-"""Recorded rows, of the Gaussian behind every residual."""
+"""Width [recorded rows] of the Gaussian behind every residual."""
 LONG = 60
-"""Weights, from which on a convolution is quicker by Fourier transforms."""
+"""Number of weights above which a convolution is faster by Fourier transforms."""
 STRIDE = 5
 """Recorded rows between the residuals that are kept: at this distance their noise is all but independent."""
 

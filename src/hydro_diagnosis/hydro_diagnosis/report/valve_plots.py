@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The valve's characteristic as the recordings show it: which current an ideal valve would have needed for the flow."""
+"""Valve characteristic from the recordings: the current that an ideal valve would have needed for the flow."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From fits to what the report says about each claim: values with intervals, evidence, rivals with their distance."""
+"""Summary of each claim for the report: values with intervals, evidence, rivals with their distance."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ CLEAR = 0.9
 
 
 def delays(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """Channels that belong together move together."""
+    """Check that related channels move at the same time."""
     slack = 2.0 * step
     if {"hydraulic_force", "pressure_a", "pressure_b"} <= channels.keys():
         late, clear, field = max(_hydraulic(channels, step, bench), key=lambda one: one[1])

@@ -62,7 +62,7 @@ class Scale(Repair):
 
 @dataclass(frozen=True)
 class Exchange(Repair):
-    """Two fields whose columns were taken for each other."""
+    """Two fields whose columns were exchanged."""
 
     other: str = ""
 

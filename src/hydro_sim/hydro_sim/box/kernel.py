@@ -99,7 +99,7 @@ def _admitted(state, value, low, high):
 
 @njit(cache=True)
 def _playable(signal, force_range):
-    """Whether the reference stays within what the load cell can show [N]; false of anything that is not finite.
+    """Return whether the reference stays within what the load cell can show [N]; false of anything that is not finite.
 
     A HOLD has no frequency: its own may be any finite number.
     """
@@ -128,7 +128,7 @@ def tick(bench, settings, states, measurement, time, outputs):
 
 @njit(cache=True)
 def _watch(state, limits, time):
-    """Whether commands are late; if they are gone for good, the box trips and wants to see a disarm."""
+    """Return whether commands are late; if they are gone for good, the box trips and wants to see a disarm."""
     age = time - state.received_at
     if age > limits.trip_timeout:
         state.tripped = state.tripped or state.armed

@@ -2,9 +2,8 @@
 """Weights on disk: a safetensors file of a few kB with a JSON header. Never pickle.
 
 The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state,
-normalization,
-region of training, `made_for` (`files.pairing`), and `training`: recordings with digests, command, seed, settings,
-code version, errors reached.
+normalization, region of training, `made_for` (`files.pairing`), and `training`: recordings with digests, command, seed,
+settings, code version, errors reached.
 """
 
 from __future__ import annotations

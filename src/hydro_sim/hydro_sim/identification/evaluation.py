@@ -2,10 +2,8 @@
 """How well a model predicts: the paper's Table rmse_model, errors over the horizon, by region, and a free run.
 
 Every prediction starts from the model's own estimate of the state, which looks only back, and runs under the recorded
-current.
-Errors are normalized per state either by the standard deviation of the recording or by its range (largest minus
-smallest,
-of the noise-free log where there is one): the paper does not say which it used, so both are given.
+current. Errors are normalized per state either by the standard deviation of the recording or by its range (largest
+minus smallest, of the noise-free log where there is one): the paper does not say which it used, so both are given.
 """
 
 from __future__ import annotations

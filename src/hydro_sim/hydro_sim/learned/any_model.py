@@ -22,7 +22,7 @@ BENCH_FILES = (".yaml", ".yml")
 
 
 def is_bench_file(path: str | Path | None) -> bool:
-    """Whether a file's name is a bench file's; None is the shipped model."""
+    """Return whether a file's name is a bench file's; None is the shipped model."""
     return path is not None and Path(path).suffix in BENCH_FILES
 
 

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """A learned model as a `hydro_sim.model.plant.Plant`: what the sim node and the offline loop step.
 
-The model gives x without noise. The sensors' noise and quantisation go through the box's differentiation by
-themselves and
-are added: conditioning is linear, so x comes out as if the readings had been noisy.
+The model gives x without noise. The sensors' noise and quantisation go through the box's differentiation by themselves
+and are added: conditioning is linear, so x comes out as if the readings had been noisy.
 """
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The region in which a model was trained.
 
-The region is an ellipsoid about the training samples in five coordinates that determine the rest: f_l, f_l', p_a,
-p_b, u. Its
-axes are the samples' principal axes, its size the farthest sample's with a margin.
+The region is an ellipsoid about the training samples in five coordinates that determine the rest: f_l, f_l', p_a, p_b,
+u. Its axes are the samples' principal axes, its size the farthest sample's with a margin.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ class Region:
 
 @njit(cache=True)
 def outside(center, whiten, x, u):
-    """Whether one sample, x of shape (8,), lies outside."""
+    """Return whether one sample, x of shape (8,), lies outside."""
     total = 0.0
     for i in range(5):
         part = whiten[i, 4] * (u - center[4])

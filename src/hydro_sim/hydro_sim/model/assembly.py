@@ -250,7 +250,7 @@ class Assembly:
         return self._remembered(start, end)
 
     def _holds(self) -> bool:
-        """Whether dry friction can hold the mass: with bristles it bends instead."""
+        """Return whether dry friction can hold the mass: with bristles it bends instead."""
         bristles = any(effect.id == "friction_presliding" for effect in self.effects)
         return not bristles and any(effect.acts_in("dry_level") for effect in self.effects)
 

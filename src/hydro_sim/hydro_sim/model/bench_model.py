@@ -242,7 +242,7 @@ def library(structure: Structure, part: Part = "") -> ctypes.CDLL:
 
 
 def is_compiled(structure: Structure, part: Part = "") -> bool:
-    """Whether `library` finds its code."""
+    """Return whether `library` finds its code."""
     return machine_code.library_path(_name(structure, part)).exists()
 
 

@@ -120,6 +120,6 @@ ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one
 
 
 def remembers(closure: Mapping[str, Any]) -> bool:
-    """Whether an entry of a bench file's `closures` has hidden states."""
+    """Return whether an entry of a bench file's `closures` has hidden states."""
     law = ALL.get((str(closure["equation"]), str(closure["form"])))
     return isinstance(law, Law) and law.element is not None

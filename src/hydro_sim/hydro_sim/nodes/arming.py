@@ -92,7 +92,7 @@ class Arming:
             self._answer.add_done_callback(partial(self._on_answer, arm))
 
     def _may_arm(self, tripped: bool) -> bool:
-        """Whether a person has said so since the plant was armed last; says how."""
+        """Return whether a person has said so since the plant was armed last; says how."""
         while not self._keys.empty():
             self._keys.get()
             self._granted = True

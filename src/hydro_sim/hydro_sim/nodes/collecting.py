@@ -171,7 +171,7 @@ class CollectNode(Node):
         self._begun = now - self._still_since >= _REST
 
     def _ready(self, now: float) -> bool:
-        """Whether what must be there is; what never comes is the end."""
+        """Return whether what must be there is; what never comes is the end."""
         try:
             self._readiness.look(now)
         except NotReadyError as error:

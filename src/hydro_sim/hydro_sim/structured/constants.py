@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learned constants of `physics`: initial value, unit, and scale of the optimizer's variable.
 
-A constant that must stay positive is start * exp(theta); any other is start + step * theta. Start values come from
-the bench
-file where it has them; the rest are a textbook's orders of magnitude, not this bench's values.
+A constant that must stay positive is start * exp(theta); any other is start + step * theta. Start values come from the
+bench file where it has them; the rest are a textbook's orders of magnitude, not this bench's values.
 """
 
 from __future__ import annotations

@@ -2,8 +2,7 @@
 """One sample of the structured model, and its gradient: four steps of Runge-Kutta 4 with the bristle split off.
 
 A step of 250 us (Strang splitting, second order): half a step of the bristle, exact at constant velocity so that no
-velocity
-makes it stiff; a Runge-Kutta step of y; the other half of the bristle. `state` is [y (8), z], shape (9,).
+velocity makes it stiff; a Runge-Kutta step of y; the other half of the bristle. `state` is [y (8), z], shape (9,).
 """
 
 from __future__ import annotations

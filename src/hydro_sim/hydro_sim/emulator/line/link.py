@@ -47,7 +47,7 @@ class CommandOrder:
         self._newest: int | None = None
 
     def accept(self, sequence: int) -> bool:
-        """Whether this sequence number is newer than all before, by half of the circle of 2^32 (RFC 1982)."""
+        """Return whether this sequence number is newer than all before, by half of the circle of 2^32 (RFC 1982)."""
         if self._newest is not None and not 0 < (sequence - self._newest) % _CIRCLE < _CIRCLE // 2:
             return False
         self._newest = sequence

@@ -140,7 +140,7 @@ class Effect:
 
     @classmethod
     def acts_in(cls, term: str) -> bool:
-        """Whether the class overrides a term."""
+        """Return whether the class overrides a term."""
         return getattr(cls, term) is not getattr(Effect, term)
 
     # --- terms, on the way from the bench file to the reading -------------------------------------------------------
