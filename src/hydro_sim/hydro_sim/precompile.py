@@ -75,4 +75,4 @@ STEPS: dict[str, Callable[[], None]] = {
     "learning, residual": lambda: _learning("residual"),
     "learning, deep network": lambda: _learning("network", (16, 16, 16)),
 }
-"""By what is said while one runs."""
+"""By the message shown while each runs."""

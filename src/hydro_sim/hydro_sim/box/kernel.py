@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled kernel of `box.box`, on records of settings, command and state.
 
-The same compiled functions serve one call per millisecond and the offline loop: both give the same numbers to the bit.
+The same compiled functions serve the call per millisecond and the offline loop: both give bit-identical results.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ STATE_DTYPE = np.dtype(
     + [("armed_at", np.float64), ("excess", np.float64)],
     align=True,
 )
-"""All that the box remembers; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
+"""State of the box; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
 faults that tripped it, `excess` [N] is by how much the load force stood beyond its limit when the box was armed."""
 
 CORRECTION_HOLD = 3.5e-3
-"""s for which a command's correction acts: it was decided for one sample, and is an impulse if held (decision 64)."""
+"""Time [s] for which a command's correction acts: decided for one sample, an impulse if held (decision 64)."""
 
 RECOVERY = 1.0
-"""s after arming within which a load force that began beyond its limit must come back."""
+"""Time [s] after arming within which a load force that began beyond its limit must return."""
 RECOVERY_MARGIN = 20.0
-"""N that such a force may rise at first: the load cell's noise and the oil's last swing."""
+"""Initial rise [N] allowed to such a force: the load cell's noise and the oil's last swing."""
 
 
 @njit(cache=True)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Offline recordings of the emulated bench: the same samples as in real time, to the bit."""
+"""Offline recordings of the emulated bench, bit-identical to those in real time."""
 
 from __future__ import annotations
 

@@ -20,7 +20,7 @@ WORKING_RANGE: dict[str, tuple[float, float]] = {
     "proportional_gain": (15.0, 75.0),
     "integral_gain": (5.0, 15.0),
 }
-"""What a model is to be good at: 300 N at 2 Hz with offsets (physics.md), SI units."""
+"""Working range of a model: 300 N at 2 Hz with offsets (physics.md), SI units."""
 
 BINS = 20
 

@@ -69,7 +69,7 @@ def _memory(age: float) -> float:
 
 
 class Noise:
-    """Standard normal numbers for the sensors: one row of 5 per sample, the same however many are taken at a time."""
+    """Standard normal numbers for the sensors: one row of 5 per sample, independent of how many are taken at a time."""
 
     BLOCK = 1000
 

@@ -35,7 +35,7 @@ from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.simulation.realtime import SimSettings, Simulation
 
 SIMULATED_BOX = "hydro sim"
-"""What the simulated box calls itself."""
+"""Name of the simulated box."""
 CLOCK_DEPTH = 10
 
 
