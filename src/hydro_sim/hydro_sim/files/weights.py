@@ -48,7 +48,7 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
     Raises
     ------
     WeightsError
-        If the file is missing, is no safetensors file, is not of this format, or holds numbers that are not finite.
+        If the file is missing, is no safetensors file, is not of this format, or holds unsound numbers.
     """
     try:
         with safe_open(str(path), framework="numpy") as file:

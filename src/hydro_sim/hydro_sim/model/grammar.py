@@ -98,7 +98,7 @@ LAWS: tuple[Law, ...] = (
         "The load cell at the piston rod goes on rising under a force that stays: typical of a glued strain gauge.",
         0.05, lambda at, n: at.memory, _creep("force")),
 )  # fmt: skip
-"""Terms that are tried."""
+"""Laws that are tried."""
 
 _VELOCITY = Factor("velocity", "v", lambda at: at.velocity)
 _DIRECTION = Factor("direction", "sign(v)", lambda at: _sign(at.velocity))

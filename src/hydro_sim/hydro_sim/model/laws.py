@@ -10,8 +10,8 @@ Terms are linear in their amplitudes. What one gives acts in its equation::
     load        force [N] of the load
     sensor      what the load cell at the rod shows more than the hydraulic force [N]
 
-None hangs on time: such a law would grow for ever. What a law remembers is one state `w` that follows a signal `s`, its
-second number the time or the path over which it does; a piston at rest or a still current moves no path::
+None depends on time: such a law would grow for ever. The memory of a law is one state `w` that follows a signal `s`,
+its second number the time or the path over which it does; a piston at rest or a still current moves no path::
 
     lag   w' = (s - w) / T
     path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
@@ -30,14 +30,14 @@ from hydro_sim.model.equations import Symbol, clip
 KNOTS = 12
 """Numbers of a table: of so many cubic B-splines."""
 SIGN_VELOCITY = 1e-3
-"""m/s, over which a force that follows the sign of the velocity turns round."""
+"""Velocity [m/s] over which a force that follows the sign of the velocity reverses."""
 VARIABLES = {"position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A"}
-"""What a table may be over, with units."""
+"""Variables of tables, with units."""
 
 
 @dataclass(frozen=True)
 class Signals:
-    """What laws are made of, SI units; what an equation does not know is 0."""
+    """Signals of which laws are made, SI units; those unknown to an equation are 0."""
 
     position: Symbol = 0.0
     velocity: Symbol = 0.0
@@ -58,7 +58,7 @@ class Signals:
 
 @dataclass(frozen=True)
 class Element:
-    """What a law remembers: a state that follows one of `Signals`."""
+    """Memory of a law: a state that follows one of `Signals`."""
 
     kind: Literal["lag", "path"]
     signal: str
@@ -66,7 +66,7 @@ class Element:
     """Name of the time [s] or the path [unit of the signal] over which it follows."""
     unit: str
     probes: tuple[float, ...]
-    """Where a search looks first, ascending."""
+    """Start values of a search, ascending."""
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -90,20 +90,20 @@ class Law:
     text: str
     """The shape as an equation."""
     sentence: str
-    """What such a term usually is."""
+    """Usual physical meaning of such a term."""
     typical: float
-    """A coefficient at which it is seen."""
+    """A coefficient at which it is noticeable."""
     shape: Callable[[Signals, Any], Symbol]
     """Of signals and the bench's numbers."""
     element: Element | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its numbers."""
+        """Names of its parameters."""
         return ("coefficient",) if self.element is None else ("coefficient", self.element.number)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
-        """What it gives, in the unit of its equation."""
+        """Value of the term, in the unit of its equation."""
         return numbers[0] * self.shape(at, n)
 
 
@@ -125,7 +125,7 @@ class Table:
     unit: str
     """Of its values."""
     typical: float
-    """A value at which it is seen."""
+    """A value at which it is noticeable."""
     factor: Factor | None = None
 
     @property
@@ -135,7 +135,7 @@ class Table:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its numbers."""
+        """Names of its parameters."""
         return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
 
     def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
@@ -143,7 +143,7 @@ class Table:
         return 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
-        """What it gives, in the unit of its equation."""
+        """Value of the term, in the unit of its equation."""
         low, high, *values = numbers
         along = self.along(at, low, high)
         total: Symbol = 0.0

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """C source of an assembled model: the functions of `assembly` with their derivatives, and the loops of `bench_model.c`.
 
-The source needs a C99 compiler and its mathematics library, nothing else: it is also what a box can run.
+The source needs only a C99 compiler and its mathematics library, so that a box can run it too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Outputs = Sequence[tuple[str, SX]]
 
 
 def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensitivities: bool = False) -> str:
-    """The whole source, one text; without derivatives it compiles in a fifth of the time.
+    """Return the whole source as one text; without derivatives it compiles in a fifth of the time.
 
     `sensitivities`: with the loops of `bench_sensitivities.c`, by any number of directions at once.
     """

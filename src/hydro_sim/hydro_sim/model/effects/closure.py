@@ -58,7 +58,7 @@ class Closure(Effect):
         return 0.0
 
     def _remembered(self, signal: Symbol) -> Symbol:
-        """State of the element where its signal is this."""
+        """State of the element in equilibrium with this signal."""
         return self._past()
 
 

@@ -9,10 +9,10 @@ from hydro_sim.model.effects.base import Effect, hidden, parameter
 from hydro_sim.model.equations import Symbol, orifice
 
 MEETING_POINT = 5e6
-"""Pa, where a leak through a sharp edge passes as much as a laminar one of the same coefficient."""
+"""Pressure drop [Pa] at which a leak through a sharp edge passes as much as a laminar one of the same coefficient."""
 
 ATMOSPHERE = 101325.0
-"""Pa, at which the free air's volume fraction is stated."""
+"""Pressure [Pa] at which the free air's volume fraction is stated."""
 
 
 class SupplyDroop(Effect):
