@@ -32,7 +32,7 @@ class ChannelError:
 
 @dataclass(frozen=True, kw_only=True)
 class Location:
-    """Where the mismatch against the baseline lives."""
+    """Location of the mismatch against the baseline."""
 
     equation: str
     """pressure_a, pressure_b, motion, load, actuation or sensor."""

@@ -165,7 +165,7 @@ def _names(assessment: Assessment) -> set[str]:
 
 
 def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
-    """What may be said, and intervals; a claim whose interval holds nothing is none, and the rest is judged anew."""
+    """Return assessment and intervals; claims whose intervals include neutral are dropped, the rest is judged anew."""
     assessment = assess(problem, outcome.fit, outcome.nothing)
     while True:
         sure, bounds = surely(problem, assessment.fit)
@@ -191,7 +191,7 @@ def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assess
 
 
 def _unfinished(search: Search, facts: Mapping[str, Any], begun: float) -> Report:
-    """What is known when Ctrl-C comes: which equations can be checked, and the steps so far, which prove nothing."""
+    """Return the report after Ctrl-C: the equations that can be checked, and the steps so far, which prove nothing."""
     return Report(
         verdict=INTERRUPTED,
         location=[],
@@ -232,7 +232,7 @@ def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | Non
 
 
 def _candidates(without: Sequence[str]) -> list[Effect]:
-    """What the search tries but for what was ruled out."""
+    """Candidates of the search, except those ruled out."""
     names = {name for effect in CANDIDATES for name in (effect.id, effect.label)}
     for name in without:
         if name not in names:

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Correct names of the concealed causes: several where different sets of causes give exactly the same bench.
 
-A spring's rest position moves the force on the mass and, by as much the other way, the reading of its load cell: of
-`force_offset`, `spring_rest` and a bias of the load cell any two make every bench that the three make. A dead band
-around a shifted null is a lopsided one around the old null. LuGre friction is friction with bristles.
+A spring's rest position shifts the force on the mass and, by the same amount in the opposite direction, the reading of
+its load cell: any two of `force_offset`, `spring_rest` and a bias of the load cell make every bench that all three do.
+A dead band around a shifted null is an asymmetric one around the old null. LuGre friction is friction with bristles.
 """
 
 from __future__ import annotations

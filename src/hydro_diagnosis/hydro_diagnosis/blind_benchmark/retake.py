@@ -64,7 +64,7 @@ ATTEMPTS = (
 
 
 def usable(bag: Path) -> bool:
-    """Whether the box did not trip, the valve hardly saturated, and the bench was not in its stops most of the time."""
+    """Return whether the box did not trip, the valve hardly saturated, and the stops were mostly left alone."""
     flags = read_bag(bag, topics=("/hydro/state",)).state["flags"]
     if (flags & Flag.TRIPPED).any() or np.mean((flags & Flag.SATURATED) > 0) > SATURATED:
         return False

@@ -140,7 +140,7 @@ def _joined(path: Path, stretches: list[Stretch]) -> RawTable:
 
 @dataclass(frozen=True)
 class _Window:
-    """Where a window lies: which stretch, which of its segments, from which sample on."""
+    """Position of a window: its stretch, the segment in that, and the first sample."""
 
     stretch: int
     segment: int

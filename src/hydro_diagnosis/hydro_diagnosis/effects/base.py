@@ -91,7 +91,7 @@ class Openings:
 
 @dataclass(frozen=True)
 class Oil:
-    """What drives the chambers' pressures at one instant or over one sample."""
+    """Inputs of the chambers' pressures at one instant or over one sample."""
 
     time: FloatArray
     position: FloatArray

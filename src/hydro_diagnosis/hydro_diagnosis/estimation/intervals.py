@@ -60,7 +60,7 @@ def all_hold(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
 
 
 def _holds_nothing(claim: Claim, bounds: Sequence[Interval]) -> bool:
-    """Whether the effect may as well not be there: so for each amplitude, or the first shape where there is none."""
+    """Return whether the effect may be absent: so for each amplitude, or the first shape where there is none."""
     pairs = list(zip(claim.effect.parameters, bounds, strict=True))
     telling = [(one, bound) for one, bound in pairs if one.smallest > 0.0] or pairs[:1]
     return all(bound.low <= one.neutral <= bound.high for one, bound in telling)

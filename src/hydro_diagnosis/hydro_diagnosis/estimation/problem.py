@@ -26,7 +26,7 @@ _CACHE = 24
 
 @dataclass(frozen=True)
 class Layout:
-    """Which entries of a residual vector belong to which channel: `channel[i]` indexes `CHANNELS`."""
+    """Assignment of a residual vector's entries to channels: `channel[i]` indexes `CHANNELS`."""
 
     channel: np.ndarray[Any, np.dtype[np.int64]]
     segment: np.ndarray[Any, np.dtype[np.int64]]

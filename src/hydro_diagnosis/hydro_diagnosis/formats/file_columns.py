@@ -72,7 +72,7 @@ def with_clocks_of_equal_length(
 
 
 def _kinship(one: str, other: str) -> int:
-    """How many leading parts of two dotted names are the same."""
+    """Number of leading parts that two dotted names share."""
     parts = zip(one.split(".")[:-1], other.split(".")[:-1], strict=False)
     count = 0
     for mine, yours in parts:

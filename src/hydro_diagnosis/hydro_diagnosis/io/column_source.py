@@ -47,7 +47,7 @@ class Source:
         return bool(self.column) and not self.steps and not self.unit
 
     def __str__(self) -> str:
-        """As a map in short writes it."""
+        """Text of the source, as in a short map."""
         if not self.column:
             return f"{sum(float(number) for _, number in self.steps):g}"
         quoted = self.column if _BARE.fullmatch(self.column) else f"'{self.column}'"

@@ -88,7 +88,7 @@ def bench_of(constants: Mapping[str, float], start: Bench) -> Bench:
 
 
 def _effects(c: Mapping[str, float]) -> list[dict[str, Any]]:
-    """What the learned model holds beyond a bench's numbers, as entries of a corrected.yaml."""
+    """Effects of the learned model beyond a bench's numbers, as entries of a corrected.yaml."""
     entries = [
         _entry("valve_lag", bandwidth=c["spool_frequency"] / (2.0 * pi), damping=c["spool_damping"]),
         _entry("friction_coulomb", force=c["friction_coulomb"]),
@@ -115,7 +115,7 @@ def _entry(identifier: str, **values: Any) -> dict[str, Any]:
 
 
 def _left_out(constants: Mapping[str, float], learned: StructuredModel) -> list[str]:
-    """What of the learned model the baseline does not hold, one sentence each."""
+    """Parts of the learned model that the baseline lacks, one sentence each."""
     notes = []
     gains = [constants[name] for name in GAINS]
     spread = (max(gains) - min(gains)) / (2.0 * sum(gains) / len(gains))

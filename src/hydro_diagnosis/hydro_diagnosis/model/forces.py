@@ -97,7 +97,7 @@ class ForceBalance(SegmentRecord):
 
     @cached_property
     def reversals(self) -> int:
-        """How often the piston stands or turns round."""
+        """Number of times that the piston stands or reverses."""
         return int(np.count_nonzero(np.diff(self._resting.astype(np.int8), prepend=0) == 1))
 
     @cached_property

@@ -55,7 +55,7 @@ class ChamberObserver(SegmentRecord):
         return chambers.middle(self.channels["piston_position"])
 
     def _kept_back(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
-        """What these claims make, computed once as long as only others change."""
+        """Return the result for these claims, computed once as long as only others change."""
         key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
         if key not in self._shelf:
             if len(self._shelf) >= SHELF:

@@ -66,13 +66,13 @@ class SegmentRecord:
         return signal
 
     def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim]) -> FloatArray:
-        """What a channel's sensor shows of a true signal."""
+        """Return the reading of a channel's sensor for a true signal."""
         for claim in claims:
             signal = claim.effect.measure(channel, signal, self.memory, claim.values)
         return signal
 
     def kept(self, signal: FloatArray) -> FloatArray:
-        """What of a signal, shape (n,), is judged: settled, and every fifth recorded row."""
+        """Return the judged part of a signal, shape (n,): settled, and every fifth recorded row."""
         return signal[self.rows]
 
     def smooth(self, signal: FloatArray) -> FloatArray:
@@ -80,7 +80,7 @@ class SegmentRecord:
         return smooth(signal, self.spacing)
 
     def finish(self, signal: FloatArray) -> FloatArray:
-        """What was computed from the smoothed motion, brought to the test function's width, shape (n,)."""
+        """Smooth a result of the smoothed motion to the test function's width, shape (n,)."""
         return finish(signal, self.spacing)
 
     def means(self, signal: FloatArray) -> FloatArray:

@@ -158,7 +158,7 @@ class Plant:
         return Grip(holding, grip.direction, np.abs(holding) <= level)
 
     def readings(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
-        """What the sensors show of simulated states, by channel, shape (length, variants * windows)."""
+        """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
         length, _, lanes = states.shape
         samples = np.tile(begins, lanes // len(begins))
         at = samples[None, :] + np.arange(length)[:, None]

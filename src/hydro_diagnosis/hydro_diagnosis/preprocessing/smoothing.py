@@ -62,12 +62,12 @@ def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[Flo
 
 
 def finish(signal: FloatArray, spacing: int = 1) -> FloatArray:
-    """What was computed from `kinematics`, brought to the total width."""
+    """Smooth a result of `kinematics` to the total width."""
     return _through(signal, _REST_WIDTH * spacing)
 
 
 def smooth(signal: FloatArray, spacing: int = 1) -> FloatArray:
-    """A measured signal, brought to the total width."""
+    """Smooth a measured signal to the total width."""
     return _through(signal, TOTAL_WIDTH * spacing)
 
 

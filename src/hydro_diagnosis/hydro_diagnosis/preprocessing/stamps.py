@@ -76,7 +76,7 @@ def _followed(time: FloatArray, step: float) -> Rows:
 def placed_by_stamps(
     columns: Mapping[str, FloatArray], time: FloatArray, rows: Rows, step: float
 ) -> dict[str, FloatArray] | None:
-    """What the sensors showed at even times, if the samples were taken at their stamps; None if they were even.
+    """Return the readings at even times, if the samples were taken at their stamps; None if they were even.
 
     The valve current is left out: it is held for a millisecond, and which one a row has caught is not known.
     """

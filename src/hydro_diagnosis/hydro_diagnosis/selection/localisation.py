@@ -93,7 +93,7 @@ def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm]) ->
 
 
 def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Place]:
-    """Where the claimed effects act, by the size of their signatures in the residuals."""
+    """Return the places where the claimed effects act, by the size of their signatures in the residuals."""
     layout = problem.layout
     power: dict[tuple[str, str], float] = {}
     for claim in found.claims:
@@ -164,7 +164,7 @@ def _follows_supply(problem: Problem, residual: FloatArray) -> bool:
 
 
 def _coherent(problem: Problem, residual: FloatArray) -> bool:
-    """Whether the load's residual is what its sensor makes of the motion's: then one hidden force explains both."""
+    """Return whether the load's residual is its sensor's response to the motion's: one hidden force explains both."""
     layout = problem.layout
     matched = power = 0.0
     for k, model in enumerate(problem.models):

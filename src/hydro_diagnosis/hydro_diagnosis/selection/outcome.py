@@ -46,7 +46,7 @@ class Step:
 
 @dataclass
 class Outcome:
-    """What the search found."""
+    """Outcome of a search."""
 
     fit: Fit
     nothing: Fit

@@ -33,7 +33,7 @@ def is_significant(claim: Claim) -> bool:
 
 
 def all_significant(problem: Problem, found: Fit) -> bool:
-    """Whether every claim is worth making, and more than noise in what it multiplies or missing rows may hide."""
+    """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
     if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.claims):
         return False
     return all(_beyond(claim, shift) for claim, shift in zip(found.claims, shifts(problem, found), strict=True))

@@ -48,7 +48,7 @@ class Assessment:
     fit: Fit
     """The fit with the claims that hold."""
     places: tuple[Place, ...]
-    """Where the mismatch against the baseline lives."""
+    """Location of the mismatch against the baseline."""
     remainder: tuple[Place, ...]
     """Where an unnamed remainder is left."""
     forms: tuple[FreeForm, ...]

@@ -80,7 +80,7 @@ def _counts(channels: Channels, step: float, bench: Bench) -> Iterator[Repair]:
 
 
 def _zeros(channels: Channels, step: float, bench: Bench) -> Iterator[Repair]:
-    """Where the position's zero lies, judged by the spring, else from the middle of the stroke."""
+    """Zero of the position, judged by the spring, else from the middle of the stroke."""
     position = slow(channels["piston_position"], step)
     offset, judged = 0.5 * bench.stroke - 0.5 * float(position.min() + position.max()), "the middle of what it travels"
     if "load_force" in channels:

@@ -160,7 +160,7 @@ def _check(state, limits, measurement, time):
 
 @njit(cache=True)
 def _allowance(state, time):
-    """How far [N] the force may stand beyond its limit: as far as it did at arming, falling to zero within `RECOVERY`.
+    """Allowed excess [N] of the force beyond its limit: as at arming, falling to zero within `RECOVERY`.
 
     A closed valve holds the force that tripped the box, and only the armed loop can take it back.
     """

@@ -67,7 +67,7 @@ class Coordinates:
         return np.asarray(np.clip(found, self.low, self.high))
 
     def q(self, theta: FloatArray) -> FloatArray:
-        """Of all parameters."""
+        """Coordinates q of the free parameters, given all."""
         one = theta[self.free]
         return np.asarray(np.where(self.logarithm, np.log(np.where(self.logarithm, one, 1.0)), one / self.scale))
 

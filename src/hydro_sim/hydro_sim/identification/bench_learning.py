@@ -71,7 +71,7 @@ class Result:
 
     @property
     def quality(self) -> Quality:
-        """How good it is."""
+        """Quality of the learned bench."""
         return Quality.of((self.left / self.noise).tolist())
 
 
@@ -164,7 +164,7 @@ def _coordinates(bench: Bench, model: BenchModel) -> Coordinates:
 
 
 def _windows(runs: list[Run], count: int, generator: np.random.Generator) -> list[Indices]:
-    """Where windows begin in each run, in rising order; none overlaps another."""
+    """Start samples of windows in each run, in rising order, without overlap."""
     places = [
         (i, begin) for i, run in enumerate(runs)
         for begin in range(min(SETTLED, len(run) // 4), len(run) - HORIZON - 1, HORIZON)

@@ -204,7 +204,7 @@ class Assembly:
         return out, back
 
     def _truth(self, y: Any) -> tuple[Symbol, ...]:
-        """What the five sensors would read if they were ideal, in the order of READINGS."""
+        """Readings of five ideal sensors, in the order of READINGS."""
         return eq.hydraulic_force(self.numbers, y[0], y[1]), y[4], y[0], y[1], y[2]
 
     def _read(self, y: SX) -> SX:

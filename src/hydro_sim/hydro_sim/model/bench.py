@@ -173,7 +173,7 @@ class Bench:
         return bench_file.digest(self.to_mapping())
 
     def constants(self) -> npt.NDArray[np.void]:
-        """What compiled code reads: one record of `BENCH_DTYPE`, shape (1,)."""
+        """Return the bench for compiled code: one record of `BENCH_DTYPE`, shape (1,)."""
         numbers, record = self._with_corrected_numbers(), np.zeros(1, BENCH_DTYPE)
         for name in record.dtype.names or ():
             value = getattr(numbers, name, None)

@@ -132,7 +132,7 @@ class BenchModel:
         return z
 
     def jacobian(self, k: FloatArray, y: FloatArray, current: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `sample`; and d y/d(y, u), shape (states, states + 1), and d z/d(y, u), shape (5, states + 1)."""
+        """Run `sample`; return also d y/d(y, u), shape (states, states + 1), and d z/d(y, u), shape (5, states + 1)."""
         width = len(self.states) + 1
         z, dy, dz = np.empty(READINGS), np.empty((width - 1, width)), np.empty((READINGS, width))
         self._derivatives.bench_jacobian(*self._at(k, y), ctypes.c_double(current), to_c(z), to_c(dy), to_c(dz))

@@ -70,12 +70,12 @@ class Element:
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of its number."""
+        """Bounds of its parameter."""
         return 0.1 * self.probes[0], 10.0 * self.probes[-1]
 
     @property
     def signal_unit(self) -> str:
-        """Of what it follows."""
+        """Unit of the signal that it follows."""
         return {"position": "m", "current": "A", "force": "N"}.get(self.signal, "Pa")
 
 
@@ -109,7 +109,7 @@ class Law:
 
 @dataclass(frozen=True)
 class Factor:
-    """What a table may be multiplied by: its function is then a coefficient that varies (Hastie, Tibshirani 1993)."""
+    """Factor of a table, whose function is then a varying coefficient (Hastie, Tibshirani 1993)."""
 
     name: str
     text: str
@@ -130,7 +130,7 @@ class Table:
 
     @property
     def form(self) -> str:
-        """As laws are called."""
+        """Name of the form, as for laws."""
         return f"{self.factor.name} times table over {self.variable}" if self.factor else f"table over {self.variable}"
 
     @property
@@ -139,7 +139,7 @@ class Table:
         return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
 
     def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
-        """Where its variable stands among the peaks of its splines, 1 to `KNOTS` - 2."""
+        """Position of its variable among the peaks of its splines, 1 to `KNOTS` - 2."""
         return 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:

@@ -19,7 +19,7 @@ from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS, READINGS
 
 SETTLING = 500
-"""Samples after which a filter that began from a measurement is believed."""
+"""Samples after which a filter that began from a measurement has settled."""
 
 NUDGES: FloatArray = np.array([1e3, 1e3, 1e-7, 1e-5, 1e-6, 1e-3, 1e-2, 1.0, 1e-8])
 """Steps of the finite differences, units of the state."""

@@ -45,7 +45,7 @@ class FrictionCoulombDirectional(Effect):
 
 
 class FrictionStribeck(Effect):
-    """More of it near standstill."""
+    """Additional dry friction near standstill."""
 
     id = "friction_stribeck"
     breakaway_force = parameter("N", 0.0, 5000.0, scale=5.0)

@@ -69,7 +69,7 @@ class LeakageExternal(Effect):
 
 
 class BulkModulus(Effect):
-    """beta is another, whatever the pressure."""
+    """Wrong beta in the bench file, at all pressures."""
 
     id = "bulk_modulus"
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
