@@ -59,9 +59,9 @@ class LookAlike:
     """Another cause in a claim's place for which the table has no id."""
 
     likeness: str
-    """What it looks like, in words."""
+    """Description of the resemblance."""
     delta_bic: float
-    """How much worse it explains the recordings."""
+    """BIC by which it explains the recordings worse than the claim."""
     distinguishable: bool
     why: str
 
@@ -72,7 +72,7 @@ class Rival:
 
     id: str
     delta_bic: float
-    """How much worse it explains the recordings."""
+    """BIC by which it explains the recordings worse than the claim."""
     distinguishable: bool
     why: str
 
@@ -105,13 +105,13 @@ class ClosureReport:
     """The term as an equation, with units; what it gives: `hydro_sim.model.laws`."""
     terms: dict[str, ParameterEstimate]
     range: list[float] | None
-    """Of a smooth function's variable, as recorded; constant beyond."""
+    """Recorded range of a smooth function's variable; constant beyond."""
     sentence: str
     """Usual physical meaning of such a term."""
     share_closed: float
-    """Of the held-out squared error above the noise that names alone leave: removed by terms and names beside them."""
+    """Share of the held-out squared error above the noise, left by names alone, that terms and names remove."""
     share_by_form: dict[str, float | None]
-    """The same by form that was tried: what condensing a smooth function into a law costs."""
+    """The same by form that was tried: shows the cost of condensing a smooth function into a law."""
 
 
 @dataclass(frozen=True, kw_only=True)

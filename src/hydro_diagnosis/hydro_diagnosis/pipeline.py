@@ -215,7 +215,7 @@ _EQUATIONS = {
     LOAD: ("load",),
     HYDRAULIC: ("sensor",),
 }
-"""What each block of residuals checks; `sensor`: the hydraulic force against the pressures."""
+"""Equations that each block of residuals checks; `sensor`: the hydraulic force against the pressures."""
 
 
 def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | None:

@@ -80,7 +80,7 @@ class Recording:
     name: str
     segments: tuple[Segment, ...]
     quality: tuple[str, ...] = field(default=())
-    """What was found and repaired, one sentence each."""
+    """Faults that were found and repaired, one sentence each."""
 
     @property
     def channels(self) -> frozenset[str]:

@@ -32,17 +32,17 @@ class Case:
     kind: str
     """A key of `PARTS`."""
     label: str
-    """What is concealed, in a word."""
+    """The concealed causes, in a word."""
     effects: Mapping[str, Any] = field(default_factory=dict)
-    """As under `effects` of the emulator's truth file."""
+    """Named causes, as under `effects` of the emulator's truth file."""
     outside: Mapping[str, Any] = field(default_factory=dict)
-    """As under `outside` there."""
+    """Unnamed causes, as under `outside` there."""
     size: tuple[str, float] | None = None
     """Size parameter of a single cause, and its distance from the neutral value."""
     noise: float = 1.0
     """Scale of the sensors' noise."""
     seed: int = 0
-    """Of noise and random forces."""
+    """Seed of noise and random forces."""
     schedules: Mapping[str, Schedule] = field(default_factory=dict)
     """Reference and gains by recording; the held-out one is of another class than those that are fitted."""
 

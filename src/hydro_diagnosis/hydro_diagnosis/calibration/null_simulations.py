@@ -38,7 +38,7 @@ class Trial:
     noise: float
     """Scale of the sensors' noise."""
     evidence: float
-    """Of the best claim [BIC], below 0 where it does not pay its price; minus infinity if none is large enough."""
+    """Evidence of the best claim [BIC], below 0 where it does not pay its price; -infinity if none is large enough."""
     claim: str
 
 

@@ -48,7 +48,7 @@ class Closed:
     gain: float
     """Held-out deviance that it gains over the names alone."""
     problem: Problem
-    """As it is weighed for the fit."""
+    """The problem with the weights of the fit."""
 
 
 def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> list[Closed]:

@@ -119,7 +119,7 @@ class Effect:
     """
 
     options: Mapping[str, str] = field(default_factory=dict)
-    """Which chamber, which sensor, which form; part of the report, except `form`."""
+    """Chamber, sensor or form; part of the report, except `form`."""
     reference: float = nan
     """The bench file's value, for effects whose parameter is the true value itself."""
 

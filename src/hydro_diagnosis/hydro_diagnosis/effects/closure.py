@@ -46,7 +46,7 @@ class Closure(Effect):
 
     law: Law | Table = grammar.LAWS[0]
     limits: tuple[float, float] = (0.0, 1.0)
-    """Of a table's variable, SI unit."""
+    """Limits of a table's variable, SI unit."""
     numbers: Bench | None = None
     """The bench, once it is adapted."""
 

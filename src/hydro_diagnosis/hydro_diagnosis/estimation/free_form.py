@@ -51,7 +51,7 @@ _INPUTS = (
 
 
 def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
-    """Every free-form input beside the named causes, the most telling first."""
+    """Every free-form input beside the named causes, the most informative first."""
     weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
     named = found.jacobian * weight[:, None]
     left = found.residual * weight

@@ -34,7 +34,7 @@ class Header:
     names: tuple[str, ...]
     """Names of the columns, each unique."""
     units: tuple[str, ...]
-    """As `units.UNITS` spells them; empty where none is stated."""
+    """Units as `units.UNITS` spells them; empty where none is stated."""
 
 
 def header_of(lines: list[str], separator: str, decimal: str) -> Header:

@@ -37,7 +37,7 @@ class Source:
     steps: tuple[tuple[str, float | str], ...] = ()
     """Sign (*, /, +, -) and number, or the name of a single number in the file; in this order."""
     unit: str = ""
-    """What the column is in, SI if empty; the last to be multiplied."""
+    """Unit of the column, SI if empty; the last to be multiplied."""
     delay: float = 0.0
     """s by which the column is late against the others: what it shows at a time happened so much earlier."""
 

@@ -23,7 +23,7 @@ from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
 SUBSTEPS_STICKING = 8
-"""The same where the piston may stick: when it stops is only known to a step."""
+"""The same where the piston may stick: the time of a stop is known to one step only."""
 Indices = npt.NDArray[np.int64]
 
 
@@ -54,7 +54,7 @@ class Plant:
     spool: FloatArray
     """A, shape (n, substeps)."""
     traces: dict[str, FloatArray]
-    """What has a past, along the recording."""
+    """Elements with memory, along the recording."""
 
     @classmethod
     def of(cls, model: SegmentModel, claims: Sequence[Claim]) -> Plant:

@@ -22,7 +22,7 @@ Rows = npt.NDArray[np.int64]
 SAME = 0.05
 """Share of the box's period by which a logger's may differ and still be the box's."""
 _SMOOTH = (*MEASURED, "valve_current")
-"""What is interpolated by splines; everything else by straight lines."""
+"""Channels that are interpolated by splines; all others by straight lines."""
 
 
 def on_box_clock(

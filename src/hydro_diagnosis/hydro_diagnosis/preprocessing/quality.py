@@ -36,7 +36,7 @@ REMEDY = (
     "record it with lower gains; if the bench still trips or swings from stop to stop, give the box, not the "
     "diagnosis, a bench.yaml with a valve_nominal_flow that is 25 % higher or more"
 )
-"""What an operator can do about a bench that cannot be driven: the velocity term is then compensated by less."""
+"""Remedy for a bench that cannot be driven: the velocity term is then compensated only in part."""
 
 
 def checked(table: RawTable, bench: Bench) -> Recording:

@@ -52,7 +52,7 @@ POSITION_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[0] ** 2)))
 VELOCITY_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[1] ** 2)))
 """Standard deviation of the velocity times the sampling time, over that of the position."""
 ACCELERATION_NOISE_GAIN = float(np.sqrt(np.sum(np.convolve(_KINEMATIC[2], _REST) ** 2)))
-"""The same of the finished acceleration, times the sampling time squared."""
+"""The same for the finished acceleration, times the sampling time squared."""
 
 
 def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -41,7 +41,7 @@ class Place:
     """Where it stands out, by variable: 10th and 90th percentile, SI units."""
     sentence: str
     channel: str
-    """Of the residuals, in which it shows most."""
+    """Channel of the residuals in which it shows most."""
 
 
 def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:

@@ -45,7 +45,7 @@ class Search:
         self.settings = settings or SearchSettings()
         self.progress = progress
         self.steps: list[Step] = []
-        """What was accepted and dropped so far; those of the outcome."""
+        """Steps of acceptance and removal so far, passed to the outcome."""
         self._begun = problem.evaluations
         self._looked: dict[frozenset[str], tuple[tuple[float, ...], list[Fit]]] = {}
         """By the labels of a base: the doubt under which it was looked at, and the fits with one claim more."""

@@ -52,7 +52,7 @@ class Assessment:
     remainder: tuple[Place, ...]
     """Where an unnamed remainder is left."""
     forms: tuple[FreeForm, ...]
-    """Free-form inputs for what remains, the most telling first; empty if nothing remains."""
+    """Free-form inputs for what remains, the most informative first; empty if nothing remains."""
     dropped: tuple[Claim, ...]
     """Claims of the search that this assessment rejects."""
 

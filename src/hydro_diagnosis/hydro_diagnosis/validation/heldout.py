@@ -84,7 +84,7 @@ def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, Float
 def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
     """Initial states by least squares per window, near the recording's smoothed state as far as that is known.
 
-    Where the piston sticks, when it breaks loose hangs on tenths of a newton, and the way there is not smooth: so
+    Where the piston sticks, when it breaks loose depends on tenths of a newton, and the cost is not smooth: so
     several forces are tried first, a step that makes it worse is halved, and the best state is kept.
     """
     aim = _Aim(plant, state.copy(), begins, length, noise)

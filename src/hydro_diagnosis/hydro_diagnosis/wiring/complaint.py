@@ -20,7 +20,7 @@ VELOCITY = 0.8
 SIZE = 3.0
 """Times by which forces may differ from what pressures or spring make."""
 MOVES = 1e-3
-"""Of the stroke: a piston that moves less shows neither sign nor size."""
+"""Share of the stroke: a piston that moves less shows neither sign nor size."""
 
 
 @dataclass(frozen=True)

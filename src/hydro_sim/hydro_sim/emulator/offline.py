@@ -26,7 +26,7 @@ class Recording:
     """One recorded run; all arrays have n samples."""
 
     states: StateArray
-    """What the bench recorded, `STATE_DTYPE`, shape (n,)."""
+    """Samples that the bench recorded, `STATE_DTYPE`, shape (n,)."""
     noise_free: StateArray
     """The same run's readings without noise and quantisation, amplifiers' lags included; for scoring only."""
     physical: FloatArray

@@ -24,7 +24,7 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_sim.model.bench import Bench
 
 ENTRY = "made_for"
-"""Of a file's header."""
+"""Key of the entry in a file's header."""
 
 
 class PairingError(UserError):

@@ -38,7 +38,7 @@ class Run:
     """Successive samples without a gap: u[k] is held from x[k] to x[k + 1]."""
 
     name: str
-    """Of the recording."""
+    """Name of the recording."""
     x: FloatArray
     """Shape (n, 8), measured, SI units."""
     u: FloatArray

@@ -52,7 +52,7 @@ class Identified:
     """In the bench file."""
     value: float
     low: float
-    """Of the 95 % interval, as far as windows are independent and the model holds."""
+    """Lower end of the 95 % interval, as far as windows are independent and the model holds."""
     high: float
     seen: bool
     """Whether the recordings add to the prior."""
@@ -65,7 +65,7 @@ class Result:
     bench: Bench
     parameters: list[Identified]
     noise: FloatArray
-    """Of the readings, measured in the recordings, shape (5,)."""
+    """Noise of the readings, measured in the recordings, shape (5,)."""
     left: FloatArray
     """RMSE of 70-sample predictions of the validation runs against the readings, shape (5,)."""
 

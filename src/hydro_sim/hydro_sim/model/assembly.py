@@ -50,7 +50,7 @@ class Functions:
     y: SX
     current: SX
     share: SX
-    """Of the sample, at which a step begins."""
+    """Share of the sample at which a step begins."""
     once: SX
     begin: SX
     enter: SX

@@ -5,7 +5,7 @@
 
     model = BenchModel(Bench.load("corrected.yaml"))
     k, y, z = model.begin(model.values)           coefficients; a still bench; its readings f_h f_l p_a p_b x_p
-    z = model.sample(k, y, 1e-3)                  one box sample at 1 mA; y moves on in place
+    z = model.sample(k, y, 1e-3)                  one box sample at 1 mA; y changes in place
     z, dy, dz = model.jacobian(k, y, 1e-3)        the same, with d y/d(y, u) and d z/d(y, u)
     loss, gy, gk = model.window(k, y, u, targets, weights)      a prediction's error and its gradients
     gtheta = model.gradient(model.values, gk)     by the parameters
@@ -55,7 +55,7 @@ class Named:
     """A parameter of a model."""
 
     name: str
-    """As in bench.yaml; of an effect: its label, a dot, and the parameter."""
+    """Name as in bench.yaml; for an effect: its label, a dot, and the parameter."""
     unit: str
     low: float
     high: float
@@ -125,7 +125,7 @@ class BenchModel:
         return z
 
     def rollout(self, k: FloatArray, y: FloatArray, currents: FloatArray) -> FloatArray:
-        """Readings after each of n samples, shape (n, 5); y moves on in place."""
+        """Return readings after each of n samples, shape (n, 5); y changes in place."""
         z = np.empty((len(currents), READINGS))
         n = len(currents)
         self._code.bench_rollout(*self._at(k, y), ctypes.c_long(n), to_c(currents, (n,)), to_c(z))

@@ -44,7 +44,7 @@ class Signals:
     pressure_a: Symbol = 0.0
     pressure_b: Symbol = 0.0
     current: Symbol = 0.0
-    """Of the spool."""
+    """Position of the spool, as a current."""
     force: Symbol = 0.0
     """f_h."""
     memory: Symbol = 0.0
@@ -86,7 +86,7 @@ class Law:
     equation: str
     form: str
     unit: str
-    """Of the coefficient; with the shape's it gives that of the equation."""
+    """Unit of the coefficient; with that of the shape it gives that of the equation."""
     text: str
     """The shape as an equation."""
     sentence: str
@@ -94,7 +94,7 @@ class Law:
     typical: float
     """A coefficient at which it is noticeable."""
     shape: Callable[[Signals, Any], Symbol]
-    """Of signals and the bench's numbers."""
+    """The shape as a function of signals and the bench's numbers."""
     element: Element | None = None
 
     @property
@@ -123,7 +123,7 @@ class Table:
     equation: str
     variable: str
     unit: str
-    """Of its values."""
+    """Unit of its values."""
     typical: float
     """A value at which it is noticeable."""
     factor: Factor | None = None

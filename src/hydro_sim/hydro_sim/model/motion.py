@@ -26,7 +26,7 @@ class DryFriction:
     level: Callable[[Symbol], Symbol]
     """N, at a velocity [m/s]."""
     sign: Symbol
-    """Of the motion that it opposes."""
+    """Sign of the motion that it opposes."""
     held: Symbol
     """Whether it brings the mass to rest."""
     holding: Symbol

@@ -40,7 +40,7 @@ class Quality:
     worst: float
     """The largest of the five."""
     worst_reading: str
-    """Which one that is."""
+    """Name of that reading."""
 
     @classmethod
     def of(cls, ratios: Sequence[float]) -> Quality:

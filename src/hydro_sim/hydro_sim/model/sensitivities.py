@@ -34,7 +34,7 @@ class Track:
     y: FloatArray
     """States, shape (states,)."""
     covariance: FloatArray
-    """Of their error, shape (held, held)."""
+    """Covariance of their error, shape (held, held)."""
 
 
 class Sensitivities:
@@ -87,7 +87,7 @@ class Sensitivities:
     def follow(
         self, k: FloatArray, track: Track, currents: FloatArray, readings: FloatArray, q: FloatArray, r: FloatArray
     ) -> FloatArray:
-        """States, shape (n, states), each from the readings up to it; `track` moves on in place.
+        """States, shape (n, states), each from the readings up to it; `track` changes in place.
 
         Parameters
         ----------

@@ -37,7 +37,7 @@ class Parts(NamedTuple):
     sizes: Any
     """Sizes of the layers, inputs and outputs included, int64."""
     step: Any
-    """What one sample adds to z per unit of the outputs, shape (8,), of the weights' type."""
+    """Increment of z in a sample per unit of the outputs, shape (8,), of the weights' type."""
     residual: bool
     """Whether the analytic model's gain is added."""
     constants: Any

@@ -62,7 +62,7 @@ class Arming:
         self._request(arm=not tripped, now=now)
 
     def wait(self, awaited: str, *, armed: bool, now: float) -> None:
-        """Call instead while something is still `awaited`: nothing is armed; who wants it, or has done it, is told."""
+        """Call instead while something is still `awaited`: requests to arm are refused, early arming is undone."""
         while not self._keys.empty():
             self._keys.get()
             tell(f"! {NOT_YET.format(awaited)}")

@@ -4,7 +4,7 @@
 ::
 
     meet     which box is it, may this node command it, and arm it without a person (simulation, emulator)?
-    drive    wait for the recorder, record the still bench, arm, play, arm anew after a trip; too many trips are the end
+    drive    wait for the recorder, record the still bench, arm, play, arm again after a trip; too many trips end it
     leave    reference 0 N, and a disarm that the plant confirms
 """
 
