@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Find, name, size and model the physics that the simulation leaves out. `pipeline.diagnose` puts the stages together.
+"""Diagnosis: find, name, size and model physics that the simulation lacks. `pipeline.diagnose` runs the stages.
 
 Stages: `formats`, `io`, `preprocessing`, `wiring`, `dataset` (recordings); `effects` (the physics library), `model`
 (residuals), `estimation` (fits), `selection` (names, places, verdict), `validation` (held-out recordings),
@@ -23,7 +23,7 @@ _HOMES = {"Diagnosis": "report.diagnosis", "InputError": "recording", "Report": 
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for when it is: a command that diagnoses nothing, or is only asked for help, starts soon."""
+    """Import on first use: a command that diagnoses nothing, or only prints its help, starts fast."""
     if name in _HOMES:
         return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

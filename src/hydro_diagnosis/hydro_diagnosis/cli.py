@@ -98,7 +98,7 @@ def main() -> int:
 
 
 def _made(folder: Path) -> None:
-    """Not before there is something to write: what is refused leaves nothing behind."""
+    """Create the folder only once there is something to write: refused input leaves nothing behind."""
     folder.mkdir(parents=True, exist_ok=True)
 
 

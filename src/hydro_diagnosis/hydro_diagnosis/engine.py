@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Version of the diagnosis: a digest of its sources and of the model's, without those of the proof."""
+"""Version of the diagnosis: a digest of its sources and of the model's, except those of the blind benchmark."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import hydro_sim.model
 
 @cache
 def engine() -> str:
-    """Digest of the sources as they are when it is first asked for."""
+    """Digest of the sources at the first call."""
     digest = sha256()
     for package in (Path(__file__).parent, Path(hydro_sim.model.__file__).parent):
         for path in sorted(package.rglob("*.py")):

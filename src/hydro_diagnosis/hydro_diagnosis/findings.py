@@ -12,7 +12,7 @@ from typing import Any
 from hydro_bridge.files.atomic import write_whole
 
 INTERRUPTED = "interrupted"
-"""In place of a verdict where there is none."""
+"""Value in place of a verdict where there is none."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,7 @@ class ChannelError:
 
 @dataclass(frozen=True, kw_only=True)
 class Location:
-    """Where the mismatch against the baseline lives."""
+    """Location of the mismatch against the baseline."""
 
     equation: str
     """pressure_a, pressure_b, motion, load, actuation or sensor."""
@@ -59,9 +59,9 @@ class LookAlike:
     """Another cause in a claim's place for which the table has no id."""
 
     likeness: str
-    """What it looks like, in words."""
+    """Description of the resemblance."""
     delta_bic: float
-    """How much worse it explains the recordings."""
+    """BIC by which it explains the recordings worse than the claim."""
     distinguishable: bool
     why: str
 
@@ -72,7 +72,7 @@ class Rival:
 
     id: str
     delta_bic: float
-    """How much worse it explains the recordings."""
+    """BIC by which it explains the recordings worse than the claim."""
     distinguishable: bool
     why: str
 
@@ -84,7 +84,7 @@ class EffectReport:
     id: str
     equation: str
     options: dict[str, str]
-    """Which chamber, cell or sensor; and the form, if the cause has several."""
+    """Chamber, cell or sensor, and the form if the cause has several."""
     sentence: str
     parameters: dict[str, ParameterEstimate]
     evidence: dict[str, float]
@@ -95,7 +95,7 @@ class EffectReport:
 
 @dataclass(frozen=True, kw_only=True)
 class ClosureReport:
-    """One term of the model of what has no name. It is no cause: it says what is missing, not why."""
+    """One term of a closure. It is no cause: it states what is missing, not why."""
 
     equation: str
     """motion, pressure (from chamber A into B), pressure_a, pressure_b, actuation or load."""
@@ -105,25 +105,25 @@ class ClosureReport:
     """The term as an equation, with units; what it gives: `hydro_sim.model.laws`."""
     terms: dict[str, ParameterEstimate]
     range: list[float] | None
-    """Of a smooth function's variable, as recorded; constant beyond."""
+    """Recorded range of a smooth function's variable; constant beyond."""
     sentence: str
-    """What such a term usually is."""
+    """Usual physical meaning of such a term."""
     share_closed: float
-    """Of the held-out squared error above the noise that names alone leave: removed by terms and names beside them."""
+    """Share of the held-out squared error above the noise, left by names alone, that terms and names remove."""
     share_by_form: dict[str, float | None]
-    """The same by form that was tried: what condensing a smooth function into a law costs."""
+    """The same by form that was tried: shows the cost of condensing a smooth function into a law."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """Everything a diagnosis says."""
+    """Result of a diagnosis."""
 
     verdict: str
     """no_mismatch, explained, modelled, partly_explained or unknown; `INTERRUPTED` where Ctrl-C came first."""
     location: list[Location]
     effects: list[EffectReport]
     remainder: dict[str, Any] | None
-    """Where something is left that nobody named, on which variables it depends, and which names were dropped for it."""
+    """Unnamed remainder: where it is, the variables on which it depends, and the names that were dropped for it."""
     closures: list[ClosureReport] = field(default_factory=list)
     """Terms that model what no name explains; empty where names do, or no term holds on held-out recordings."""
     fit: dict[str, Any]
@@ -132,13 +132,13 @@ class Report:
     """Equations, as in `Location.equation`; sensor: the hydraulic force against the pressures."""
     not_checked: list[str]
     recordings: list[dict[str, Any]]
-    """What it is on, as `location` names them: `name`, and `begin`, the stamp [s] of the first sample of a bag."""
+    """Recordings, as `location` names them: `name`, and `begin`, the stamp [s] of the first sample of a bag."""
     data_quality: list[str]
     baseline: dict[str, Any]
     versions: dict[str, str]
     seconds: float
     steps: list[dict[str, Any]] = field(default_factory=list)
-    """How evidence converged: action, label, delta_bic against nothing."""
+    """Steps of the search: action, label, delta_bic against nothing."""
 
     def to_json(self) -> str:
         """report.json."""

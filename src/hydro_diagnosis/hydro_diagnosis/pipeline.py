@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`diagnose`: recordings in, a report out. The stages in their order; what they do stands in their modules."""
+"""`diagnose`: from recordings to a report. The stages in order; each is documented in its own module."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ def diagnose(
     model
         Learned weights as the baseline, in place of `bench` (structured ones: see `baseline`).
     columns
-        Which column of a file, or field or topic of a bag, is what: see `columns`.
+        Column map of a file, or of a bag's fields or topics: see `column_map`.
     without
-        Causes that it cannot be, by id or by id and options (`friction_viscous:directional`): they are not tried.
+        Causes that are ruled out, by id or by id and options (`friction_viscous:directional`): they are not tried.
     as_wired
-        Go on where channels contradict each other or the bench file (`wiring`), instead of saying what is wrong.
+        Continue where channels contradict each other or the bench file (`wiring`), instead of refusing them.
     settings
         Of the search.
     progress
@@ -165,7 +165,7 @@ def _names(assessment: Assessment) -> set[str]:
 
 
 def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
-    """What may be said, and intervals; a claim whose interval holds nothing is none, and the rest is judged anew."""
+    """Return assessment and intervals; claims whose intervals include neutral are dropped, the rest is judged anew."""
     assessment = assess(problem, outcome.fit, outcome.nothing)
     while True:
         sure, bounds = surely(problem, assessment.fit)
@@ -191,7 +191,7 @@ def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assess
 
 
 def _unfinished(search: Search, facts: Mapping[str, Any], begun: float) -> Report:
-    """What is known when Ctrl-C comes: which equations can be checked, and the steps so far, which prove nothing."""
+    """Return the report after Ctrl-C: the equations that can be checked, and the steps so far, which prove nothing."""
     return Report(
         verdict=INTERRUPTED,
         location=[],
@@ -215,7 +215,7 @@ _EQUATIONS = {
     LOAD: ("load",),
     HYDRAULIC: ("sensor",),
 }
-"""What each block of residuals checks; `sensor`: the hydraulic force against the pressures."""
+"""Equations that each block of residuals checks; `sensor`: the hydraulic force against the pressures."""
 
 
 def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | None:
@@ -232,7 +232,7 @@ def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | Non
 
 
 def _candidates(without: Sequence[str]) -> list[Effect]:
-    """What the search tries but for what was ruled out."""
+    """Candidates of the search, except those ruled out."""
     names = {name for effect in CANDIDATES for name in (effect.id, effect.label)}
     for name in without:
         if name not in names:

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from hydro_bridge.signals import FloatArray
 
 MEASURED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
-"""What sensors give; the rates are computed by the box and not used."""
+"""Channels of the sensors; the rates are computed by the box and not used."""
 UNITS = {
     "hydraulic_force": "N",
     "load_force": "N",
@@ -23,11 +23,11 @@ UNITS = {
 
 
 class InputError(ValueError):
-    """What was given cannot be diagnosed; the message is one sentence for the person who gave it."""
+    """Input that cannot be diagnosed; the message is one sentence for the user."""
 
 
 class UnusableRecordingError(InputError):
-    """A recording that was read but shows nothing; others beside it may."""
+    """A readable recording without information; others beside it may have some."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Segment:
     measured: npt.NDArray[np.bool_] | None = None
     """Whether a row was recorded, shape (n,); None: every one was."""
     thinner: Segment | None = None
-    """The same stretch from half of the rows, where rows are missing: what that changes, the missing ones may too."""
+    """The same stretch from half of the rows, where rows are missing: the missing ones may change as much."""
 
     def __len__(self) -> int:
         return len(next(iter(self.channels.values())))
@@ -80,7 +80,7 @@ class Recording:
     name: str
     segments: tuple[Segment, ...]
     quality: tuple[str, ...] = field(default=())
-    """What was found and repaired, one sentence each."""
+    """Faults that were found and repaired, one sentence each."""
 
     @property
     def channels(self) -> frozenset[str]:

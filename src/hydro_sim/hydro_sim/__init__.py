@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bench as a model, and the box's software. Only `nodes` knows ROS.
+"""Model of the bench, software of the box, and their simulation. Only `nodes` uses ROS.
 
-Stages: `model` (textbook equations, effects, sensors), `box` (what the MicroLabBox runs), `simulation` (both put
+Stages: `model` (textbook equations, effects, sensors), `box` (the software of the MicroLabBox), `simulation` (both
 together); `excitation`, `files`, `neural`, `structured`, `learned`, `identification` (a bench learnt from recordings);
 `emulator` (a MicroLabBox behind a pseudo-terminal, with a truth plant of its own); `nodes` (executables).
 """

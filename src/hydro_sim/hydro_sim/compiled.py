@@ -22,7 +22,7 @@ from pathlib import Path
 STAMP = "sources.stamp"
 
 Stats = dict[str, list[int]]
-"""Source file -> time of its last change [ns] and size [bytes]."""
+"""By source file: time of its last change [ns] and size [bytes]."""
 
 
 def remove_stale_caches(*packages: Path) -> bool:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Copy numbers in compiled code.
 
-`a[:] = b` of two arrays compiles the making of an error message with it, in each function that holds it and again in
-each that calls one: two thirds of what it took to compile the networks' gradients. Nothing is checked here: `into` must
+`a[:] = b` of two arrays compiles the creation of an error message too, in each function that contains it and again in
+each that calls one: two thirds of the compilation time of the networks' gradients. Nothing is checked here: `into` must
 be as long as the values.
 """
 

@@ -32,7 +32,7 @@ BLUE, ORANGE, GREEN, RED, PURPLE, SKY, GRAY = (
     "#56b4e9",
     "#8a8f98",
 )
-"""Okabe and Ito's colors: told apart by everyone, also in print."""
+"""Colors of Okabe and Ito: safe for color-blind readers and in print."""
 
 UNITS: dict[str, tuple[str, str, float]] = {
     "hydraulic_force": ("hydraulic force", "N", 1.0),
@@ -50,7 +50,7 @@ UNITS: dict[str, tuple[str, str, float]] = {
     "proportional_gain": (r"$K_p$", "1/s", 1.0),
     "integral_gain": (r"$K_i$", "1/s²", 1.0),
 }
-"""How a field of BenchState is shown: name, unit, factor from SI."""
+"""Display of a BenchState field: name, unit, factor from SI."""
 
 STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
@@ -76,7 +76,7 @@ STYLE: dict[str, Any] = {
 }
 
 SHADES = ((Flag.TRIPPED, RED, "tripped"), (Flag.WATCHDOG, ORANGE, "watchdog"), (Flag.SATURATED, GRAY, "saturated"))
-"""Flags that are worth a shade behind a plot, the gravest first."""
+"""Flags that are shaded behind a plot, the gravest first."""
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from hydro_sim.simulation.offline import Schedule, simulate
 from hydro_sim.structured.model import StructuredModel
 
 _SECONDS = 8.0
-"""Of the recording that is learned from: the shortest of which something is left to validate on."""
+"""Length [s] of the training recording: the shortest that leaves validation data."""
 
 
 def _simulation() -> None:
@@ -31,7 +31,7 @@ def _simulation() -> None:
 
 
 def _simulated(plant: Plant) -> None:
-    """A run with everything that a schedule can have, as `collect`, the diagnosis and the filter's training ask."""
+    """Simulate a run with all features of a schedule, as `collect`, diagnosis and the filter's training use them."""
     run = Schedule(reference=ReferenceSignal(), gains=(60.0, 10.0), seconds=0.1)
     bench = Bench.nominal()
     simulate(plant, bench, run)
@@ -40,7 +40,7 @@ def _simulated(plant: Plant) -> None:
 
 
 def learned(structure: str, hidden: tuple[int, ...] = (32, 32)) -> Learned:
-    """A model after one epoch on a short recording."""
+    """Return a model after one epoch on a short recording."""
     data = _data()
     few = training.STRUCTURED_ADAM if structure == "structured" else adam.Settings()
     settings = training.Settings(structure=structure, hidden=hidden, batch=64, stride=500, adam=replace(few, epochs=1))
@@ -75,4 +75,4 @@ STEPS: dict[str, Callable[[], None]] = {
     "learning, residual": lambda: _learning("residual"),
     "learning, deep network": lambda: _learning("network", (16, 16, 16)),
 }
-"""By what is said while one runs."""
+"""By the message shown while each runs."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Keeps a process from the answers: from now on it opens nothing of the proof's folder but what it may see.
+"""Access guard: an audit hook that lets a process open only permitted files of the proof's folder.
 
-An audit hook (PEP 578) cannot be taken off again; it refuses files, listings of folders, other processes, and the code
+An audit hook (PEP 578) cannot be removed; it refuses files, listings of folders, other processes, and the code
 of the truth plant. It guards against a mistake, not against native code written to get around it.
 """
 
@@ -25,7 +25,7 @@ _worn: set[tuple[str, str]] = set()
 
 
 def put_on(hidden: Path, seen: Path) -> None:
-    """Refuse everything below `hidden` but what is below `seen`; once per process and pair of folders is enough."""
+    """Refuse access below `hidden` except below `seen`; one call per process and pair of folders suffices."""
     pair = (os.path.realpath(hidden), os.path.realpath(seen))
     if pair in _worn:
         return

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Recordings over the serial line: emulator, bridge, `collect` and recorder as processes, in real time.
 
-What the diagnosis then reads has come the whole way that a bench's samples come. The graph keeps to this machine, and
-to its own domain unless ROS_DOMAIN_ID is set.
+The recordings pass through the same chain as a bench's samples. The graph stays on this machine, and in its own
+domain unless ROS_DOMAIN_ID is set.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from hydro_diagnosis.blind_benchmark.retake import ATTEMPTS, Attempt, usable
 
 DOMAIN = "78"
 TRIPPED = 3
-"""Exit status of `collect` whose plant tripped again and again: whether the run can be used is `usable`'s to say."""
+"""Exit status of `collect` after repeated trips; `usable` decides whether the run can be used."""
 PATIENCE = 60.0
-"""s beyond a recording's own length that it may take."""
+"""Time [s] that a recording may take beyond its own length."""
 
 
 def record_by_graph(cases: Sequence[Case], folder: Path, until: float) -> bool:
-    """Record what is missing of `cases` as `recording.record` does; False if time was up."""
+    """Record the missing runs of `cases` as `recording.record` does; return False if time was up."""
     runs = [(case, name) for case in cases for name in (*FITTED, HELD) if not whole(folder / case.name / name)]
     for case, name in progress(runs, label="recording over the serial line", unit="run"):
         if time.monotonic() > until:
@@ -71,7 +71,7 @@ def _collect(words: Sequence[str], seconds: float) -> None:
 
 @contextmanager
 def _running(words: Sequence[str]) -> Iterator[None]:
-    """An executable of the workspace beside this process, ended as Ctrl-C would."""
+    """Run an executable of the workspace beside this process and end it as Ctrl-C would."""
     process = subprocess.Popen(
         ["ros2", "run", *words], env=_environment(), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
         start_new_session=True,

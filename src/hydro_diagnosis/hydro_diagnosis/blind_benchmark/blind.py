@@ -61,7 +61,7 @@ def _too_long(number: int, frame: FrameType | None) -> None:
 
 
 ENGINE = engine()
-"""Of what this process has loaded: taken at once, so that later edits do not count."""
+"""Version of the sources that this process has loaded: computed at import, so that later edits do not count."""
 
 
 def waiting(folder: Path) -> list[Path]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sealed cases, all from one seed: benches with up to three causes concealed, and how they are driven."""
+"""Sealed cases, drawn from one seed: benches with up to three concealed causes, and their excitation."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from hydro_diagnosis.blind_benchmark.magnitudes import FORMS, OUTSIDE, SINGLES, 
 FITTED, HELD = ("run1", "run2", "run3"), "held"
 """Names of a case's recordings."""
 SECONDS = 20.0
-"""s, of a recording."""
+"""Length of a recording [s]."""
 PARTS: dict[str, int] = {
     "single": 70, "faint": 14, "value": 16, "form": 16, "pair": 24, "triple": 12, "clean": 60, "outside": 12,
 }  # fmt: skip
-"""Kinds of cases, and how many there are of each in 224."""
+"""Number of cases of each kind, of 224 in total."""
 
 Schedule = dict[str, Any]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One bench, what is concealed in it, and how it is driven."""
+    """One bench, its concealed causes, and its excitation."""
 
     name: str
     """case-000 and so on: says nothing about what is concealed."""
     kind: str
     """A key of `PARTS`."""
     label: str
-    """What is concealed, in a word."""
+    """The concealed causes, in a word."""
     effects: Mapping[str, Any] = field(default_factory=dict)
-    """As under `effects` of the emulator's truth file."""
+    """Named causes, as under `effects` of the emulator's truth file."""
     outside: Mapping[str, Any] = field(default_factory=dict)
-    """As under `outside` there."""
+    """Unnamed causes, as under `outside` there."""
     size: tuple[str, float] | None = None
-    """Parameter that says how large a single cause is, and its distance from doing nothing."""
+    """Size parameter of a single cause, and its distance from the neutral value."""
     noise: float = 1.0
     """Scale of the sensors' noise."""
     seed: int = 0
-    """Of noise and random forces."""
+    """Seed of noise and random forces."""
     schedules: Mapping[str, Schedule] = field(default_factory=dict)
     """Reference and gains by recording; the held-out one is of another class than those that are fitted."""
 
@@ -58,12 +58,12 @@ class Case:
 
 
 def draw(count: int, seed: int) -> list[Case]:
-    """`count` cases in the proportions of `PARTS`, in random order."""
+    """Draw `count` cases in the proportions of `PARTS`, in random order."""
     return draw_parts(shares(count), seed)
 
 
 def draw_parts(parts: Mapping[str, int], seed: int) -> list[Case]:
-    """As many cases of each kind as `parts` says, in random order."""
+    """Draw the number of cases of each kind that `parts` gives, in random order."""
     rng = np.random.default_rng(seed)
     drawn = [case for kind, count in parts.items() for case in _of_kind(kind, count, rng)]
     order = rng.permutation(len(drawn))
@@ -71,7 +71,7 @@ def draw_parts(parts: Mapping[str, int], seed: int) -> list[Case]:
 
 
 def shares(count: int) -> dict[str, int]:
-    """Cases of each kind, `count` in all: largest remainders of the proportions of `PARTS`."""
+    """Number of cases of each kind, `count` in total, by largest remainders of the proportions of `PARTS`."""
     exact = {kind: count * part / sum(PARTS.values()) for kind, part in PARTS.items()}
     whole = {kind: int(share) for kind, share in exact.items()}
     for kind in sorted(exact, key=lambda one: whole[one] - exact[one])[: count - sum(whole.values())]:
@@ -93,13 +93,13 @@ def _of_kind(kind: str, count: int, rng: np.random.Generator) -> Iterator[Case]:
 
 
 _FADING = {name: entry for name, entry in SINGLES.items() if any(isinstance(one, Size) for one in entry.values())}
-"""Singles that vanish as their size does: those can be faint."""
+"""Single causes that vanish with their size, and can therefore be faint."""
 _TABLES = {"single": SINGLES, "faint": _FADING, "value": VALUES, "form": FORMS, "outside": OUTSIDE}
 _SIZES = {"pair": 2, "triple": 3}
 
 
 def _turns(kind: str, count: int, rng: np.random.Generator) -> list[str]:
-    """Names from the kind's table, each once before any comes again, in random order."""
+    """Names from the kind's table in random order, each once before any repeats."""
     names = list(_TABLES.get(kind, ()))
     turns: list[str] = []
     while names and len(turns) < count:
@@ -141,7 +141,7 @@ def _schedules(rng: np.random.Generator) -> dict[str, Schedule]:
 
 
 _FASTEST = {"sine": 2.0, "multisine": 0.8, "smooth_step": 1.2}
-"""Hz, the highest frequency by class of reference."""
+"""Highest frequency [Hz] by class of reference."""
 
 
 def _schedule(waveform: str, rng: np.random.Generator) -> Schedule:

@@ -27,13 +27,13 @@ _IDS = {
                    "dead_volume", "area_ratio", "wall_flexibility"),
 }  # fmt: skip
 SHARE = 0.1
-"""Of the mismatch: a place with less is not held against the location."""
+"""Share of the mismatch below which a place does not count against the location."""
 
 
 _BY_RATIO = ("valve_gain", "valve_gain_asymmetry", "bulk_modulus", "load_cell_gain", "spring_stiffness",
              "supply_pressure", "piston_area", "area_ratio", "dead_volume")  # fmt: skip
 _NEUTRAL = {**{(cause, "ratio"): 1.0 for cause in _BY_RATIO}, ("spring_rest", "position"): 0.04}
-"""Where a number does nothing, if that is not 0."""
+"""Neutral values other than 0."""
 
 
 def equations(cause: str) -> set[str]:
@@ -43,7 +43,7 @@ def equations(cause: str) -> set[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
-    """A number of a cause that was named rightly, against the truth."""
+    """Estimated parameter of a correctly named cause, with its true value."""
 
     cause: str
     name: str
@@ -54,18 +54,18 @@ class Estimate:
 
     @property
     def error(self) -> float:
-        """Relative to the true number."""
+        """Error relative to the true value."""
         return abs(self.value - self.truth) / abs(self.truth)
 
     @property
     def error_of_size(self) -> float:
-        """Relative to how far the true number is from doing nothing: of a ratio of 1.05, to 0.05."""
+        """Error relative to the true value's distance from neutral: for a ratio of 1.05, relative to 0.05."""
         return abs(self.value - self.truth) / abs(self.truth - _NEUTRAL.get((self.cause, self.name), 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Result:
-    """One case, what the diagnosis said, and what the true structure reaches."""
+    """One case, its diagnosis, and the errors of the true structure."""
 
     case: Case
     answer: Mapping[str, Any]
@@ -80,7 +80,7 @@ class Result:
 
     @property
     def verdict(self) -> str:
-        """The report's, or refused."""
+        """Verdict of the report, or `refused`."""
         return "refused" if self.refused else str(self.answer["report"]["verdict"])
 
     @property
@@ -90,30 +90,30 @@ class Result:
 
     @property
     def claimed(self) -> list[str]:
-        """Ids that are claimed."""
+        """Ids of the claims."""
         return [effect["id"] for effect in self.effects]
 
     @property
     def exact(self) -> bool:
-        """Exactly what is concealed is named, in its chamber, cell or sensor; for a clean bench: nothing is."""
+        """Whether exactly the concealed causes are named, in their chamber, cell or sensor; on a clean bench, none."""
         if self.case.kind == "clean":
             return self.verdict == "no_mismatch"
         return not self.refused and len(self.claims) == len(self.effects) and self.claims in names(self.case.effects)
 
     @property
     def claims(self) -> frozenset[Name]:
-        """What is claimed, and where."""
+        """Claims with their chamber, cell or sensor."""
         return frozenset((effect["id"], _place(effect["options"])) for effect in self.effects)
 
     @property
     def spurious(self) -> list[str]:
-        """Ids that are claimed and in no way of naming what is concealed."""
+        """Claimed ids that occur in no correct naming of the concealed causes."""
         allowed = frozenset().union(*names(self.case.effects))
         return sorted(cause for cause, place in self.claims if (cause, place) not in allowed)
 
     @property
     def admitted(self) -> bool:
-        """Says that something is there that it has no name for."""
+        """Whether the report states that an unnamed cause is present."""
         return self.verdict in ("modelled", "unknown", "partly_explained")
 
     @property
@@ -126,7 +126,7 @@ class Result:
 
     @property
     def located(self) -> bool:
-        """Every place that holds a tenth of the mismatch or more is an equation in which something is concealed."""
+        """Whether every place with a tenth of the mismatch or more is an equation in which a concealed cause acts."""
         causes = {cause for way in names(self.case.effects) for cause, _ in way} | set(self.case.outside)
         right = set().union(*(equations(cause) for cause in causes))
         found = {equation for equation, share in self.places.items() if share >= SHARE}
@@ -134,7 +134,7 @@ class Result:
 
     @property
     def passed(self) -> bool:
-        """What this kind of case asks for."""
+        """Whether the diagnosis meets the requirement of this kind of case."""
         if self.case.kind == "outside":
             return self.admitted and self.located and not self.claimed
         if self.case.kind == "faint":
@@ -143,7 +143,7 @@ class Result:
 
     @property
     def estimates(self) -> list[Estimate]:
-        """Numbers that truth and report name alike and that the recordings identify, if all causes are named."""
+        """Parameters that truth and report share and that the recordings identify, if all causes are named."""
         found = []
         alike = self.exact and {cause for cause, _ in self.claims} >= set(self.case.effects)
         for effect in self.effects if alike else ():

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 FAINTEST = 0.2
-"""Of `low`: where faint sizes begin."""
+"""Share of `low` at which faint sizes begin."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Size:
-    """A number whose distance from `neutral` is how large the effect is."""
+    """A parameter whose distance from `neutral` is the size of the effect."""
 
     low: float
     high: float
@@ -29,7 +29,7 @@ class Size:
     """Grid of the values; 0 for none."""
 
     def draw(self, rng: np.random.Generator, faint: bool) -> float:
-        """A value."""
+        """Draw a value."""
         low, high = (FAINTEST * self.low, self.low) if faint else (self.low, self.high)
         size = float(np.exp(rng.uniform(np.log(low), np.log(high)))) * int(rng.choice(self.signs))
         return self.neutral + (self.step * round(size / self.step) if self.step else size)
@@ -37,24 +37,24 @@ class Size:
 
 @dataclass(frozen=True)
 class Shape:
-    """A number that is no size: drawn evenly on a logarithmic scale."""
+    """A parameter other than the size, drawn evenly on a logarithmic scale."""
 
     low: float
     high: float
 
     def draw(self, rng: np.random.Generator, faint: bool) -> float:
-        """A value."""
+        """Draw a value."""
         return float(np.exp(rng.uniform(np.log(self.low), np.log(self.high))))
 
 
 @dataclass(frozen=True)
 class Pick:
-    """One of some words."""
+    """A choice among words."""
 
     words: tuple[str, ...]
 
     def draw(self, rng: np.random.Generator, faint: bool) -> str:
-        """A word."""
+        """Draw a word."""
         return str(rng.choice(self.words))
 
 
@@ -64,7 +64,7 @@ def values(entry: Mapping[str, Any], rng: np.random.Generator, *, faint: bool = 
 
 
 def size_of(entry: Mapping[str, Any], drawn: Mapping[str, Any]) -> tuple[str, float] | None:
-    """Name of the parameter that is the effect's size, and its distance from doing nothing; None if it has none."""
+    """Name of the effect's size parameter, and its distance from neutral; None if it has none."""
     for key, one in entry.items():
         if isinstance(one, Size):
             return key, abs(drawn[key] - one.neutral)
@@ -112,7 +112,7 @@ SINGLES: dict[str, dict[str, Any]] = {
     "force_offset": {"force": _signed(3.0, 30.0)},
     "sensor_lag": {"bandwidth": Shape(30.0, 90.0), "sensor": Pick(("hydraulic_force", "pressure_a", "pressure_b"))},
 }
-"""Causes with a name, in the form in which the table has them."""
+"""Named causes, in the form that the table has."""
 
 VALUES: dict[str, dict[str, Any]] = {
     "spring_stiffness": {"ratio": _ratio(0.015, 0.15)},

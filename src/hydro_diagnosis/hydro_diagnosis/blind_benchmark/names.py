@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The right names of what is concealed: mostly one, more where two sets of causes make the same bench exactly.
+"""Correct names of the concealed causes: several where different sets of causes give exactly the same bench.
 
-A spring's rest position moves the force on the mass and, by as much the other way, the reading of its load cell: of
-`force_offset`, `spring_rest` and a bias of the load cell any two make every bench that the three make. A dead band
-around a shifted null is a lopsided one around the old null. LuGre friction is friction with bristles.
+A spring's rest position shifts the force on the mass and, by the same amount in the opposite direction, the reading of
+its load cell: any two of `force_offset`, `spring_rest` and a bias of the load cell make every bench that all three do.
+A dead band around a shifted null is an asymmetric one around the old null. LuGre friction is friction with bristles.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ _BAND, _NULL = ("valve_deadband", ""), ("valve_offset", "")
 
 
 def names(effects: Mapping[str, Mapping[str, Any]]) -> list[frozenset[Name]]:
-    """All sets of causes that are the bench with these effects, its own first."""
+    """All sets of causes that are equivalent to these effects, the given set first."""
     own = frozenset((cause, next((str(values[key]) for key in PLACES if key in values), ""))
                     for cause, values in effects.items())  # fmt: skip
     ways = [own]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""After the seal is opened: the model with the true structure, its parameters fitted, against the same held-out run.
+"""Oracle fit, after the seal is opened: the true structure with fitted parameters, on the same held-out run.
 
-No diagnosis can be expected to predict better than this; what it lacks against it is what naming has cost. Where
-exactly what is concealed was named, the diagnosis has fitted the true structure itself: it is not done again.
+No diagnosis can be expected to predict better; the difference is the cost of naming. Where exactly the concealed
+causes were named, the diagnosis has fitted the true structure itself, and the fit is not repeated.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ KINDS = ("single", "faint", "value", "form", "pair", "triple")
 
 
 def rule(results: Sequence[Result], blind: Path, folder: Path, workers: int) -> list[Result]:
-    """The results with the held-out errors of the true structure; kept in `folder`, computed where missing."""
+    """Return results with the held-out errors of the true structure, computed where missing and kept in `folder`."""
     folder.mkdir(parents=True, exist_ok=True)
     judged = [result.case for result in results if result.case.kind in KINDS and not result.exact]
     missing = [case for case in judged if not (folder / f"{case.name}.json").exists()]

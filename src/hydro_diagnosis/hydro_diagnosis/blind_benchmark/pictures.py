@@ -54,7 +54,7 @@ def draw_confusion(matrix: dict[str, dict[str, int]], path: Path) -> None:
 
 
 def floors(results: Sequence[Result]) -> dict[str, float]:
-    """Detection floor by cause: the size at which evidence would just be enough, at least what is worth claiming.
+    """Detection floor by cause: the size at which evidence would just suffice, at least the smallest worth claiming.
 
     Evidence grows with the square of the size: floor = size sqrt(threshold / evidence), median over the cases in which
     the cause was concealed alone and named.

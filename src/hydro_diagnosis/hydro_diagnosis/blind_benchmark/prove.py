@@ -30,7 +30,7 @@ from hydro_diagnosis.blind_benchmark.standards import confusion, failures, stand
 from hydro_sim.model.bench import Bench
 
 SEALED, BLIND, OPENED = "sealed", "blind", "opened"
-"""Folders of a proof: answers; what the diagnosis sees and writes; what was computed once the seal was opened."""
+"""Folders of a proof: answers; input and output of the diagnosis; results computed once the seal was opened."""
 
 
 def parser() -> argparse.ArgumentParser:

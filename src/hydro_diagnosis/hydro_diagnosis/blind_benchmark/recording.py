@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of the cases by the emulator's command, in processes of their own: no code of the truth plant is needed.
+"""Recordings of the cases by the emulator's command, in separate processes: no code of the truth plant is needed.
 
-The truth is written into a temporary folder and gone before any diagnosis begins. A run that cannot be used is recorded
-again as an operator would (`retake`); that decision knows only the recording.
+The truth is written to a temporary folder, which is deleted before any diagnosis begins. A run that cannot be used is
+recorded again as an operator would (`retake`); that decision knows only the recording.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Run = tuple[Case, str]
 
 
 def record(cases: Sequence[Case], folder: Path, workers: int, until: float) -> bool:
-    """Record what is missing of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side.
+    """Record the missing runs of `cases` into `folder`/CASE/{run1, run2, run3, held}, side by side.
 
     Returns
     -------
@@ -51,7 +51,7 @@ def record(cases: Sequence[Case], folder: Path, workers: int, until: float) -> b
 
 
 def _record(cases: Sequence[Case], folder: Path, until: float) -> int:
-    """Record one slice; returns how many cases it was: none once time is up."""
+    """Record one slice; return the number of cases recorded, 0 once time is up."""
     if time.monotonic() > until:
         return 0
     runs = [(case, name) for case in cases for name in (*FITTED, HELD) if not whole(folder / case.name / name)]
@@ -85,14 +85,14 @@ def fresh(bag: Path) -> Path:
 
 
 def clear(bag: Path) -> Path:
-    """`fresh` with nothing there: what a Ctrl-C or a trip has left is removed."""
+    """Return `fresh`, emptied of what a Ctrl-C or a trip has left."""
     shutil.rmtree(fresh(bag), ignore_errors=True)
     bag.parent.mkdir(parents=True, exist_ok=True)
     return fresh(bag)
 
 
 def written(case: Case, name: str, attempt: Attempt, scratch: Path) -> dict[str, str]:
-    """Write truth, schedule and what the box is told for the emulator; returns their paths by option."""
+    """Write truth, schedule and the box's bench file for the emulator; return their paths by option."""
     files = {"truth": truth_of(case), "schedule": {"segments": [attempt.schedule(case.schedules[name])]}}
     box = attempt.box()
     if box is not None:
@@ -106,7 +106,7 @@ def written(case: Case, name: str, attempt: Attempt, scratch: Path) -> dict[str,
 
 
 def truth_of(case: Case) -> dict[str, Any]:
-    """The case as the emulator's truth file: the nominal bench, and what is concealed on top."""
+    """The case as the emulator's truth file: the nominal bench plus the concealed causes."""
     effects = {name: dict(values) for name, values in case.effects.items()}
     outside = {name: dict(values) for name, values in case.outside.items()}
     return {"profile": "nominal", "sensors": {"noise_scale": case.noise}, "effects": effects, "outside": outside}
@@ -125,5 +125,5 @@ def run_emulator(words: Sequence[str]) -> None:
 
 
 def whole(bag: Path) -> bool:
-    """Whether a recording was finished."""
+    """Return whether a recording was finished."""
     return (bag / "metadata.yaml").exists()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Retakes of unusable runs, decided from the run alone, as an operator would.
 
-First lower gains and a smaller reference. If the bench still trips or swings from stop to stop, the box is told of a
-stronger valve: its force law then compensates the velocity term by less than all of it, and the loop is damped again.
-What the box believed is none of the diagnosis' business, which reads the recorded valve current.
+First come lower gains and a smaller reference. If the bench still trips or swings from stop to stop, the box assumes a
+stronger valve: its force law then compensates the velocity term only in part, and the loop is damped again. The box's
+assumption does not concern the diagnosis, which reads the recorded valve current.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ SATURATED = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """How a run is tried."""
+    """Settings of one attempt at a run."""
 
     amplitude: float = 1.0
     """Share of the drawn reference's amplitude."""
     kp: float = 1e3
-    """1/s, the most that is used of what was drawn."""
+    """Upper limit [1/s] of the drawn K_p."""
     ki: float = 1e3
-    """1/s^2, likewise."""
+    """Upper limit [1/s^2] of the drawn K_i."""
     believed_flow: float = 1.0
-    """`valve_nominal_flow` that the box is told, over that of bench.yaml."""
+    """`valve_nominal_flow` that the box assumes, over that of bench.yaml."""
 
     def schedule(self, drawn: Mapping[str, Any]) -> dict[str, Any]:
         """Reference and gains of this attempt."""
@@ -46,7 +46,7 @@ class Attempt:
         return {**drawn, "amplitude": self.amplitude * drawn["amplitude"], **gains}
 
     def box(self) -> Bench | None:
-        """What the box is told; None: bench.yaml as it is."""
+        """Bench that the box assumes; None: bench.yaml unchanged."""
         if self.believed_flow == 1.0:
             return None
         bench = Bench.nominal()
@@ -60,11 +60,11 @@ ATTEMPTS = (
     Attempt(believed_flow=1.6, amplitude=0.6),
     Attempt(believed_flow=2.5, amplitude=0.6),
 )
-"""One after the other until a run can be used; the last one is kept in any case."""
+"""Tried in order until a run is usable; the last one is kept in any case."""
 
 
 def usable(bag: Path) -> bool:
-    """Whether the box did not trip, the valve hardly saturated, and the bench was not in its stops most of the time."""
+    """Return whether the box did not trip, the valve hardly saturated, and the stops were mostly left alone."""
     flags = read_bag(bag, topics=("/hydro/state",)).state["flags"]
     if (flags & Flag.TRIPPED).any() or np.mean((flags & Flag.SATURATED) > 0) > SATURATED:
         return False

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The answers under seal: written before anything is recorded, known by their digest, opened after the diagnosis.
+"""Sealed answers: written before anything is recorded, identified by their digest, opened after the diagnosis.
 
-The digest is of the answers' canonical JSON, so the same command gives the same digest again.
+The digest covers the answers' canonical JSON, so the same command reproduces it.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def close(cases: Sequence[Case], folder: Path) -> str:
 
 
 def opened(folder: Path, digest: str) -> list[Case]:
-    """The answers, if they are those that were sealed.
+    """Return the answers, if they match the seal.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The standards that the diagnosis is held to (diagnosis.md), each with its goal and what was reached."""
+"""Standards of the diagnosis (diagnosis.md), each with its goal and its result."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ def _times(table: Table, results: Sequence[Result]) -> None:
 
 
 def confusion(results: Sequence[Result]) -> dict[str, dict[str, int]]:
-    """Counts of what was said by what is concealed, over cases with one concealed cause or none."""
+    """Counts of diagnosed against concealed causes, over cases with one concealed cause or none."""
     matrix: dict[str, Counter[str]] = defaultdict(Counter)
     for result in results:
         names = [*result.case.effects, *result.case.outside] or ["nothing"]
@@ -143,7 +143,7 @@ def confusion(results: Sequence[Result]) -> dict[str, dict[str, int]]:
 
 
 def failures(results: Sequence[Result]) -> list[dict[str, Any]]:
-    """Cases that did not do what their kind asks for, with what was said about them."""
+    """Cases that missed the requirement of their kind, with their diagnosis."""
     return [
         {
             "case": result.case.name,

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Null simulations: the nominal bench, recorded and searched without a threshold, for the evidence of chance.
+"""Null simulations: the nominal bench, recorded and searched without a threshold, to measure evidence by chance.
 
-The bench as believed is recorded, and searched for the one claim that explains it best: its evidence is what choosing
-among all hypotheses makes of noise. Above a threshold that exceeds it nothing is claimed.
+The assumed bench is recorded and searched for the one claim that explains it best: its evidence is what the choice
+among all hypotheses makes of noise. With a threshold above that evidence, nothing is claimed.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Trial:
     noise: float
     """Scale of the sensors' noise."""
     evidence: float
-    """Of the best claim [BIC], below 0 where it does not pay its price; minus infinity if none is large enough."""
+    """Evidence of the best claim [BIC], below 0 where it does not pay its price; -infinity if none is large enough."""
     claim: str
 
 
@@ -113,12 +113,12 @@ def _upper(hits: int, count: int) -> float:
 
 
 def kept(path: Path, bench: Bench) -> dict[int, Trial]:
-    """Trials by seed that `keep` has written there; none if there is no such file.
+    """Load the trials by seed that `keep` has written; none if there is no such file.
 
     Raises
     ------
     UserError
-        They are of another bench or another version of the diagnosis: such trials do not add up. Or it is no such file.
+        If the trials are of another bench or version of the diagnosis and cannot be combined, or the file holds none.
     """
     if not path.exists():
         return {}
@@ -141,7 +141,7 @@ def _of(content: Mapping[str, Any], path: Path, bench: Bench) -> dict[int, Trial
 
 
 def keep(path: Path, bench: Bench, trials: Mapping[int, Trial], threshold: float) -> None:
-    """Write trials by seed, and what a threshold is worth by them; the file is whole at any time."""
+    """Write trials by seed and the threshold's statistics; the file is complete at any time."""
     entries: list[dict[str, Any]] = [{"seed": seed, **asdict(one)} for seed, one in sorted(trials.items())]
     for entry in entries:
         entry["evidence"] = entry["evidence"] if entry["evidence"] > -inf else None

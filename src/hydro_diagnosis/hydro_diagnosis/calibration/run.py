@@ -18,7 +18,7 @@ from hydro_sim.model.bench import Bench
 
 
 def calibrate(chosen: argparse.Namespace) -> int:
-    """Calibrate and print how good the threshold is; 130 after Ctrl-C before the first trial."""
+    """Calibrate and print the threshold's statistics; return 130 after Ctrl-C before the first trial."""
     if min(chosen.runs, chosen.jobs) < 1:
         raise UserError(f"--runs {chosen.runs} --jobs {chosen.jobs}: there must be one of each at least")
     bench = Bench.load(chosen.bench) if chosen.bench else Bench.nominal()

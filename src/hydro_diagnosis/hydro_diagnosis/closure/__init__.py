@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model for what no name explains: held-out evidence chooses its terms, a forward simulation admits it.
+"""Closures model what no named cause explains: held-out evidence selects their terms, a forward simulation admits them.
 
 May import `estimation`, `selection` and `validation`.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of a closure is handed back: it is simulated forward on held-out recordings, and must make no channel worse."""
+"""Admission of a closure: simulated forward on held-out recordings, it must make no channel worse."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from hydro_diagnosis.validation.heldout import Known
 from hydro_sim.model.laws import Law
 
 WORSE = 1.02
-"""Times the error of the names alone, from which a channel counts as worse: windows are few."""
+"""Ratio to the error of the names alone above which a channel counts as worse: windows are few."""
 WORTH = 0.05
 """Share of the held-out gap that a closure must close."""
 
 
 @dataclass(frozen=True)
 class Admitted:
-    """A closure that is handed back."""
+    """An admitted closure."""
 
     closed: Closed
     held: dict[str, Any]
-    """`fit` of report.json, with it."""
+    """`fit` of report.json, with the closure."""
     share: float
-    """Of the held-out gap, which it closes."""
+    """Share of the held-out gap that it closes."""
     error_by_form: dict[str, float | None]
     """By form that was tried: the share of the held-out gap that it closes; None: it made an error worse."""
 
@@ -45,7 +45,7 @@ def admitted(
     named: Mapping[str, Any],
     known: Known | None = None,
 ) -> Admitted | None:
-    """The first candidate that makes no held-out channel worse than the names alone do, or None.
+    """Return the first candidate that makes no held-out channel worse than the names alone do, or None.
 
     `unseen`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
     what has been simulated already.
@@ -62,7 +62,7 @@ def admitted(
 
 
 def share_closed(before: Mapping[str, Any], after: Mapping[str, Any]) -> float:
-    """Of what stands above the noise in the held-out channels' squared errors, over all channels."""
+    """Share closed of the held-out squared errors above the noise, over all channels."""
     gaps = [_gaps(one) for one in (before, after)]
     total = sum(gaps[0].values())
     return 1.0 - sum(gaps[1].values()) / total if total > 0.0 else 0.0
@@ -75,7 +75,7 @@ def _gaps(held: Mapping[str, Any]) -> dict[str, float]:
 
 
 def harmless(before: Mapping[str, Any], after: Mapping[str, Any]) -> bool:
-    """Whether no held-out error is more than `WORSE` times that of the names alone; one that is not finite is."""
+    """Return whether each held-out error is finite and at most `WORSE` times that of the names alone."""
     for part in ("holdout", "equations"):
         for name, one in after.get(part, {}).items():
             for key in ("rmse_after", "rmse_after_all"):

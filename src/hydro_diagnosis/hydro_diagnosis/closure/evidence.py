@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Evidence on blocks of time that are held out: what a term is worth where nothing was fitted to it.
+"""Evidence of closure terms on held-out blocks of time, by cross-validation.
 
 Residuals are linear in a term's numbers to first order. So four-fold cross-validation of any set of columns needs no
 further residual: each fold's products of all columns are summed once, by channel, and every set is solved from them.
@@ -18,7 +18,7 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 
 FOLDS = 4
 BLOCK = 1.0
-"""s, that are held out together: many times the memory of any residual."""
+"""Length of a held-out block [s]: many times the memory of any residual."""
 
 
 class HeldOutBlocks:
@@ -27,9 +27,9 @@ class HeldOutBlocks:
     Parameters
     ----------
     problem
-        What is explained.
+        The least-squares problem.
     found
-        Stands already; its numbers are estimated anew with each set.
+        The present fit; its parameters are estimated anew with each set.
     columns
         By candidate: derivatives of the residual, shape (n, numbers).
     """
@@ -68,7 +68,7 @@ class HeldOutBlocks:
 
 
 def column(problem: Problem, found: Fit, claim: Claim) -> FloatArray:
-    """Derivatives of the residual by a claim's amplitudes at nothing, in spans; shape (n, amplitudes)."""
+    """Derivatives of the residual by a claim's amplitudes at neutral, in spans; shape (n, amplitudes)."""
     slopes = []
     for one in claim.effect.parameters:
         if one.smallest > 0.0:  # the others are shapes: without an amplitude they change nothing

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which terms close what remains: a law of few terms if one does nearly as well as a smooth function, else that.
+"""Selection of closure terms: a law of few terms if it does nearly as well as a smooth function, else that function.
 
 Terms are added one after the other by what they gain on blocks of time that they were not fitted to (`evidence`); after
 each, all numbers, those of the names too, are estimated anew. Where such laws leave something, names and laws are
@@ -29,13 +29,13 @@ from hydro_sim.model.effects.catalogue import CLOSURES
 from hydro_sim.model.laws import Law
 
 TERMS = 3
-"""Of a law at most."""
+"""Largest number of terms of a law."""
 LEAST = 0.02
-"""Share of what there is to gain that a term must bring: less is mimicry of another's form."""
+"""Share of the possible gain that a term must bring: less is mimicry of another form."""
 CONDENSED = 0.05
-"""Share of what a smooth function gains that a law may lack of it."""
+"""Share of a smooth function's gain by which a law may fall short of it."""
 INSIDE = 0.1
-"""Percentiles that a table's variable leaves out at either end."""
+"""Percentiles of its variable that a table leaves out at either end."""
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,11 @@ class Closed:
     gain: float
     """Held-out deviance that it gains over the names alone."""
     problem: Problem
-    """As it is weighed for the fit."""
+    """The problem with the weights of the fit."""
 
 
 def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> list[Closed]:
-    """Models of what remains, the preferred first; none where no term holds on held-out blocks.
+    """Models of the remainder, the preferred first; none where no term holds on held-out blocks.
 
     `names`: causes that may stand beside a law though the judgement does not claim them.
     """

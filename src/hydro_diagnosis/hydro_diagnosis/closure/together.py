@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names and laws in one search: what only mimicked the law that was missing gives way, what it hid is found.
+"""Joint search of names and laws: names that only mimicked a missing law are dropped, causes that it hid are found.
 
-Where names alone leave something, the first of them may be there for want of a law, and a cause that is there may have
-been dropped with them. So the search of the names (`selection.search`) is made once more with laws among its
-candidates. Whatever stands must pay beside all others.
+Where names alone leave a remainder, the first of them may only stand in for a missing law, and a true cause may have
+been dropped with them. So the search of the names (`selection.search`) is repeated with laws among its candidates.
+Every claim that is kept must pay beside all others.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ from hydro_diagnosis.selection.search import Search
 THRESHOLD = 30.0
 """Deviance that a term must gain on held-out blocks, and any claim in evidence."""
 FORM_ERROR = SearchSettings().form_error
-"""Share of the signature of terms that stand already that their form may be off by: another must explain more."""
+"""Share of the present terms' signature that an error of their form may explain: another term must explain more."""
 SETTINGS = SearchSettings(restarts=2, effort=4000)
-"""Less than for names alone: a law that is missing is the first that it finds."""
+"""Less effort than for names alone: a missing law is found first."""
 
 
 def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) -> Fit:
@@ -68,9 +68,9 @@ def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:
 
 
 def mimics(problem: Problem, before: Fit, after: Fit) -> bool:
-    """Whether what comes after explains no more, in any channel, than the terms before may be off by in their form.
+    """Return whether the later fit explains no more, in any channel, than a form error of the earlier terms may.
 
-    Never so where something remains before and nothing after: a form that is off leaves something with any name.
+    Never so where something remains before and nothing after: a wrong form leaves a remainder under any name.
     """
     if noticeable(problem, before.residual) and not noticeable(problem, after.residual):
         return False

@@ -14,21 +14,21 @@ from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
 WINDOW = 10.0
-"""s."""
+"""Length of a window [s]."""
 _SPEEDS = np.array([-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1])
-"""m/s, edges between the velocities that are told apart: finer where friction changes its ways."""
+"""Edges of the velocity bins [m/s]: finer where friction changes most."""
 _OPENINGS = np.array([-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3])
-"""Edges between the currents that are told apart, shares of the largest."""
+"""Edges of the current bins, as shares of the largest current."""
 _PLACES = np.linspace(0.0, 1.0, 17)[1:-1]
-"""Edges between the positions (shares of the stroke) and pressure differences (shares of the supply) told apart."""
+"""Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
 _TIMES = 10
-"""Parts of the recordings that are told apart, so that what drifts is seen."""
+"""Parts of the recordings that are distinguished, so that drift is seen."""
 _THINNED = 5
-"""Every so many samples are counted."""
+"""Stride of the samples that are counted."""
 
 
 class Visits:
-    """How long each window stays where: counts over cells of position by velocity and of current by pressures."""
+    """Residence of each window: counts over cells of position by velocity and of current by pressures."""
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
@@ -61,7 +61,7 @@ class Visits:
 
 
 def select_informative_windows(visits: Visits, count: int, among: Sequence[int] | None = None) -> list[int]:
-    """At most `count` windows, chosen one by one: what grows most is the sum of the roots of all cells' counts."""
+    """Select at most `count` windows, each the one that most increases the sum of the roots of all cells' counts."""
     cells = visits.counts()
     open_ = list(range(len(cells)) if among is None else among)
     chosen: list[int] = []

@@ -22,13 +22,13 @@ from hydro_diagnosis.wiring.wiring import wiring_checked
 from hydro_sim.model.bench import Bench
 
 LONGEST = 100.0
-"""s of recordings that are fitted, and that are checked on; of more, the telling windows, and the report says so."""
+"""Longest time [s] that is fitted, and checked on; of more, the informative windows, and the report says so."""
 
 
 ENOUGH = 3.0
-"""s in which the piston must move."""
+"""Time [s] in which the piston must move."""
 STILL_FOR = 0.25
-"""s, over which it is seen whether the piston moves."""
+"""Time [s] over which motion of the piston is judged."""
 
 
 def load_dataset(
@@ -39,16 +39,16 @@ def load_dataset(
     *,
     as_wired: bool = False,
 ) -> tuple[list[Segment], list[Segment], list[str]]:
-    """Segments to fit, segments held out, and what was noted about their quality; `column_map`: see `read_table`.
+    """Return segments to fit, segments held out, and notes on their quality; `column_map`: see `read_table`.
 
-    `as_wired` goes on where channels contradict each other (`wiring`).
+    `as_wired` continues where channels contradict each other (`wiring`).
 
     Joblib reads the recordings one after the other unless `joblib.parallel_config` says otherwise.
 
     Raises
     ------
     InputError
-        If nothing of them can be diagnosed, or one is given twice: what is checked on must not be fitted.
+        If none of them can be diagnosed, or one is given twice: held-out data must not be fitted.
     """
     to_fit, notes = _read(recordings, bench, columns, as_wired)
     to_check, more_notes = _read(holdout, bench, columns, as_wired, spare=True)
@@ -60,7 +60,7 @@ def load_dataset(
 
 
 def _refuse_twice(recordings: list[Recording]) -> None:
-    """The noise of a sensor never comes again: recordings that share a stretch of it are copies of one another."""
+    """Refuse copies: a sensor's noise never repeats, so recordings that share a stretch of it are copies."""
     for (one, first), (other, second) in combinations([(one, _contents(one)) for one in recordings], 2):
         if first & second:
             which = (
@@ -82,7 +82,7 @@ def _contents(recording: Recording) -> set[str]:
 
 
 def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) -> None:
-    """A bench that trips at once and then stands shows half a second, in which everything explains everything.
+    """Refuse too little motion: a bench that trips at once shows half a second, which any hypothesis explains.
 
     `notes`: on what was discarded.
     """
@@ -114,7 +114,7 @@ def _saturation(segments: list[Segment], bench: Bench) -> list[str]:
 def _read(
     paths: Sequence[str | Path], bench: Bench, columns: ColumnMap | None, as_wired: bool, *, spare: bool = False
 ) -> tuple[list[Recording], list[str]]:
-    """Recordings that show something, and a note on each that does not.
+    """Recordings with information, and a note on each without.
 
     If none does, the first reason is raised, unless another recording can take their place (`spare`).
     """
@@ -175,7 +175,7 @@ def _parted(segments: list[Segment]) -> tuple[list[Segment], list[Segment]]:
 
 
 def _informative(segments: list[Segment], what: str, bench: Bench, quality: list[str]) -> list[Segment]:
-    """At most `LONGEST` seconds: the windows that tell most."""
+    """The most informative windows, `LONGEST` seconds at most."""
     total = sum(len(segment) * segment.step for segment in segments)
     if total <= LONGEST:
         return segments

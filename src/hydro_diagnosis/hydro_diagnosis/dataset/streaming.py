@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings too long to hold in memory: looked through in stretches, of which only the telling windows are kept.
+"""Streaming of recordings too long for memory: read in stretches, of which only the informative windows are kept.
 
-A bag is read twice. First every window of 10 s is judged by where it takes the bench, and forgotten; then those that
+A bag is read twice. First every window of 10 s is rated by the states that it visits, and released; then those that
 together visit most of position and velocity, of current and pressure, and of the recording's length, are read again.
 """
 
@@ -24,11 +24,11 @@ from hydro_diagnosis.recording import InputError, Recording, Segment, UnusableRe
 from hydro_sim.model.bench import Bench
 
 STRETCH = 60_000
-"""Samples that are looked at together."""
+"""Samples read at a time."""
 WHOLE = 5
-"""Stretches that are still held whole."""
+"""Largest number of stretches that are held whole."""
 FITTED, HELD = 10, 5
-"""Windows kept of the first two thirds, and of the last, which serves as what is held out where nothing else does."""
+"""Windows kept of the first two thirds, and of the last, which is held out where no other recording is."""
 NOTES = 5
 """Notes on the quality of single stretches that are passed on."""
 
@@ -48,9 +48,10 @@ def read_bag_within(
     columns: ColumnMap | None = None,
     inspected: Callable[[RawTable], RawTable] = lambda table: table,
 ) -> Recording:
-    """A recording that can be diagnosed, whole if it is short, else its telling windows.
+    """Read a recording that can be diagnosed, whole if it is short, else its informative windows.
 
-    `column_map` turns its fields (`table.mapped`); `inspected` sees its first stretches, may refuse it and add notes.
+    `column_map` is applied to its fields (`table.mapped`); `inspected` sees its first stretches, may refuse it and
+    add notes.
 
     Raises
     ------
@@ -72,7 +73,7 @@ def read_bag_within(
 
 
 def table_within(table: RawTable, bench: Bench) -> Recording:
-    """The same of a file that is held as it was read: what is checked and kept of it stays small.
+    """As `read_bag_within`, for a table that is held in memory: what is checked and kept of it stays small.
 
     Raises
     ------
@@ -88,7 +89,7 @@ def table_within(table: RawTable, bench: Bench) -> Recording:
 
 
 def _slices(table: RawTable, rows: int) -> Iterator[Stretch]:
-    """Views of a table, so many rows each; its notes come with the first."""
+    """Views of a table, `STRETCH` rows each; its notes come with the first."""
     for begin in range(0, len(table.time), rows):
         part = slice(begin, begin + rows)
         columns = {name: values[part] for name, values in table.columns.items()}
@@ -139,7 +140,7 @@ def _joined(path: Path, stretches: list[Stretch]) -> RawTable:
 
 @dataclass(frozen=True)
 class _Window:
-    """Where a window lies: which stretch, which of its segments, from which sample on."""
+    """Position of a window: its stretch, the segment in that, and the first sample."""
 
     stretch: int
     segment: int
@@ -149,7 +150,7 @@ class _Window:
 
 
 def _surveyed(stretches: Iterator[Stretch], bench: Bench) -> tuple[list[_Window], Visits, list[str], float]:
-    """Every window with where it takes the bench, notes, and the recording's length in s; the samples are forgotten."""
+    """Every window with the states that it visits, notes, and the recording's length [s]; the samples are released."""
     windows, visits, notes, reasons, idle, end = [], Visits(bench), [], [], 0, 0.0
     for number, stretch in enumerate(stretches):
         end = stretch.start + float(stretch.table.time[-1] - stretch.table.time[0])
@@ -178,7 +179,7 @@ def _cut(segment: Segment) -> Iterator[tuple[int, Segment]]:
 
 
 def _telling(recording: str, bench: Bench, stretches: Callable[[], Iterator[Stretch]]) -> Recording:
-    """The telling windows, found in a first pass and read again in a second."""
+    """The informative windows, found in a first pass and read again in a second."""
     windows, visits, notes, seconds = _surveyed(stretches(), bench)
     early = [k for k, window in enumerate(windows) if window.start < seconds * 2.0 / 3.0]
     late = [k for k in range(len(windows)) if k not in set(early)]

@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base class of effects: named causes with parameters that act on command, flows, forces or measurements.
 
-Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same
-hooks serve
-the regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes through
-`Memory`, which either filters a whole record or advances one step.
+Every hook works on arrays of any shape and returns what it was given if the effect does not act there. The same hooks
+serve the regression (arrays run over time) and the forward simulation (arrays run over windows): what has memory goes
+through `Memory`, which either filters a whole record or advances one step.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ FloatArray = npt.NDArray[np.float64]
 Values = Mapping[str, float]
 
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
-"""The blocks of residuals that an effect can touch; only those are computed anew when its parameters change."""
+"""The blocks of residuals that an effect can touch; only those are recomputed when its parameters change."""
 
 
 def changed(bench: Bench, **values: float | None) -> Bench:
@@ -38,7 +37,7 @@ def changed(bench: Bench, **values: float | None) -> Bench:
 
 @dataclass(frozen=True, kw_only=True)
 class FitParameter:
-    """One number of an effect: where it may lie, where it does nothing, and from where on it matters."""
+    """Parameter of an effect: bounds, neutral value, and smallest size worth claiming."""
 
     name: str
     unit: str
@@ -47,11 +46,11 @@ class FitParameter:
     neutral: float
     """Value at which the effect vanishes (for shape parameters: the usual value)."""
     probes: tuple[float, ...]
-    """Values at which the search looks first, in the interior."""
+    """Start values of the search, within the bounds."""
     smallest: float = 0.0
     """Distance from `neutral` below which a difference is not worth claiming; 0 for shape parameters."""
     systematic: float = 0.003
-    """Of a shape parameter: share of its value that the residuals' own discretisation may be off by."""
+    """For a shape parameter: relative error that the residuals' own discretisation may cause."""
     reported: bool = True
     """False for shape parameters that are fitted but not part of the contract."""
 
@@ -92,7 +91,7 @@ class Openings:
 
 @dataclass(frozen=True)
 class Oil:
-    """What drives the chambers' pressures at one instant or over one sample."""
+    """Inputs of the chambers' pressures at one instant or over one sample."""
 
     time: FloatArray
     position: FloatArray
@@ -103,7 +102,7 @@ class Oil:
 
 @dataclass
 class Kinematics:
-    """What forces depend on."""
+    """Motion and pressures that forces depend on."""
 
     time: FloatArray
     position: FloatArray
@@ -120,15 +119,15 @@ class Effect:
     """
 
     options: Mapping[str, str] = field(default_factory=dict)
-    """Which chamber, which sensor, which form; part of the report, except `form`."""
+    """Chamber, sensor or form; part of the report, except `form`."""
     reference: float = nan
     """The bench file's value, for effects whose parameter is the true value itself."""
 
     id: ClassVar[str] = ""
     named: ClassVar[bool] = True
-    """Whether the table has it; what it does not have is tried, but never claimed."""
+    """Whether it is in the table; other effects are tried, but never claimed."""
     equations: ClassVar[tuple[str, ...]] = ()
-    """Where it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
+    """Equations in which it acts, the main one first: pressure_a, pressure_b, motion, load, actuation, sensor."""
     touches: ClassVar[frozenset[str]] = frozenset()
     parameters: ClassVar[tuple[FitParameter, ...]] = ()
     stage: ClassVar[int] = 1
@@ -151,7 +150,7 @@ class Effect:
         return ":".join([self.id, *self.options.values()])
 
     def sentence(self, values: Values) -> str:
-        """What it is, in words for a person at the bench."""
+        """Description of the effect for a person at the bench."""
         raise NotImplementedError
 
     def adapted(self, bench: Bench) -> Effect:
@@ -191,7 +190,7 @@ class Effect:
 
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        """Flow [m3/s] into chamber A and into chamber B, where it hangs on more than the pressures."""
+        """Flow [m3/s] into chamber A and into chamber B, where it depends on more than the pressures."""
         return flows
 
     def drag(self, level: FloatArray, motion: Kinematics, values: Values) -> FloatArray:
@@ -212,7 +211,7 @@ class Effect:
         return signal
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        """True signal from a reading, as far as that can be undone."""
+        """True signal from a reading, as far as the sensor can be inverted."""
         return reading
 
 
@@ -224,5 +223,5 @@ class Claim:
     values: Values
 
     def to_mapping(self) -> dict[str, Any]:
-        """As it stands in corrected.yaml."""
+        """Return the entry of corrected.yaml."""
         return {"id": self.effect.id, **self.effect.options, "parameters": dict(self.values)}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws and tables of `hydro_sim.model.grammar` as effects: fitted and simulated like named causes, never called one."""
+"""Laws and tables of `hydro_sim.model.grammar` as effects: fitted and simulated like named causes, but never named."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
 _SPLINES = np.arange(-2.0, KNOTS + 2.0)
 """Knots of a table's cubic B-splines, which peak at 0 to `KNOTS` - 1."""
 _REACH = 1e4
-"""Times the typical size of a coefficient: how far it may go."""
+"""Bound of a coefficient, as a multiple of its typical size."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Closure(Effect):
 
     law: Law | Table = grammar.LAWS[0]
     limits: tuple[float, float] = (0.0, 1.0)
-    """Of a table's variable, SI unit."""
+    """Limits of a table's variable, SI unit."""
     numbers: Bench | None = None
     """The bench, once it is adapted."""
 
@@ -68,7 +68,7 @@ class Closure(Effect):
 
     @property
     def element(self) -> Element | None:
-        """What the term remembers."""
+        """Memory element of the term."""
         return self.law.element if isinstance(self.law, Law) else None
 
     @property
@@ -88,14 +88,14 @@ class Closure(Effect):
         return replace(self, numbers=bench)
 
     def nothing(self) -> list[dict[str, float]]:
-        """Values at which the term gives nothing: one set for each probe of what it remembers over."""
+        """Values at which the term vanishes: one set for each probe of its memory's length."""
         still = {one.name: 0.0 for one in self.parameters}
         if self.element is None:
             return [still]
         return [{**still, self.element.number: probe} for probe in self.element.probes]
 
     def to_closure(self, values: Values) -> dict[str, Any]:
-        """As it stands under `closures` in corrected.yaml."""
+        """Return the entry under `closures` in corrected.yaml."""
         bounds = {} if isinstance(self.law, Law) else dict(zip(("low", "high"), self.limits, strict=True))
         return {"equation": self.law.equation, "form": self.law.form, "parameters": {**bounds, **values}}
 
@@ -145,7 +145,7 @@ class Closure(Effect):
         return replace(at, memory=memory.bristle(self.label, signal, 1.0 / over, np.ones_like(signal)))
 
     def given(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
-        """What the term gives, in the unit of its equation."""
+        """Value of the term, in the unit of its equation."""
         if isinstance(self.law, Law):
             return np.asarray(self.law.value(at, bench or self.numbers, [*values.values()]))
         spline = BSpline.construct_fast(_SPLINES, np.array([*values.values()]), 3)  # `Table.value`, many times faster

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The oil: a wrong bulk modulus, air in it."""
+"""Effects of the oil: wrong bulk modulus, entrained air."""
 
 from __future__ import annotations
 

@@ -21,9 +21,9 @@ from hydro_diagnosis.effects.base import (
 from hydro_sim.model.bench import Bench
 
 STROKE = 0.08
-"""m, until a cushion is told of its bench."""
+"""Stroke [m] of a cushion that is not yet adapted to a bench."""
 SLIP_VELOCITY = 3e-4
-"""m/s, over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
+"""Velocity [m/s] over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder."""
 
 
 def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), smallest: float = 0.3) -> FitParameter:
@@ -31,7 +31,7 @@ def _force(name: str, *, low: float = 0.0, probes: tuple[float, ...] = (10.0,), 
 
 
 def down_to_nothing(of_bench: float, otherwise: float) -> float:
-    """The lowest change that leaves something of the bench's value."""
+    """Return the lowest change that leaves the bench's value above zero."""
     return -otherwise if isnan(of_bench) else -of_bench
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Oil that goes where it should not: between the chambers, out of a chamber."""
+"""Leakage between the chambers and out of a chamber."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _COEFFICIENT = FitParameter(
 
 
 MEETING_POINT = 5e6
-"""Pa, where leaks of other forms pass as much as the laminar one: about the middle of what seals see."""
+"""Pressure drop [Pa] at which leaks of all forms pass as much as the laminar one: the middle of a seal's range."""
 
 
 class LeakageInternal(Effect):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The load: the spring's stiffness, hardening, lost motion."""
+"""Effects of the load: the spring's stiffness and hardening, lost motion, rest position."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dahl's element along a path: a force that follows the direction of motion over a distance, never overshooting it."""
+"""Dahl's element along a path: a force that follows the direction of motion over a distance, without overshoot."""
 
 from __future__ import annotations
 

@@ -111,7 +111,7 @@ class SensorLag(_Sensor):
 
     @property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
-        """Of a pressure sensor, bandwidth and damping trade off against each other: only 2 D/w is known better."""
+        """Parameters; for a pressure sensor, bandwidth and damping trade off: only 2 D/w is known better."""
         share = 0.03 if self.channel.startswith("pressure") else 0.01
         return (
             FitParameter(name="bandwidth", unit="Hz", low=2.0, high=400.0, neutral=400.0, probes=(15.0, 40.0, 120.0),

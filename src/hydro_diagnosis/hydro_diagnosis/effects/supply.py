@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The supply: its pressure falls with the flow that is drawn from it."""
+"""Supply droop: the supply pressure falls with the flow that is drawn."""
 
 from __future__ import annotations
 

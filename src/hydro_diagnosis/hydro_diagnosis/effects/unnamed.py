@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Causes without a name in the table that look like one with a name: tried like all others, but never claimed.
+"""Unnamed causes that resemble a named one: tried like all others, but never claimed.
 
-Where one of them explains the recordings best, the verdict is that something unnamed is there, and what it looks like.
+Where one of them explains the recordings best, the verdict is an unnamed cause, with what it resembles.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, Values,
 from hydro_sim.model.bench import Bench
 
 _LEVEL = 5e6
-"""Pa, where the chambers' pressures stand: over the bulk modulus, how much more oil a wider hose holds."""
+"""Typical pressure [Pa] of the chambers: over the bulk modulus, the additional oil that a wider hose holds."""
 
 
 class WideningHoses(Effect):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The valve's static side: overlap, null shift, gain, asymmetry, wear, drift."""
+"""Static effects of the valve: overlap, null shift, gain, asymmetry, wear, drift."""
 
 from __future__ import annotations
 

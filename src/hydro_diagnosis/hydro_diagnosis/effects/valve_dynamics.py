@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The valve's dynamic side: dead time of the command, the spool's lag."""
+"""Dynamic effects of the valve: dead time of the command, lag of the spool."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ from hydro_diagnosis.estimation.responses import UNIT_SIZE, Responses
 from hydro_diagnosis.model.segment_model import SegmentModel
 
 KNOTS = 24
-"""Of each function; of time: per recording."""
+"""Knots of each function; of time: per recording."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ _INPUTS = (
 
 
 def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
-    """Every free-form input beside the named causes, the most telling first."""
+    """Every free-form input beside the named causes, the most informative first."""
     weight = np.sqrt(1.0 / spreads(problem, found.residual))[problem.layout.channel]
     named = found.jacobian * weight[:, None]
     left = found.residual * weight

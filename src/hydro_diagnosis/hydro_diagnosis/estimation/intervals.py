@@ -2,12 +2,10 @@
 """Confidence intervals of parameters: 95 % by profile likelihood, widened by systematic errors.
 
 A parameter is moved, all others are fitted anew, and the deviance must rise by 3.84. Residuals are not quite
-independent
-and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to the
-curvature
-(the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part covers the
-residuals' own discretisation, a fraction of the smallest size worth claiming, noise in what a parameter multiplies, and
-rows that were not recorded.
+independent and not quite Gaussian, so the rise is scaled by the ratio of the scores' covariance over blocks of time to
+the curvature (the sandwich); where a remainder is left unexplained that ratio grows by itself. The systematic part
+covers the residuals' own discretisation, a fraction of the smallest size worth claiming, noise in what a parameter
+multiplies, and rows that were not recorded.
 """
 
 from __future__ import annotations
@@ -25,7 +23,7 @@ from hydro_diagnosis.estimation.unrecorded_rows import shifts
 
 QUANTILE = 1.96
 SYSTEMATIC = 0.03
-"""Of a parameter's smallest size worth claiming; shapes say theirs themselves: `FitParameter.systematic`."""
+"""Share of a parameter's smallest size worth claiming; shapes have their own: `FitParameter.systematic`."""
 _BLOCK = 0.25
 
 
@@ -40,7 +38,7 @@ class Interval:
 
 
 def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
-    """The fit without claims whose intervals hold nothing, and the intervals of those that stand."""
+    """Return the fit without claims whose intervals include neutral, and the intervals of those that remain."""
     while True:
         bounds, standing, k = intervals(problem, found), [], 0
         for claim in found.claims:
@@ -56,13 +54,13 @@ def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
 
 
 def all_hold(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
-    """Whether no claim's interval holds that it is not there; `bounds` of all parameters, in the order of `pack`."""
+    """Return whether no claim's interval includes its absence; `bounds` of all parameters, in the order of `pack`."""
     at = np.cumsum([0, *(len(claim.effect.parameters) for claim in claims)])
     return not any(_holds_nothing(claim, bounds[at[k] : at[k + 1]]) for k, claim in enumerate(claims))
 
 
 def _holds_nothing(claim: Claim, bounds: Sequence[Interval]) -> bool:
-    """Whether the effect may as well not be there: so for each amplitude, or the first shape where there is none."""
+    """Return whether the effect may be absent: so for each amplitude, or the first shape where there is none."""
     pairs = list(zip(claim.effect.parameters, bounds, strict=True))
     telling = [(one, bound) for one, bound in pairs if one.smallest > 0.0] or pairs[:1]
     return all(bound.low <= one.neutral <= bound.high for one, bound in telling)

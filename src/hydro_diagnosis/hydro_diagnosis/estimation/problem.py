@@ -20,13 +20,13 @@ from hydro_sim.model.bench import Bench
 
 CHANNELS = ("pressure_a", "pressure_b", "motion", "load", "hydraulic")
 LEVEL = 1.0
-"""s, over which what missing rows may hide is averaged."""
+"""Averaging time [s] of the error that missing rows may hide."""
 _CACHE = 24
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Which entries of a residual vector belong to which channel: `channel[i]` indexes `CHANNELS`."""
+    """Assignment of a residual vector's entries to channels: `channel[i]` indexes `CHANNELS`."""
 
     channel: np.ndarray[Any, np.dtype[np.int64]]
     segment: np.ndarray[Any, np.dtype[np.int64]]
@@ -38,7 +38,7 @@ class Layout:
 
 
 class Problem:
-    """Segments, the bench that is believed, and claims that stand already (`baseline`).
+    """Segments, the assumed bench, and claims that are already made (`baseline`).
 
     `like`: the same segments with more rows, whose judged samples are judged here too.
     """
@@ -60,20 +60,20 @@ class Problem:
         self.sensor_noise = noise or sensor_noise(self.models)
         self._noises = [residual_noise(self.sensor_noise, bench, model.step * model.spacing) for model in self.models]
         self.noise = self._noises[0]
-        """Of the first segment's residuals; those of others differ where the logger's rate does (`deviation`)."""
+        """Noise of the first segment's residuals; those of others differ where the logger's rate does (`deviation`)."""
         thinner = [segment.thinner or segment for segment in segments]
         lacking = like is None and any(segment.thinner for segment in segments)
         self.thinner = Problem(thinner, bench, baseline, self.sensor_noise, self) if lacking else None
-        """The same from half of the rows where rows are missing; None where none are."""
+        """The same problem from half of the rows where rows are missing; None where none are."""
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
         self._doubt: list[FloatArray] = []
         self._unseen: dict[tuple[str, int], FloatArray] = {}
         """By channel and segment: what the rows that are missing may hide, shape of the residuals, physical unit."""
         self.evaluations = 0
-        """How often `residual` was called: the currency of a search's effort."""
+        """Number of calls of `residual`: the measure of a search's effort."""
         self.doubted: tuple[float, ...] = ()
-        """Tells one doubt from another: its sum per segment; nothing but zeros without any."""
+        """Identifies the present doubt: its sum per segment, all zeros without any."""
         checked = PRESSURE in self.blocks
         self._flows = [model.pressure_doubt(self.sensor_noise) for model in self.models] if checked else []
         self.update_weights(())
@@ -105,7 +105,7 @@ class Problem:
         self.doubted = tuple(float(np.sum(doubt)) for doubt in (*self._doubt, *self._unseen.values()))
 
     def _changes(self, claims: Sequence[Claim]) -> dict[tuple[str, int], FloatArray]:
-        """By how much each residual changes if half of the rows are left out, physical unit."""
+        """Change of each residual if half of the rows are left out, physical unit."""
         fewer = self.thinner.parts(claims) if self.thinner is not None else self.parts(claims)
         return {key: fewer[key] - part for key, part in self.parts(claims).items()}
 
@@ -116,7 +116,7 @@ class Problem:
         return np.asarray(np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest")))
 
     def change(self, claims: Sequence[Claim]) -> FloatArray:
-        """By how much each residual changes if half of the rows are left out, over its deviation."""
+        """Change of each residual if half of the rows are left out, over its deviation."""
         changes = self._changes(claims).items()
         return np.concatenate([change / self.deviation(*key) for key, change in changes])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A quick look at every candidate: how much it could explain of what the present fit leaves over, to first order."""
+"""Score test: how much of the present fit's residual each candidate could explain, to first order."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def allowed(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence
 
 
 def cause(effect: Effect) -> tuple[str, ...]:
-    """What tells one cause from another: id and options, but not the form unless it has no name."""
+    """Key that identifies a cause: id and options, but not the form unless it has no name."""
     telling = {key: value for key, value in effect.options.items() if key != "form" or not effect.named}
     return (effect.id, *(f"{key}={value}" for key, value in telling.items()))
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What rows that a logger did not record cost a claim: by how much half of the rows that there are would change it.
+"""Cost of unrecorded rows to a claim, estimated by leaving out half of the recorded ones.
 
-The error of what is interpolated falls as rows come closer, so what the step from half of the rows to all of them
-changes is no less than what the step to rows without a gap would (Richardson 1911, at order 0).
+The interpolation error falls with the spacing of the rows, so the change from half of the rows to all of them is no
+less than the change from there to rows without a gap (Richardson 1911, at order 0).
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
 
 MUCH = 10.0
-"""Times its smallest size worth claiming that a cause may hide without being listed."""
+"""Multiple of its smallest size worth claiming that a cause may hide without being listed."""
 _PROBES = 3
 """Values at which each cause is tried."""
 
 
 def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
-    """By how much each claim's parameters move if half of the rows are left out, to first order; 0 if none lack.
+    """Shift of each claim's parameters if half of the rows are left out, to first order; 0 if none are missing.
 
     Returns
     -------
@@ -41,7 +41,7 @@ def shifts(problem: Problem, found: Fit) -> list[FloatArray]:
 
 
 def untold(problem: Problem, found: Fit, library: Sequence[Effect], threshold: float) -> str | None:
-    """Which causes could hide in the rows that are missing, from which size on they would show; None if none lack.
+    """Causes that could hide in missing rows, with the size from which they would show; None if none are missing.
 
     `threshold`: evidence in units of BIC that a claim needs beyond its parameters' price.
     """

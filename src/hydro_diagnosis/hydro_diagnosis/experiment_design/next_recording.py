@@ -39,7 +39,7 @@ def catalog() -> Iterator[ReferenceSignal]:
 
 
 def next_recording(problem: Problem, outcome: Outcome, assessment: Assessment) -> dict[str, Any] | None:
-    """The recording that separates the closest pair of rivals; None if all are told apart."""
+    """The recording that separates the closest pair of rivals; None if all are distinguished."""
     pair = _closest(problem, outcome, assessment)
     if pair is None:
         return None

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of the believed bench, made here: to rehearse a recording before it is proposed, and to calibrate on.
+"""Synthetic recordings of the assumed bench, to rehearse a recording before it is proposed and to calibrate on.
 
 The plant is `hydro_sim.model.plant.AnalyticPlant` with the box's own force law; it knows nothing of the effects.
 """

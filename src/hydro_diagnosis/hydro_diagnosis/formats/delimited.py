@@ -22,7 +22,7 @@ from hydro_diagnosis.formats.file_columns import Columns, named_like_time, runs_
 from hydro_diagnosis.formats.text_header import Header, header_of, numeric_cells
 
 _HEAD = 1 << 16
-"""Bytes that are looked at to find out how a file is written."""
+"""Bytes inspected to detect a file's format."""
 _SEPARATORS = (";", "\t", ",")
 _TEXT = re.compile(r"^[\s\"]*(?!nan\b|inf\b)[A-Za-z_\[#%]", re.IGNORECASE)
 """A line that begins with a word: what stands above a block of numbers."""
@@ -55,7 +55,7 @@ def delimited_columns(path: Path) -> Columns:
 
 
 def _encoding(head: bytes) -> str:
-    """By the byte order mark; without one UTF-8 if it can be, else what Windows writes in Western Europe."""
+    """Encoding by the byte order mark; without one UTF-8 if valid, else the code page of Windows in Western Europe."""
     marks = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
     for mark, encoding in marks.items():
         if head.startswith(mark):
@@ -181,7 +181,7 @@ def _filled(values: FloatArray) -> npt.NDArray[np.bool_]:
 
 
 def _thinned(values: FloatArray, times: FloatArray) -> bool:
-    """Whether a column has a number in every so many rows only: sampled less often than the times beside it."""
+    """Return whether a column has a number in every so many rows only: sampled less often than the times beside it."""
     sampled = np.flatnonzero(np.isfinite(values[np.isfinite(times)]))
     if len(sampled) < 3 or len(sampled) > 0.7 * np.count_nonzero(np.isfinite(times)):
         return False

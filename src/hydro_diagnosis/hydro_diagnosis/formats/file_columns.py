@@ -19,7 +19,7 @@ _TIME = re.compile(
 
 @dataclass(frozen=True)
 class Columns:
-    """What a file holds."""
+    """Columns and single numbers of a file."""
 
     series: Mapping[str, FloatArray]
     """Columns by name, each of shape (n,); n may differ between clocks."""
@@ -32,16 +32,16 @@ class Columns:
     clocks: Mapping[str, str] = field(default_factory=dict)
     """By column, the name of the column that holds its times; none for a table in which every row is one instant."""
     notes: tuple[str, ...] = ()
-    """What has to be known about these times, one sentence each."""
+    """Notes on these times, one sentence each."""
 
 
 def named_like_time(name: str) -> bool:
-    """Whether a column's name says that it is the time."""
+    """Return whether a column's name says that it is the time."""
     return _TIME.match(name.strip()) is not None
 
 
 def runs_forward(values: FloatArray) -> bool:
-    """Whether the numbers grow from each row to the next but for rare exceptions, as times do."""
+    """Return whether the numbers grow from each row to the next but for rare exceptions, as times do."""
     steps = np.diff(values[np.isfinite(values)])
     return len(steps) > 0 and float(np.mean(steps > 0.0)) > 0.9
 
@@ -49,7 +49,7 @@ def runs_forward(values: FloatArray) -> bool:
 def with_clocks_of_equal_length(
     series: Mapping[str, FloatArray], constants: Mapping[str, float], other: tuple[str, ...], units: Mapping[str, str]
 ) -> Columns:
-    """Columns of several lengths: those that share it with one column of times have that one as their clock.
+    """Assign clocks to columns of several lengths: the one column of times of the same length.
 
     The time beside a column, in the same struct or group, comes before one elsewhere. Columns of one length need no
     clock; of several lengths, the longest does without, and what has neither is listed under `other`.
@@ -72,7 +72,7 @@ def with_clocks_of_equal_length(
 
 
 def _kinship(one: str, other: str) -> int:
-    """How many leading parts of two dotted names are the same."""
+    """Number of leading parts that two dotted names share."""
     parts = zip(one.split(".")[:-1], other.split(".")[:-1], strict=False)
     count = 0
     for mine, yours in parts:

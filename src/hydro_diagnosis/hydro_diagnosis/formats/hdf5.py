@@ -18,7 +18,7 @@ _UNIT_KEYS = ("unit", "units", "Unit", "Units", "unit_string")
 
 
 def is_hdf5(path: Path) -> bool:
-    """Whether a file is HDF5, whatever its name; a MATLAB 7.3 file is, behind a header of 512 bytes."""
+    """Return whether a file is HDF5, whatever its name; a MATLAB 7.3 file is, behind a header of 512 bytes."""
     return bool(h5py.is_hdf5(str(path)))
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that are not bags, as named columns and single numbers, each format by a module of its own."""
+"""Importers of files that are not bags, as named columns and single numbers; one module per format."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def _parquet(path: Path) -> Columns:
 
 
 def _mat(path: Path) -> Columns:
-    """Of MATLAB 7.3 on a .mat file is HDF5."""
+    """Read a .mat file; from MATLAB 7.3 on it is HDF5."""
     return hdf5_columns(path) if is_hdf5(path) else matlab_columns(path)
 
 

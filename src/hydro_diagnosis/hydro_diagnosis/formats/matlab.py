@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""MATLAB files up to version 7, and what dSPACE ControlDesk writes into them."""
+"""MATLAB files up to version 7, including exports of dSPACE ControlDesk."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def _leaves(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _is_capture(value: Any) -> bool:
-    """Whether a struct is what ControlDesk exports: axes X and signals Y, each with Name and Data."""
+    """Return whether a struct is what ControlDesk exports: axes X and signals Y, each with Name and Data."""
     if not isinstance(value, Mapping) or not {"X", "Y"} <= set(value):
         return False
     return all({"Name", "Data"} <= set(one) for one in (*_listed(value["X"]), *_listed(value["Y"])))

@@ -14,7 +14,7 @@ from hydro_diagnosis.formats.units import known
 from hydro_diagnosis.recording import InputError
 
 NEEDED = "asammdf==8.8.28"
-"""What reads MDF."""
+"""Package that reads MDF."""
 
 
 def mdf_columns(path: Path) -> Columns:

@@ -32,9 +32,9 @@ class Header:
     lead: int
     """Cells before the first number of a row: 1 where the rows begin with a key."""
     names: tuple[str, ...]
-    """Of the columns, none twice."""
+    """Names of the columns, each unique."""
     units: tuple[str, ...]
-    """As `units.UNITS` spells them; empty where none is stated."""
+    """Units as `units.UNITS` spells them; empty where none is stated."""
 
 
 def header_of(lines: list[str], separator: str, decimal: str) -> Header:
@@ -60,7 +60,7 @@ def header_of(lines: list[str], separator: str, decimal: str) -> Header:
 
 
 def numeric_cells(line: str, separator: str, decimal: str) -> int:
-    """How many cells of a line are numbers; 0 where there are not two at least."""
+    """Number of numeric cells in a line; 0 where there are fewer than two."""
     cells = next(iter(csv.reader([line.replace("\0", "")], delimiter=separator)), [])
     count = sum(_is_number(cell.strip(), decimal) for cell in cells)
     return count if len(cells) > 1 else 0
@@ -72,7 +72,7 @@ def _is_number(cell: str, decimal: str) -> bool:
 
 
 def _numbers_begin(rows: list[list[str]], at: int, decimal: str) -> bool:
-    """Whether this row and those below are numbers; only its own first cell may be a key."""
+    """Return whether this row and those below are numbers; only its own first cell may be a key."""
     below = [row for row in rows[at + 1 : at + 1 + _FOLLOWING] if any(row)]
     keyed = bool(rows[at]) and bool(rows[at][0]) and not _is_number(rows[at][0], decimal) and _led(rows, at)
     here = rows[at][1:] if keyed else rows[at]
@@ -80,7 +80,7 @@ def _numbers_begin(rows: list[list[str]], at: int, decimal: str) -> bool:
 
 
 def _led(rows: list[list[str]], at: int) -> bool:
-    """Whether the rows below begin with an empty cell, the first of them at least."""
+    """Return whether the rows below begin with an empty cell, the first of them at least."""
     return at + 1 >= len(rows) or not rows[at + 1] or rows[at + 1][0] == ""
 
 
@@ -91,7 +91,7 @@ def _mostly_numbers(row: list[str], decimal: str) -> bool:
 
 
 def _ends_empty(rows: list[list[str]]) -> bool:
-    """Whether rows end with a separator behind which nothing stands."""
+    """Return whether rows end with a separator behind which nothing stands."""
     return all(not row or row[-1] == "" for row in rows)
 
 
@@ -112,7 +112,7 @@ def _plain(above: list[list[str]], width: int, decimal: str) -> tuple[list[str],
 
 
 def _are_units(row: list[str]) -> bool:
-    """Whether a row holds units: most are known, or all stand in brackets."""
+    """Return whether a row holds units: most are known, or all stand in brackets."""
     cells = [cell for cell in row if cell and cell not in ("-", "[-]")]
     bracketed = all(cell[0] in "[(" and cell[-1] in "])" for cell in cells)
     return not cells or bracketed or 2 * sum(bool(known(cell)) for cell in cells) > len(cells)

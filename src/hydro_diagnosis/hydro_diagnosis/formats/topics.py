@@ -15,11 +15,11 @@ from hydro_diagnosis.formats.file_columns import Columns
 from hydro_diagnosis.recording import InputError
 
 _UNITS = {"sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa")}
-"""Of types that say which unit they hold."""
+"""Units of message types that define one."""
 
 
 def has_states(path: Path) -> bool:
-    """Whether a bag holds /hydro/state.
+    """Return whether a bag holds /hydro/state.
 
     Raises
     ------

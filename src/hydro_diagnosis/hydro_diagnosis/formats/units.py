@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Units that loggers write, and what each of them measures."""
+"""Units that loggers write, with factor and quantity."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _BY_QUANTITY: dict[str, dict[str, float]] = {
 }  # fmt: skip
 
 UNITS = {unit: factor for units in _BY_QUANTITY.values() for unit, factor in units.items()}
-"""SI over unit."""
+"""Factor from a unit to SI."""
 QUANTITY = {unit: quantity for quantity, units in _BY_QUANTITY.items() for unit in units}
-"""What a unit measures."""
+"""Quantity that a unit measures."""
 
 _SPELLINGS = {
     "sec": "s", "second": "s", "seconds": "s", "sek": "s", "msec": "ms", "µs": "us", "μs": "us", "µm": "um", "μm": "um",

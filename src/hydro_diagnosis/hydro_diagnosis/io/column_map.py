@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A column map: which column of somebody's file is which BenchState field, in which unit, and turned by what.
+"""Column map: assigns columns of a file to BenchState fields, with unit, scale, offset and delay.
 
 ::
 
@@ -31,7 +31,7 @@ from hydro_diagnosis.io.column_source import Source, source_of
 from hydro_diagnosis.recording import InputError
 
 TARGETS = ("time", *STATE_FIELDS)
-"""What a column can become."""
+"""Targets of a column."""
 
 
 @dataclass(frozen=True)
@@ -43,23 +43,23 @@ class ColumnMap:
     """Fields that are left out though the file has columns of their names."""
 
     def __str__(self) -> str:
-        """As it is given to `--columns`."""
+        """Text as it is given to `--columns`."""
         left_out = [f"{field}=none" for field in sorted(self.absent)]
         return ",".join([*(f"{field}={source}" for field, source in self.sources.items()), *left_out])
 
     def completed(self, names: Iterable[str]) -> ColumnMap:
-        """With the columns among `names` that carry a field's own name, where the map says nothing of the time."""
+        """Return the map with the columns among `names` that carry a field's own name, unless it maps the time."""
         if "time" in self.sources:
             return self
         besides = {name: Source(name) for name in names if name in TARGETS and name not in self.absent}
         return ColumnMap({**besides, **self.sources}, self.absent)
 
     def corrections(self) -> ColumnMap:
-        """Only what differs from columns that carry the fields' own names."""
+        """Return only what differs from columns that carry the fields' own names."""
         return ColumnMap({name: one for name, one in self.sources.items() if one != Source(name)}, self.absent)
 
     def changed(self, field: str, source: Source | None) -> ColumnMap:
-        """With another source for a field, or without the field."""
+        """Return the map with another source for a field, or without the field."""
         others = {name: one for name, one in self.sources.items() if name != field or source is not None}
         if source is None:
             return ColumnMap(others, self.absent | {field})
@@ -67,7 +67,7 @@ class ColumnMap:
 
     @classmethod
     def load(cls, given: str | Path | Mapping[str, Any] | ColumnMap | None) -> ColumnMap | None:
-        """From `FIELD=SOURCE,...`, the path of a YAML file, or a mapping; None stays None.
+        """Load a map from `FIELD=SOURCE,...`, the path of a YAML file, or a mapping; None stays None.
 
         Raises
         ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One entry of a column map: where a field comes from, as text, as words or as a number (`columns` says how)."""
+"""One entry of a column map: source of a field, as text, as words or as a number (`column_map`)."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Source:
     steps: tuple[tuple[str, float | str], ...] = ()
     """Sign (*, /, +, -) and number, or the name of a single number in the file; in this order."""
     unit: str = ""
-    """What the column is in, SI if empty; the last to be multiplied."""
+    """Unit of the column, SI if empty; the last to be multiplied."""
     delay: float = 0.0
     """s by which the column is late against the others: what it shows at a time happened so much earlier."""
 
@@ -47,7 +47,7 @@ class Source:
         return bool(self.column) and not self.steps and not self.unit
 
     def __str__(self) -> str:
-        """As a map in short writes it."""
+        """Text of the source, as in a short map."""
         if not self.column:
             return f"{sum(float(number) for _, number in self.steps):g}"
         quoted = self.column if _BARE.fullmatch(self.column) else f"'{self.column}'"

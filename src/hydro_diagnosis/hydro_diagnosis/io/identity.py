@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which recording a report is on: its name in the report, and the stamp of its first sample."""
+"""Identity of a recording in a report: its name, and the stamp of its first sample."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ _NEVER = re.compile(r"temp|volt(age)?|flag|count(er)?|index|status|error|time", 
 
 
 def proposed(found: Columns, bench: Bench) -> ColumnMap:
-    """What each field may be; fields of which nothing is known are left out, as is the time where clocks are stated."""
+    """Propose a source for each field; unknown fields are left out, as is the time where clocks are stated."""
     sources: dict[str, Source] = {}
     if not found.clocks:
         times = [name for name, values in found.series.items() if named_like_time(name) and runs_forward(values)]
@@ -76,7 +76,7 @@ def as_yaml(columns: ColumnMap) -> str:
 
 
 def _score(field: str, name: str, found: Columns, bench: Bench) -> float:
-    """How well a column fits a field."""
+    """Score of a column for a field."""
     own = _own_name(name)
     if _NEVER.search(own):
         return 0.0
@@ -115,7 +115,7 @@ def _unit(field: str, name: str, found: Columns, bench: Bench) -> str:
 
 
 def _fits(field: str, values: FloatArray, bench: Bench) -> bool:
-    """Whether numbers in SI units are of the size that the field has on the bench."""
+    """Return whether numbers in SI units are of the size that the field has on the bench."""
     finite = values[np.isfinite(values)]
     if not len(finite):
         return False

@@ -9,7 +9,7 @@ from hydro_bridge.signals import FloatArray
 
 LEVELS = "▁▂▃▄▅▆▇█"
 WIDTH = 24
-"""Characters."""
+"""Width in characters."""
 
 
 def sparkline(values: FloatArray) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading recordings: bags by `hydro_bridge.bags.recording` and `topics`, other files by `importers`; column maps."""
+"""Reads recordings: bags by `hydro_bridge.bags.recording` and `topics`, other files by `importers`; column maps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from hydro_diagnosis.recording import InputError, UnusableRecordingError
 
 @dataclass(frozen=True)
 class RawTable:
-    """A recording as it was read, nothing checked yet."""
+    """A recording as it was read, before any check."""
 
     name: str
     time: FloatArray
@@ -31,7 +31,7 @@ class RawTable:
     columns: dict[str, FloatArray]
     """BenchState fields, each of shape (n,)."""
     notes: tuple[str, ...] = ()
-    """What was done to bring the file into this shape, one sentence each."""
+    """Conversions applied to the file, one sentence each."""
 
 
 def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
@@ -60,12 +60,12 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a path is a rosbag2 folder or an .mcap file."""
+    """Return whether a path is a rosbag2 folder or an .mcap file."""
     return path.is_dir() or path.suffix == ".mcap"
 
 
 def columns_of(path: Path) -> Columns:
-    """What a recording holds before any map: of a bag with /hydro/state its fields, of others what is numbers.
+    """Columns of a recording before any map: the fields of a bag with /hydro/state, all numbers of other files.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def columns_of(path: Path) -> Columns:
 
 
 def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
-    """A bag's fields turned by a map.
+    """Apply a column map to a bag's fields.
 
     Raises
     ------
@@ -98,7 +98,7 @@ def mapped(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:
 
 
 def from_bag(path: Path) -> RawTable:
-    """A bag's /hydro/state, whole.
+    """Read a bag's whole /hydro/state.
 
     Raises
     ------

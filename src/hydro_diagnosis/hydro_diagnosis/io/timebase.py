@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Channels that were sampled by different clocks, brought to one of them.
+"""Resampling of channels with different clocks to one of them.
 
 Nothing is made up: a sensor that is as fast as the chosen clock, or faster, is read off between its two neighbouring
 samples; one that is slower would be straight lines between its samples, which read as physics, and is left out. The
@@ -21,11 +21,11 @@ from hydro_diagnosis.io.column_source import Source
 from hydro_diagnosis.recording import MEASURED, InputError
 
 SLOWER = 1.2
-"""Sampling times of the chosen clock, up to which a sensor counts as equally fast."""
+"""Multiple of the chosen clock's sampling time up to which a sensor counts as equally fast."""
 
 
 COINCIDENT = 1e-3
-"""Of a sampling time, within which two times are the same: times of day have 0.2 us in a float."""
+"""Share of a sampling time within which two times are the same: times of day have 0.2 us in a float."""
 
 
 def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str]]:
@@ -77,7 +77,7 @@ def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> So
 
 
 def _base(sources: Mapping[str, Source], found: Columns) -> str:
-    """The column of times to which all are brought: the mapped one, else that of most sensors, or the longest."""
+    """The column of times to which all are resampled: the mapped one, else that of most sensors, or the longest."""
     if "time" in sources:
         return sources["time"].column
     owners = [found.clocks.get(source.column, "") for field, source in sources.items() if field in MEASURED]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The baseline: what is believed of the bench, as a `Bench` whose `effects` stand already and are not claimed again.
+"""Baseline: the assumed bench, as a `Bench` whose `effects` are known and are not claimed again.
 
 It comes from a bench.yaml, from a diagnosis' corrected.yaml, or from the learned weights of `ros2 run hydro_sim learn`:
 then the constants that were learned are the bench's numbers, and spool, leak, friction, bristles and amplifier its
@@ -27,12 +27,12 @@ NUMBERS = (
 """Learned constants that are numbers of a bench."""
 GAINS = ("valve_gain_a_positive", "valve_gain_a_negative", "valve_gain_b_positive", "valve_gain_b_negative")
 GAIN_ALIKE = 0.002
-"""Share by which the four learned gains may differ from their mean without a word."""
+"""Share by which the four learned gains may differ from their mean without a note."""
 
 
 @dataclass(frozen=True)
 class Baseline:
-    """What is believed, where it comes from, and what of it the diagnosis cannot carry."""
+    """The assumed bench, its origin, and the parts of it that the diagnosis cannot represent."""
 
     bench: Bench
     model: str
@@ -88,7 +88,7 @@ def bench_of(constants: Mapping[str, float], start: Bench) -> Bench:
 
 
 def _effects(c: Mapping[str, float]) -> list[dict[str, Any]]:
-    """What the learned model holds beyond a bench's numbers, as entries of a corrected.yaml."""
+    """Effects of the learned model beyond a bench's numbers, as entries of a corrected.yaml."""
     entries = [
         _entry("valve_lag", bandwidth=c["spool_frequency"] / (2.0 * pi), damping=c["spool_damping"]),
         _entry("friction_coulomb", force=c["friction_coulomb"]),
@@ -115,7 +115,7 @@ def _entry(identifier: str, **values: Any) -> dict[str, Any]:
 
 
 def _left_out(constants: Mapping[str, float], learned: StructuredModel) -> list[str]:
-    """What of the learned model the baseline does not hold, one sentence each."""
+    """Parts of the learned model that the baseline lacks, one sentence each."""
     notes = []
     gains = [constants[name] for name in GAINS]
     spread = (max(gains) - min(gains)) / (2.0 * sum(gains) / len(gains))

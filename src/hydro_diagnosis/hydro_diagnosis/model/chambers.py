@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Valve and oil: how much pressure and hydraulic force a sample of recorded valve current and motion must have built.
+"""Chamber equations: pressure and hydraulic force that the recorded valve current and motion build per sample.
 
 The two chamber equations (paper eq. q13, physics.md) are integrated from sample to sample. Displacement is the
-difference
-of recorded positions, exactly; flow is the mean opening of the valve within the sample times the root of the pressure
-drop at its middle.
+difference of recorded positions, exactly; flow is the mean opening of the valve within the sample times the root of the
+pressure drop at its middle.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Memory, Oil,
 from hydro_sim.model.bench import Bench
 
 SUBSTEPS = 4
-"""Of a sample, on which the spool's position is computed: the current is held for a sample, the spool is not."""
+"""Substeps per sample of the spool's position: the current is held for a sample, the spool is not."""
 _FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
 
 
@@ -28,7 +27,7 @@ def moves_spool(claim: Claim) -> bool:
 
 
 def signed_root(drop: FloatArray) -> FloatArray:
-    """Odd square root: flow turns round with the pressure drop."""
+    """Odd square root: flow reverses with the pressure drop."""
     root: FloatArray = np.copysign(np.sqrt(np.abs(drop)), drop)
     return root
 
@@ -44,7 +43,7 @@ def nominal_openings(bench: Bench, spool: FloatArray) -> Openings:
 def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim]) -> FloatArray:
     """Spool position [A], shape (n, substeps), from the recorded current of shape (n,).
 
-    A current that nothing shapes is constant within a sample and needs but one substep.
+    An unshaped current is constant within a sample and needs only one substep.
     """
     moving = sorted((claim for claim in claims if moves_spool(claim)), key=lambda claim: claim.effect.stage)
     if current.ndim == 1:
@@ -94,7 +93,7 @@ def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[FloatA
 
 @dataclass(frozen=True)
 class ChamberRun:
-    """What the chamber equations make of a segment."""
+    """Result of the chamber equations on a segment."""
 
     innovations: tuple[FloatArray, FloatArray]
     """Pa, shape (n,), not smoothed."""

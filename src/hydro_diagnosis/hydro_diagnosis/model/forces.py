@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force that the recorded motion needs: inertia, friction, load; and how far its friction can be trusted."""
+"""Force required by the recorded motion (inertia, friction, load), and the uncertainty of its friction."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from hydro_diagnosis.preprocessing.smoothing import KINEMATIC_WIDTH
 from hydro_sim.model.bench import Bench
 
 VELOCITY_DOUBT = 1e-3
-"""m/s, to which the velocity's zero is known."""
+"""Uncertainty [m/s] of the velocity's zero."""
 _FAST = 1.0
-"""m/s, beyond which friction is as it is while sliding."""
+"""Velocity [m/s] beyond which friction is that of sliding."""
 _GAUSS_HERMITE = ((-(3.0**0.5), 1.0 / 6.0), (0.0, 2.0 / 3.0), (3.0**0.5, 1.0 / 6.0))
 
 
@@ -97,7 +97,7 @@ class ForceBalance(SegmentRecord):
 
     @cached_property
     def reversals(self) -> int:
-        """How often the piston stands or turns round."""
+        """Number of times that the piston stands or reverses."""
         return int(np.count_nonzero(np.diff(self._resting.astype(np.int8), prepend=0) == 1))
 
     @cached_property

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elements with a past, in two readings of one law: filtered over a whole record, or advanced step by step."""
+"""Elements with memory, in two implementations of one law: filtered over a whole record, or advanced step by step."""
 
 from __future__ import annotations
 
@@ -66,11 +66,11 @@ class StepMemory:
         self._next: dict[str, FloatArray] = {}
 
     def begin(self, states: dict[str, FloatArray]) -> None:
-        """Put every element where a record left it."""
+        """Set every element to the state in which a record left it."""
         self._states = dict(states)
 
     def tick(self) -> None:
-        """Make what the last evaluation proposed the present state."""
+        """Accept the states that the last evaluation proposed."""
         self._states.update(self._next)
 
     def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:

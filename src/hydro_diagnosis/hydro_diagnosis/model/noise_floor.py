@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measured noise floor: of the sensors, by what is white in the recordings, and of each residual."""
+"""Measured noise floor: of the sensors, by the white part of the recordings, and of each residual."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hydro_sim.model.bench import Bench
 def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
     """Standard deviation of each sensor's noise in one sample, by BenchState field name, SI units.
 
-    It does not depend on the logger: of recordings at several rates those of the highest tell it best.
+    It does not depend on the logger: of recordings at several rates, those of the highest estimate it best.
     """
     found: dict[str, list[tuple[int, float]]] = {}
     densest = min(model.spacing for model in models)
@@ -52,7 +52,7 @@ _SENSED = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_
 
 
 FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
-"""Pa, N: the residuals' own discretization is not better than this (diagnosis.md, "Noise floor")."""
+"""Lower bound [Pa, N] by the residuals' own discretization (diagnosis.md, "Noise floor")."""
 
 
 def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:

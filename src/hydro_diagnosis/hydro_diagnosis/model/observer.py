@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The chamber equations along a segment: what pressure they build, and what a slow observer of them does not follow."""
+"""Chamber equations along a segment: the pressures that they build, and the innovations of a slow observer."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from hydro_sim.model.bench import Bench
 
 Kept = TypeVar("Kept")
 SHELF = 8
-"""Intermediate results that a segment keeps at most."""
+"""Largest number of intermediate results that a segment keeps."""
 HASTENED = 3
-"""Rounds in which pressures behind lagging sensors and the flows that they drive are brought together."""
+"""Iterations between the pressures behind lagging sensors and the flows that they drive."""
 OBSERVER_MEMORY = 0.12
-"""s. A shorter memory forgets the slow drift that a small leak builds up."""
+"""Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
 TIMING_DOUBT = 3e-6
-"""s, to which the equations, integrated sample by sample, and the sensors agree on when something happened."""
+"""Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
 
 
 class ChamberObserver(SegmentRecord):
@@ -55,7 +55,7 @@ class ChamberObserver(SegmentRecord):
         return chambers.middle(self.channels["piston_position"])
 
     def _kept_back(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
-        """What these claims make, computed once as long as only others change."""
+        """Return the result for these claims, computed once as long as only others change."""
         key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
         if key not in self._shelf:
             if len(self._shelf) >= SHELF:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a set of claims to residuals: what of the recordings the bench with these effects does not account for.
+"""Residuals of a set of claims: the part of the recordings that the bench with these effects does not explain.
 
 ::
 

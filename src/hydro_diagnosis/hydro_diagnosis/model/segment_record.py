@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A segment with everything in it that does not depend on claims, and what sensors make of its channels."""
+"""Quantities of a segment that do not depend on claims, and the sensor models of its channels."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
 BLOCK = 0.1
-"""s per mean of the hydraulic balance."""
+"""Averaging time [s] of the hydraulic balance."""
 TAIL = 20
-"""Recorded rows at its end that are not judged, and `MARGIN` before and after one that is missing."""
+"""Recorded rows at a segment's end that are not judged, and `MARGIN` before and after one that is missing."""
 MARGIN = 6
 SETTLE = 0.3
-"""s at the start of a segment that are not judged: filters and observer settle."""
+"""Time [s] at the start of a segment that is not judged: filters and observer settle."""
 
 
 class SegmentRecord:
@@ -66,13 +66,13 @@ class SegmentRecord:
         return signal
 
     def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim]) -> FloatArray:
-        """What a channel's sensor shows of a true signal."""
+        """Return the reading of a channel's sensor for a true signal."""
         for claim in claims:
             signal = claim.effect.measure(channel, signal, self.memory, claim.values)
         return signal
 
     def kept(self, signal: FloatArray) -> FloatArray:
-        """What of a signal, shape (n,), is judged: settled, and every fifth recorded row."""
+        """Return the judged part of a signal, shape (n,): settled, and every fifth recorded row."""
         return signal[self.rows]
 
     def smooth(self, signal: FloatArray) -> FloatArray:
@@ -80,7 +80,7 @@ class SegmentRecord:
         return smooth(signal, self.spacing)
 
     def finish(self, signal: FloatArray) -> FloatArray:
-        """What was computed from the smoothed motion, brought to the test function's width, shape (n,)."""
+        """Smooth a result of the smoothed motion to the test function's width, shape (n,)."""
         return finish(signal, self.spacing)
 
     def means(self, signal: FloatArray) -> FloatArray:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Forward simulation of the bench with claims, from the recorded valve current, many windows side by side.
 
-The same effects' hooks that make the residuals make the rates here; the states are x_p, x_p', p_a, p_b by RK4. What
-else has a past (droop, bristles, play) starts where the recording itself puts it.
+The same effects' hooks that make the residuals make the rates here; the states are x_p, x_p', p_a, p_b by RK4. Other
+elements with memory (droop, bristles, play) start in the states that the recording gives.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
 SUBSTEPS_STICKING = 8
-"""The same where the piston may stick: when it stops is only known to a step."""
+"""The same where the piston may stick: the time of a stop is known to one step only."""
 Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Grip:
-    """What dry friction does within one step, per lane."""
+    """Effect of dry friction within one step, per lane."""
 
     holding: FloatArray
     """N, that brings the mass to rest."""
@@ -54,7 +54,7 @@ class Plant:
     spool: FloatArray
     """A, shape (n, substeps)."""
     traces: dict[str, FloatArray]
-    """What has a past, along the recording."""
+    """Elements with memory, along the recording."""
 
     @classmethod
     def of(cls, model: SegmentModel, claims: Sequence[Claim]) -> Plant:
@@ -158,7 +158,7 @@ class Plant:
         return Grip(holding, grip.direction, np.abs(holding) <= level)
 
     def readings(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
-        """What the sensors show of simulated states, by channel, shape (length, variants * windows)."""
+        """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
         length, _, lanes = states.shape
         samples = np.tile(begins, lanes // len(begins))
         at = samples[None, :] + np.arange(length)[:, None]
@@ -212,7 +212,7 @@ class Plant:
 
 
 def _sticks(claims: Sequence[Claim]) -> bool:
-    """Whether there is dry friction that no bristles carry."""
+    """Return whether there is dry friction that no bristles carry."""
     bristled = any(claim.effect.bristles for claim in claims)
     return not bristled and any(type(claim.effect).drag is not Effect.drag for claim in claims)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings of any rate on the box's clock: the valve current changes once a millisecond, whatever the logger's rate.
+"""Resampling to the box's clock: the valve current changes once a millisecond, whatever the logger's rate.
 
-Of a faster logger the rows at the box's milliseconds are taken. Of a slower one, or one that lost rows, those that are
-missing are interpolated by splines and never judged; and the same stretch is made once more from half of the rows
-(`Segment.thinner`): what that changes in a residual or a parameter, the rows that are missing may change too.
+From a faster logger, the rows at the box's milliseconds are taken. For a slower one, or one that lost rows, missing
+rows are interpolated by splines and never judged; and the same stretch is made again from half of the rows
+(`Segment.thinner`): the missing rows may change a residual or a parameter by as much as that does.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ Rows = npt.NDArray[np.int64]
 SAME = 0.05
 """Share of the box's period by which a logger's may differ and still be the box's."""
 _SMOOTH = (*MEASURED, "valve_current")
-"""What is interpolated by splines; everything else by straight lines."""
+"""Channels that are interpolated by splines; all others by straight lines."""
 
 
 def on_box_clock(
@@ -39,7 +39,7 @@ def on_box_clock(
     columns
         What was recorded there, by BenchState field, each of shape (m,).
     shaken
-        Whether the samples were not taken evenly, but placed since.
+        Whether the samples were taken unevenly and placed on an even grid since.
     """
     rows, skipped = rows - rows[0], round(SAMPLE_PERIOD / step)
     if skipped > 1:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks on what was read: repaired and listed where that is honest, refused in one sentence where it is not.
+"""Quality checks: faults are repaired and listed where that is sound, refused in one sentence where it is not.
 
 The outcome is contiguous segments on an even grid: a recording is cut where samples, numbers or a sensor are missing
 for longer than `BRIDGED`, and what is shorter is bridged (`box_clock`).
@@ -19,13 +19,13 @@ from hydro_diagnosis.recording import MEASURED, Recording, Segment
 from hydro_sim.model.bench import Bench
 
 BRIDGED = 5
-"""Rows, the longest gap that is bridged."""
+"""Longest gap [rows] that is bridged."""
 SHORTEST = 1.5
-"""s, the shortest segment that is used."""
+"""Shortest segment [s] that is used."""
 STOP_MARGIN = 5e-4
-"""m from an end stop."""
+"""Margin [m] from an end stop."""
 CAVITATION = 5e4
-"""Pa, below which oil does not stay oil."""
+"""Pressure [Pa] below which the oil cavitates."""
 EVENT_MARGIN = 100
 """Samples before and after such an event that are left out."""
 STILL = 1e-5
@@ -36,11 +36,11 @@ REMEDY = (
     "record it with lower gains; if the bench still trips or swings from stop to stop, give the box, not the "
     "diagnosis, a bench.yaml with a valve_nominal_flow that is 25 % higher or more"
 )
-"""What an operator can do about a bench that cannot be driven: the velocity term is then compensated by less."""
+"""Remedy for a bench that cannot be driven: the velocity term is then compensated only in part."""
 
 
 def checked(table: RawTable, bench: Bench) -> Recording:
-    """A recording that can be diagnosed.
+    """Check a recording, and cut it into segments that can be diagnosed.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
 
 
 def _stands(columns: dict[str, FloatArray]) -> bool:
-    """Whether the piston stands still in the second half, as it does once the box has tripped."""
+    """Return whether the piston stands still in the second half, as it does once the box has tripped."""
     position = columns.get("piston_position", np.zeros(0))
     return len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MOVING
 

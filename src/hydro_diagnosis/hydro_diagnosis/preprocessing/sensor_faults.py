@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors that have stopped: a noisy one repeats its number, an encoder does so while the piston moves.
+"""Detection of frozen sensors: a noisy one repeats its number, an encoder does so while the piston moves.
 
 An encoder is quantised and a piston may stand: equal positions alone say nothing. Frozen is one that stays exactly
 where it is while the load's force or the reported velocity moves on, or that jumps when it comes back. What follows a
@@ -30,7 +30,7 @@ AVERAGED = 20
 NOISE = 8.0
 """Standard deviations of such a mean that its range must exceed."""
 MOVES = 0.2
-"""Of the recording's mean speed that the reported one must have: an offset of a tachometer is no motion."""
+"""Share of the recording's mean speed that the reported one must have: an offset of a tachometer is no motion."""
 Mask = npt.NDArray[np.bool_]
 
 
@@ -66,7 +66,7 @@ def _runs(values: FloatArray) -> list[tuple[int, int]]:
 def _load_moves(
     columns: Mapping[str, FloatArray], begin: int, end: int, step: float, bench: Bench, least: float
 ) -> bool:
-    """Whether the load's force changes by what the spring does over `least` [m], and beyond the noise."""
+    """Return whether the load's force changes by what the spring does over `least` [m], and beyond the noise."""
     if "load_force" not in columns:
         return False
     settled = columns["load_force"][begin + round(LOAD_SETTLES / step) : end]
@@ -79,7 +79,7 @@ def _load_moves(
 
 
 def _glides(columns: Mapping[str, FloatArray], begin: int, end: int, step: float, least: float) -> bool:
-    """Whether the reported velocity carries the piston by more than `least` [m]."""
+    """Return whether the reported velocity carries the piston by more than `least` [m]."""
     if "piston_velocity" not in columns:
         return False
     speed = np.abs(columns["piston_velocity"])

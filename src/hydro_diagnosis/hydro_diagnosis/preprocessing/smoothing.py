@@ -17,11 +17,11 @@ from scipy.signal import oaconvolve
 from hydro_bridge.signals import FloatArray
 
 KINEMATIC_WIDTH = 1.0
-"""Recorded rows, of the Gaussian behind position, velocity and acceleration."""
+"""Width [recorded rows] of the Gaussian behind position, velocity and acceleration."""
 TOTAL_WIDTH = 1.5
-"""Recorded rows, of the Gaussian behind every residual."""
+"""Width [recorded rows] of the Gaussian behind every residual."""
 LONG = 60
-"""Weights, from which on a convolution is quicker by Fourier transforms."""
+"""Number of weights above which a convolution is faster by Fourier transforms."""
 STRIDE = 5
 """Recorded rows between the residuals that are kept: at this distance their noise is all but independent."""
 
@@ -52,7 +52,7 @@ POSITION_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[0] ** 2)))
 VELOCITY_NOISE_GAIN = float(np.sqrt(np.sum(_KINEMATIC[1] ** 2)))
 """Standard deviation of the velocity times the sampling time, over that of the position."""
 ACCELERATION_NOISE_GAIN = float(np.sqrt(np.sum(np.convolve(_KINEMATIC[2], _REST) ** 2)))
-"""The same of the finished acceleration, times the sampling time squared."""
+"""The same for the finished acceleration, times the sampling time squared."""
 
 
 def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -62,12 +62,12 @@ def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[Flo
 
 
 def finish(signal: FloatArray, spacing: int = 1) -> FloatArray:
-    """What was computed from `kinematics`, brought to the total width."""
+    """Smooth a result of `kinematics` to the total width."""
     return _through(signal, _REST_WIDTH * spacing)
 
 
 def smooth(signal: FloatArray, spacing: int = 1) -> FloatArray:
-    """A measured signal, brought to the total width."""
+    """Smooth a measured signal to the total width."""
     return _through(signal, TOTAL_WIDTH * spacing)
 
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Time stamps that are not even: the row of each by a clock that follows them, and whether the samples lie at them.
+"""Uneven time stamps: the row of each by a tracking clock, and whether the samples were taken at their stamps.
 
-A logger that stamps rows when they arrive shakes the stamps of samples that the box took evenly; one that reads when it
-gets to it takes samples unevenly and stamps them right. The recording itself tells: placed rightly, it is smoother.
+A logger that stamps rows on arrival adds jitter to the stamps of samples that the box took evenly; one that polls when
+it can takes samples unevenly with correct stamps. The recording itself decides: placed correctly, it is smoother.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from hydro_diagnosis.recording import MEASURED
 
 Rows = npt.NDArray[np.int64]
 SHAKEN = 0.02
-"""Share of the sampling time by which a stamp is off that counts as shaken."""
+"""Deviation of a stamp, as a share of the sampling time, that counts as jitter."""
 OFTEN = 0.05
-"""Share of the stamps that must be."""
+"""Share of the stamps that must have jitter."""
 FOLLOWS = 0.01
-"""Share of a stamp's error by which the clock that counts rows follows it."""
+"""Gain of the clock that counts rows: the share of a stamp's error that it follows."""
 SMOOTHER = 0.9
-"""Of the roughness as evenly taken samples, below which samples lie at their stamps."""
+"""Ratio to the roughness of evenly taken samples below which samples lie at their stamps."""
 _LOOKS = ((32, 0.03), (512, 3e-3), (8192, 2e-4))
 """Rows in which a rhythm is sought, and how far around the guess: finer as more of them are in step."""
 _BEGIN = 21
-"""Stamps that set that clock."""
+"""Stamps that initialise that clock."""
 
 
 def uneven(time: FloatArray) -> bool:
-    """Whether stamps [s] run forward, but not evenly."""
+    """Return whether stamps [s] run forward, but not evenly."""
     steps = np.diff(time)
     if not np.all(np.isfinite(steps)) or np.any(steps < 0.0) or not np.any(steps > 0.0):
         return False
@@ -76,7 +76,7 @@ def _followed(time: FloatArray, step: float) -> Rows:
 def placed_by_stamps(
     columns: Mapping[str, FloatArray], time: FloatArray, rows: Rows, step: float
 ) -> dict[str, FloatArray] | None:
-    """What the sensors showed at even times, if the samples were taken at their stamps; None if they were even.
+    """Return the readings at even times, if the samples were taken at their stamps; None if they were even.
 
     The valve current is left out: it is held for a millisecond, and which one a row has caught is not known.
     """
@@ -93,7 +93,7 @@ def placed_by_stamps(
 
 
 def stamped(time: FloatArray, rows: Rows, step: float, *, taken_there: bool) -> list[str]:
-    """What was made of uneven stamps, one sentence each."""
+    """Notes on uneven stamps, one sentence each."""
     off = time - step * rows
     size = f"the time stamps are uneven by {1e3 * float(np.std(off - np.median(off))):.2g} ms"
     lost = int(rows[-1]) + 1 - len(rows)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""White noise in a signal: sixth differences cancel everything that moves below a tenth of the rate, and keep it."""
+"""White noise in a signal, by sixth differences: they cancel everything below a tenth of the sampling rate."""
 
 from __future__ import annotations
 

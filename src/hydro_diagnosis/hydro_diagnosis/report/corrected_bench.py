@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""corrected.yaml: the bench with what was found: wrong values put right, other effects listed under `effects`.
+"""corrected.yaml: the bench with wrong values corrected and other effects listed under `effects`.
 
 `Bench.load` accepts the file in place of bench.yaml; `claims_of` gives a simulation or a second diagnosis the
 effects back.
@@ -43,7 +43,7 @@ def corrected_bench(bench: Bench, claims: Sequence[Claim]) -> Bench:
 
 
 def _meets(effect: Effect, before: Sequence[Effect]) -> bool:
-    """Whether an effect that multiplies a quantity comes after one that shapes the same quantity."""
+    """Return whether an effect that multiplies a quantity comes after one that shapes the same quantity."""
     for hook in ("stiffness", "openings"):
         if _overrides(effect, hook) and any(_overrides(one, hook) for one in before):
             return True

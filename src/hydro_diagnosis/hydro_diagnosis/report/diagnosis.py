@@ -15,7 +15,7 @@ from hydro_sim.model.bench import Bench
 
 @dataclass
 class Diagnosis:
-    """A report and what it was made from."""
+    """A report and the data behind it."""
 
     report: Report
     bench: Bench

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report's pictures, as SVG text: residuals before and after, each effect's own curve over data, evidence."""
+"""Plots of the report as SVG text: residuals before and after, each effect's own curve over data, evidence."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def residual_plot(found: Diagnosis) -> str:
 
 
 def effect_plot(found: Diagnosis, claim: Claim) -> str:
-    """What the recordings show of an effect, and its fitted curve, against the variable that it depends on."""
+    """Plot the recorded data of an effect, and its fitted curve, against the variable on which it depends."""
     problem, layout = found.problem, found.problem.layout
     fit = found.assessment.fit
     without = problem.residual(tuple(one for one in fit.claims if one is not claim))
@@ -99,7 +99,7 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
 
 
 def evidence_plot(found: Diagnosis) -> str:
-    """How evidence grew from step to step."""
+    """Plot the evidence by step of the search."""
     steps = found.outcome.steps
 
     def draw(axes: Any) -> None:

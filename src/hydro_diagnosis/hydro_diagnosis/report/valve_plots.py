@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The valve's characteristic as the recordings show it: which current an ideal valve would have needed for the flow."""
+"""Valve characteristic from the recordings: the current that an ideal valve would have needed for the flow."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STATIC = ("valve_deadband", "valve_offset", "valve_gain", "valve_gain_asymmetry"
 _WIDTH = 4.0
 """Samples, of the Gaussian behind the rate of pressure."""
 _ZOOM = {"valve_deadband": 4.0, "valve_offset": 8.0, "valve_null_leakage": 4.0}
-"""How many of its own widths around null show an effect best; others are shown over the whole range."""
+"""Plotted range around null by effect, in multiples of its width; others are shown over the whole range."""
 
 
 def valve_plot(found: Diagnosis, claim: Claim) -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which hypotheses hold: search, significance, localisation, constancy, verdict, summary of each effect.
+"""Selection of hypotheses: search, significance, localisation, constancy, verdict, summary of each effect.
 
 May import `estimation` and `validation`.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether what is claimed to be a constant is one: a wrong value must not do better by following the state.
+"""Constancy test: a claimed number must not explain more by varying with the state.
 
 A sensor whose bias grows with a pressure has no bias but crosstalk. Where something remains, each claimed number is
 let vary with one variable after the other, linearly; if that removes most of what remains, the name does not hold.

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a logger wrote into each row the current that acted before it, or after, and not the one from it on.
+"""Alignment of the recorded current: a row must hold the current from it on, not the one before or after.
 
-Nothing on a bench answers a current early. So where a mismatch at the valve goes away once every row gets the current
-of the next, it is the logger's convention that is off, not the bench.
+No bench responds to a current in advance. So where a mismatch at the valve goes away once every row gets the current
+of the next, the logger's convention is wrong, not the bench.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from hydro_diagnosis.selection.localisation import mean_squares
 from hydro_diagnosis.selection.verdict import Assessment
 
 GOES_AWAY = 0.1
-"""Share of the pressures' mismatch that may be left for it to have gone away."""
+"""Share of the pressures' mismatch that may be left for it to count as gone."""
 TIMING = 2e-5
-"""s, to which a dead time must be that of a row."""
+"""Tolerance [s] of a dead time of one row."""
 _CHAMBERS = ("pressure_a", "pressure_b")
 
 
 def current_is_late(problem: Problem, assessment: Assessment) -> str | None:
-    """A sentence if the recorded current is a row late and a mismatch that nobody named is due to that."""
+    """Return a sentence if the recorded current is a row late and a mismatch that nobody named is due to that."""
     equations = {place.equation for place in assessment.remainder}
     if PRESSURE not in problem.blocks or not equations & {"actuation", *_CHAMBERS}:
         return None
@@ -46,7 +46,7 @@ def current_is_late(problem: Problem, assessment: Assessment) -> str | None:
 
 
 def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str | None:
-    """A sentence if a claimed dead time is one row: a current that is written a row before it acts looks the same."""
+    """Return a sentence if a claimed dead time is one row: a current written a row before it acts looks the same."""
     rows = {model.step * model.spacing for model in problem.models}
     for effect in effects:
         bounds = effect.parameters["time"].ci95 if effect.id == "transport_delay" else None
@@ -59,7 +59,7 @@ def current_is_early(problem: Problem, effects: Sequence[EffectReport]) -> str |
 
 
 def _goes_away(problem: Problem, rows: Sequence[int]) -> bool:
-    """Whether the mismatch does once each segment has the current of so many samples later."""
+    """Return whether the mismatch does once each segment has the current of so many samples later."""
     moved = [_moved(model.segment, count) for model, count in zip(problem.models, rows, strict=True)]
     shifted = Problem(moved, problem.bench, problem.baseline, noise=problem.sensor_noise)
     return _excess(shifted) <= GOES_AWAY * _excess(problem)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From fits to what the report says about each claim: values with intervals, evidence, rivals with their distance."""
+"""Summary of each claim for the report: values with intervals, evidence, rivals with their distance."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hydro_diagnosis.selection.outcome import Outcome, score
 from hydro_diagnosis.selection.verdict import Assessment
 
 CLOSE = 10.0
-"""BIC within which a rival is not told apart from a claim (Kass and Raftery 1995: decisive beyond it)."""
+"""BIC within which a rival is not distinguished from a claim (Kass and Raftery 1995: decisive beyond it)."""
 
 
 def describe(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a mismatch lives: in which equation, at which times, in which region of the state space.
+"""Localisation of a mismatch: by equation, by time, and by region of the state space.
 
-Channels alone do not tell: a load that is not the spring also shows in the motion, and a valve that is not the valve
-in both chambers. So an excess is traced back to the one equation whose hidden input explains the channels together.
+Channels alone do not locate it: a wrong load model also shows in the motion, and a wrong valve model in both
+chambers. So an excess is traced back to the one equation whose hidden input explains the channels together.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Place:
     """Where it stands out, by variable: 10th and 90th percentile, SI units."""
     sentence: str
     channel: str
-    """Of the residuals, in which it shows most."""
+    """Channel of the residuals in which it shows most."""
 
 
 def mean_squares(problem: Problem, residual: FloatArray) -> dict[str, float]:
@@ -72,7 +72,7 @@ def remaining(problem: Problem, residual: FloatArray) -> dict[str, float]:
 
 
 def noticeable(problem: Problem, residual: FloatArray) -> bool:
-    """Whether any channel holds more than noise."""
+    """Return whether any channel holds more than noise."""
     return bool(remaining(problem, residual))
 
 
@@ -93,7 +93,7 @@ def locate(problem: Problem, residual: FloatArray, forms: Sequence[FreeForm]) ->
 
 
 def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Place]:
-    """Where the claimed effects act, by the size of their signatures in the residuals."""
+    """Return the places where the claimed effects act, by the size of their signatures in the residuals."""
     layout = problem.layout
     power: dict[tuple[str, str], float] = {}
     for claim in found.claims:
@@ -147,7 +147,7 @@ def _of_chambers(channel: str, excess: dict[str, float], forms: Sequence[FreeFor
 
 
 def _follows_supply(problem: Problem, residual: FloatArray) -> bool:
-    """Whether each chamber is off mainly while the valve connects it to the supply: then the supply is off.
+    """Return whether each chamber is off mainly while the valve connects it to the supply: then the supply is off.
 
     One of them may be off by less than is noticeable, but must show it beyond chance.
     """
@@ -164,7 +164,7 @@ def _follows_supply(problem: Problem, residual: FloatArray) -> bool:
 
 
 def _coherent(problem: Problem, residual: FloatArray) -> bool:
-    """Whether the load's residual is what its sensor makes of the motion's: then one hidden force explains both."""
+    """Return whether the load's residual is its sensor's response to the motion's: one hidden force explains both."""
     layout = problem.layout
     matched = power = 0.0
     for k, model in enumerate(problem.models):

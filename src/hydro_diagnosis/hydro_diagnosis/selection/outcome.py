@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a search is told and what it returns: settings, steps, the outcome, and the score that it minimises."""
+"""Settings and outcome of a search, its steps, and the score that it minimises."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_diagnosis.estimation.problem import Problem
 
 @dataclass(frozen=True, kw_only=True)
 class SearchSettings:
-    """How hard to look and when to claim."""
+    """Effort of a search, and its thresholds of a claim."""
 
     threshold: Annotated[float, quantity("-", 0.0, 1000.0)] = 20.0
     """Evidence in units of BIC that a claim needs beyond its parameters' price: a choice, held against recordings
@@ -46,7 +46,7 @@ class Step:
 
 @dataclass
 class Outcome:
-    """What the search found."""
+    """Outcome of a search."""
 
     fit: Fit
     nothing: Fit

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which causes together account for the recordings: forward, backward and swap steps by evidence.
+"""Search for the causes that together explain the recordings: forward, backward and swap steps by evidence.
 
 Evidence is the Bayesian information criterion on the deviance of `fit`: a claim must gain more than ln(n) per
 parameter plus a threshold; so must each parameter that a cause has more than the one whose place it takes. What chance
@@ -45,7 +45,7 @@ class Search:
         self.settings = settings or SearchSettings()
         self.progress = progress
         self.steps: list[Step] = []
-        """What was accepted and dropped so far; those of the outcome."""
+        """Steps of acceptance and removal so far, passed to the outcome."""
         self._begun = problem.evaluations
         self._looked: dict[frozenset[str], tuple[tuple[float, ...], list[Fit]]] = {}
         """By the labels of a base: the doubt under which it was looked at, and the fits with one claim more."""
@@ -138,7 +138,7 @@ class Search:
         return changed
 
     def _pays_in_place(self, other: Fit, effect: Effect, current: Fit) -> bool:
-        """Whether the newest claim of `other` may take the place of `effect`.
+        """Return whether the newest claim of `other` may take the place of `effect`.
 
         What it has more of parameters must each be worth the threshold.
         """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a claim is worth making: large enough, possible, and more than an error in the form of its kin."""
+"""Significance of a claim: large enough, physically possible, and more than a form error of a related claim."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hydro_diagnosis.estimation.unrecorded_rows import shifts
 from hydro_diagnosis.selection.localisation import noticeable
 
 ABSENT = 0.05
-"""Of a shape's neutral value: so near to it an effect without amplitudes is not there."""
+"""Share of a shape's neutral value within which an effect without amplitudes is absent."""
 ATTENUATIONS = 2.0
-"""Times `Problem.attenuation`, and times what half of the rows would change, that a claim must be."""
+"""Multiple of `Problem.attenuation`, and of the change by half of the rows, that a claim must exceed."""
 
 
 def is_significant(claim: Claim) -> bool:
-    """Whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
+    """Return whether any of a claim's amplitudes is beyond its smallest size, and none where physics ends.
 
     An effect that has shapes alone (bristles, by their stiffness) must not stand where it is none.
     """
@@ -33,14 +33,14 @@ def is_significant(claim: Claim) -> bool:
 
 
 def all_significant(problem: Problem, found: Fit) -> bool:
-    """Whether every claim is worth making, and more than noise in what it multiplies or missing rows may hide."""
+    """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
     if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.claims):
         return False
     return all(_beyond(claim, shift) for claim, shift in zip(found.claims, shifts(problem, found), strict=True))
 
 
 def _beyond(claim: Claim, shift: FloatArray) -> bool:
-    """Whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
+    """Return whether any of a claim's amplitudes (or its first shape, if it has none) is beyond its shift."""
     pairs = list(zip(claim.effect.parameters, shift, strict=True))
     amplitudes = [(one, moved) for one, moved in pairs if one.smallest > 0.0] or pairs[:1]
     return any(abs(claim.values[one.name] - one.neutral) >= ATTENUATIONS * moved for one, moved in amplitudes)
@@ -52,13 +52,13 @@ def _beyond_attenuation(problem: Problem, claim: Claim) -> bool:
 
 
 def _at_its_end(parameter: FitParameter, value: float) -> bool:
-    """Whether a value stands at a bound that is not its neutral value."""
+    """Return whether a value stands at a bound that is not its neutral value."""
     near = 1e-3 * parameter.smallest
     return any(abs(value - end) <= near < abs(end - parameter.neutral) for end in (parameter.low, parameter.high))
 
 
 def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
-    """Whether the newest claim explains no more than an error in the form of its kin would.
+    """Return whether the newest claim explains no more than an error in the form of its kin would.
 
     Never so where something remains without it and nothing with it: a form that is off leaves something with any name.
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What may be said: which claims stand, whether something remains that nobody named, and what the verdict is.
+"""Verdict: the claims that hold, and whether an unnamed remainder is left.
 
 A name is never forced. Where something remains, claims that explain little are dropped, as they may only mimic the
 remainder; and if those that are left do not explain nearly all of the gap, or follow the state though they should be
-constant, they are dropped too and the verdict is `unknown`. What the search found without a name for it is no claim.
+constant, they are dropped too and the verdict is `unknown`. What the search found without a name is no claim.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ MINOR = 0.1
 EVERYDAY = frozenset({"friction_coulomb", "friction_viscous", "force_offset", "moving_mass"})
 """Causes that every drive has: where names explain nearly all of the gap, these are believed beside a remainder."""
 EVERYDAY_SHARE = 0.5
-"""Of what remains, that such a cause must explain."""
+"""Share of the remainder that such a cause must explain."""
 
 
 @dataclass(frozen=True)
 class Assessment:
-    """The judgement over a search's outcome."""
+    """Assessment of a search's outcome."""
 
     verdict: str
     """no_mismatch, explained, modelled, partly_explained or unknown."""
     fit: Fit
-    """With the claims that stand."""
+    """The fit with the claims that hold."""
     places: tuple[Place, ...]
-    """Where the mismatch against the baseline lives."""
+    """Location of the mismatch against the baseline."""
     remainder: tuple[Place, ...]
-    """Where something is left that nobody named."""
+    """Where an unnamed remainder is left."""
     forms: tuple[FreeForm, ...]
-    """Free-form inputs for what remains, the most telling first; empty if nothing remains."""
+    """Free-form inputs for what remains, the most informative first; empty if nothing remains."""
     dropped: tuple[Claim, ...]
-    """Claims that the search made and this judgement does not."""
+    """Claims of the search that this assessment rejects."""
 
 
 def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
-    """Judge the fit that a search ended with against the fit of nothing."""
+    """Judge the fit that a search ended with against the fit without claims."""
     alike, unnamed = coincidence(found.claims), not all(claim.effect.named for claim in found.claims)
     if not noticeable(problem, found.residual) and not alike and not unnamed:
         verdict = "explained" if found.claims else "no_mismatch"
@@ -152,12 +152,12 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str
 
 
 def coincidence(claims: Sequence[Claim]) -> bool:
-    """Whether both dead volumes are off alike: two errors do not agree, so it is something else (hoses that give)."""
+    """Return whether both dead volumes are off alike: two errors do not agree, so it is another cause (soft hoses)."""
     ratios = [claim.values["ratio"] for claim in claims if claim.effect.id == "dead_volume"]
     return len(ratios) == 2 and abs(ratios[0] - ratios[1]) < 0.05 * abs(ratios[0] - 1.0)
 
 
 def _crowded(claims: Sequence[Claim]) -> bool:
-    """Whether two names of one family share a mismatch that they do not explain."""
+    """Return whether two names of one family share a mismatch that they do not explain."""
     families = [claim.effect.family or claim.effect.label for claim in claims if not claim.effect.needs]
     return len(set(families)) < len(families)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Accuracy of a diagnosis on held-out recordings: forward simulation, and equation by equation.
 
-`equation_errors` is what each equation leaves of the recordings, without simulating. For rigs whose recordings cannot
+`equation_errors` gives the residual of each equation, without simulation. For rigs whose recordings cannot
 be simulated (no pressures, no current) this is the proof. The relative errors that the literature on inverse models
 gives compare with `rmse_after` over `signal`, in which samples near velocity reversals hardly count.
 """

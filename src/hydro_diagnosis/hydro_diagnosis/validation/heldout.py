@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Does the corrected model predict better? Simulated against recordings that no parameter has seen.
+"""Held-out validation: the corrected model is simulated on recordings to which no parameter was fitted.
 
 Windows of 70 ms are simulated from the recorded valve current. Their four initial states are estimated from the
 window itself (multiple shooting): an encoder's step is finer than any estimate of the state before it could be. The
@@ -23,21 +23,21 @@ from hydro_diagnosis.model.simulation import Indices, Plant
 from hydro_diagnosis.validation.predictability import MOST, Window, unpredictable
 
 HORIZON = 0.07
-"""s."""
+"""Length of a window [s]."""
 FREE_RUN = 0.5
-"""s."""
+"""Length of the free run [s]."""
 WINDOWS = 48
 """Windows per horizon, spread evenly over the held-out recordings."""
 SHOTS = 6
 """Steps of the search for a window's initial state."""
 SETTLED = 0.995
-"""Share of its squared misses below which a window must come to be worth another step."""
+"""Ratio of squared errors below which a window is given another step."""
 _TRIED = tuple(1e3 * sign * size for size in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[1:]
-"""Pa, tried on pressure A."""
+"""Offsets [Pa] of pressure A that are tried."""
 _STATE_SCALE = np.array([1e-6, 1e-4, 1e3, 1e3])
-"""m, m/s, Pa, Pa, by which a state is moved to see what it does."""
+"""Steps of the finite differences in the state [m, m/s, Pa, Pa]."""
 _START_DOUBT = np.array([5e-6, 5e-3, 5e4, 5e4])
-"""m, m/s, Pa, Pa, to which the recording's smoothed state is trusted."""
+"""Uncertainty [m, m/s, Pa, Pa] of the recording's smoothed state."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,7 @@ def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, Float
 def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float]) -> FloatArray:
     """Initial states by least squares per window, near the recording's smoothed state as far as that is known.
 
-    Where the piston sticks, when it breaks loose hangs on tenths of a newton, and the way there is not smooth: so
+    Where the piston sticks, when it breaks loose depends on tenths of a newton, and the cost is not smooth: so
     several forces are tried first, a step that makes it worse is halved, and the best state is kept.
     """
     aim = _Aim(plant, state.copy(), begins, length, noise)
@@ -113,7 +113,7 @@ def _shoot(plant: Plant, state: FloatArray, begins: Indices, length: int, noise:
 
 @dataclass(frozen=True)
 class _Aim:
-    """What initial states are held against."""
+    """Target of the initial states."""
 
     plant: Plant
     recorded: FloatArray

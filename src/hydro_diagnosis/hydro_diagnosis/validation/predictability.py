@@ -19,11 +19,11 @@ from hydro_diagnosis.model.simulation import Indices, Plant
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 
 STANDS_OUT = 2.0
-"""Noise floors, root mean square over a window's channels, from which its error is looked into."""
+"""Error of a window from which it is examined [noise floors, root mean square over channels]."""
 OF_THE_ERROR = 0.5
 """Share of a window's error that the scatter of the model's own outcomes must reach."""
 UNSTEADY = 3.0
-"""Times the median over the windows that it must reach, too: an ordinary scatter goes with the search for the start."""
+"""Multiple of the median over the windows that it must reach, too: some scatter goes with the search for the start."""
 MOST = 0.25
 """Share of the windows that may be left out; a model that leaves more open is judged by all of them."""
 DRAWS = 8
@@ -42,7 +42,7 @@ class Window:
 def unpredictable(
     plant: Plant, state: FloatArray, begins: Indices, length: int, noise: dict[str, float], apart: dict[str, FloatArray]
 ) -> npt.NDArray[np.bool_]:
-    """Whether each window's error is no more than its start's doubt can do, shape (windows,).
+    """Return whether the uncertainty of its start explains each window's error, shape (windows,).
 
     `state`: the start of each window, shape (4, windows); `apart`: reading minus recording from there, by channel.
     """

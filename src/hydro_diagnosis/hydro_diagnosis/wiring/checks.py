@@ -25,4 +25,4 @@ CHECKS: tuple[Check, ...] = (
     current_and_motion,
     current_and_pressures,
 )
-"""In the order in which they are told."""
+"""All checks, in the order of reporting."""

@@ -20,12 +20,12 @@ VELOCITY = 0.8
 SIZE = 3.0
 """Times by which forces may differ from what pressures or spring make."""
 MOVES = 1e-3
-"""Of the stroke: a piston that moves less shows neither sign nor size."""
+"""Share of the stroke: a piston that moves less shows neither sign nor size."""
 
 
 @dataclass(frozen=True)
 class Complaint:
-    """Something no bench does."""
+    """A contradiction that no bench shows."""
 
     sentence: str
     suspects: tuple[Repair, ...]
@@ -36,7 +36,7 @@ Check = Callable[[Channels, float, Bench], Iterator[Complaint]]
 
 
 def stands(channels: Channels, bench: Bench) -> bool:
-    """Whether the piston hardly moves, so that nothing can be said of how channels go with it."""
+    """Return whether the piston hardly moves, so that nothing can be said of how channels go with it."""
     if "piston_position" not in channels:
         return False
     return float(np.ptp(channels["piston_position"])) < MOVES * bench.stroke

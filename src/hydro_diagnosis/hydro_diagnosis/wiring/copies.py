@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""No sensor copies another."""
+"""Check that no sensor copies another."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FRICTION_LATE = 5e-3
 
 
 def copies(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """Two sensors never have the same noise."""
+    """Check for copies: two sensors never have the same noise."""
     sensors = [name for name in (*MEASURED, "valve_current") if name in channels and np.ptp(channels[name]) > 0.0]
     for one, other in combinations(sensors, 2):
         first, second = channels[one], channels[other]

@@ -25,7 +25,7 @@ CLEAR = 0.9
 
 
 def delays(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """Channels that belong together move together."""
+    """Check that related channels move at the same time."""
     slack = 2.0 * step
     if {"hydraulic_force", "pressure_a", "pressure_b"} <= channels.keys():
         late, clear, field = max(_hydraulic(channels, step, bench), key=lambda one: one[1])
@@ -49,7 +49,7 @@ def delays(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]
 
 
 def _hydraulic(channels: Channels, step: float, bench: Bench) -> Iterator[tuple[float, float, str]]:
-    """How late each of the three is against what the two others make it, how clearly, and which it is."""
+    """Delay of each of the three against the prediction from the two others, its clarity, and the field."""
     force, area, ratio = channels["hydraulic_force"], bench.piston_area, bench.area_ratio
     yield *follows(made_force(channels, bench), force, step), "hydraulic_force"
     yield *follows(force / area + ratio * channels["pressure_b"], channels["pressure_a"], step), "pressure_a"

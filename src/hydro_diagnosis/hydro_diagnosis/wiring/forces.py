@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A force goes with the pressures that make it, and a spring's with its travel."""
+"""Checks of the hydraulic force against the pressures, and of the spring's force against its travel."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from hydro_diagnosis.wiring.signals import correlation, slope, slow
 from hydro_sim.model.bench import Bench
 
 LEVEL = 0.2
-"""Of the piston area times the supply pressure, by which a force may differ from the pressures' all along."""
+"""Share of piston area times supply pressure by which a force may constantly differ from that of the pressures."""
 
 
 def force_and_pressures(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """The hydraulic force is what the pressures make on the piston."""
+    """Check that the hydraulic force is that of the pressures on the piston."""
     if not {"hydraulic_force", "pressure_a", "pressure_b"} <= channels.keys():
         return
     force, made = slow(channels["hydraulic_force"], step), slow(made_force(channels, bench), step)
@@ -49,7 +49,7 @@ def made_force(channels: Channels, bench: Bench) -> FloatArray:
 
 
 def force_and_spring(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """The load's force grows as the spring is compressed."""
+    """Check that the load's force grows as the spring is compressed."""
     if not {"load_force", "piston_position"} <= channels.keys() or stands(channels, bench):
         return
     force, position = slow(channels["load_force"], step), slow(channels["piston_position"], step)
@@ -80,7 +80,7 @@ def _goes_with_current(channels: Channels, step: float) -> bool:
 
 
 def forces(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """What the piston pushes with arrives at the load."""
+    """Check that the piston's force arrives at the load."""
     if not {"hydraulic_force", "load_force"} <= channels.keys() or stands(channels, bench):
         return
     together = correlation(slow(channels["hydraulic_force"], step), slow(channels["load_force"], step))

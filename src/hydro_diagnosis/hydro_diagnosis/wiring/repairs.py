@@ -22,7 +22,7 @@ class Repair:
 
     field: str
     sentence: str
-    """What the mistake is."""
+    """Description of the mistake."""
 
     def apply(self, channels: Channels, step: float) -> Channels:
         """The channels as they would be without the mistake; `step` is the sampling time in s."""
@@ -62,7 +62,7 @@ class Scale(Repair):
 
 @dataclass(frozen=True)
 class Exchange(Repair):
-    """Two fields whose columns were taken for each other."""
+    """Two fields whose columns were exchanged."""
 
     other: str = ""
 

@@ -20,7 +20,7 @@ REACH = 0.15
 
 
 VALLEY = 0.2
-"""Correlation by which two tops are parted."""
+"""Drop of the correlation that separates two peaks."""
 
 
 def slow(values: FloatArray, step: float) -> FloatArray:
@@ -67,7 +67,7 @@ def follows(leader: FloatArray, follower: FloatArray, step: float) -> tuple[floa
 
 
 def _again(values: FloatArray, at: int) -> bool:
-    """Whether there is a second top, nearly as high, beyond a valley."""
+    """Return whether there is a second peak, nearly as high, beyond a valley."""
     low = np.flatnonzero(values < values[at] - VALLEY)
     left, right = low[low < at], low[low > at]
     beyond = [values[: left[-1]] if len(left) else values[:0], values[right[0] :] if len(right) else values[:0]]
@@ -75,7 +75,7 @@ def _again(values: FloatArray, at: int) -> bool:
 
 
 def _vertex(values: FloatArray, at: int) -> float:
-    """Where, beside `at`, the parabola through three values has its top."""
+    """Position of the peak, near `at`, of the parabola through three values."""
     if at in (0, len(values) - 1):
         return 0.0
     left, middle, right = values[at - 1 : at + 2]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers are of the size of the bench's: pressures, positions and currents against supply, stroke and valve."""
+"""Checks of magnitude: pressures, positions and currents against supply, stroke and valve."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from hydro_diagnosis.wiring.signals import correlation, slope, slow
 from hydro_sim.model.bench import Bench
 
 PRESSURES = (0.05, 3.0)
-"""Highest pressures, of the supply's, that a bench can have."""
+"""Range of the highest pressure, over that of the supply, that a bench can have."""
 BEYOND = 1.5
-"""Of stroke or largest current, above which a number is in another unit."""
+"""Multiple of the stroke or largest current above which a number is in another unit."""
 MARGIN = 0.05
-"""Of the stroke, by which a position may lie outside of it."""
+"""Share of the stroke by which a position may lie outside of it."""
 _PRESSURE_UNITS = ("bar", "kPa", "MPa", "psi", "hPa")
 _LENGTH_UNITS = ("mm", "cm", "um", "in")
 
 
 def pressure_sizes(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """Pressures reach some share of the supply's."""
+    """Check that the pressures reach a share of the supply's."""
     for name in ("pressure_a", "pressure_b"):
         if name not in channels:
             continue
@@ -40,7 +40,7 @@ def pressure_sizes(channels: Channels, step: float, bench: Bench) -> Iterator[Co
 
 
 def position_sizes(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """The piston stays within the stroke, which begins at 0."""
+    """Check that the piston stays within the stroke, which begins at 0."""
     if "piston_position" not in channels:
         return
     position = channels["piston_position"]
@@ -55,7 +55,7 @@ def position_sizes(channels: Channels, step: float, bench: Bench) -> Iterator[Co
 
 
 def _fits_spring(factor: float, channels: Channels, step: float, bench: Bench) -> bool:
-    """Whether the position times `factor` compresses the spring about as much as the load's force says."""
+    """Return whether the position times `factor` compresses the spring about as much as the load's force says."""
     span = factor * float(np.ptp(channels["piston_position"]))
     if "load_force" in channels:
         force, position = slow(channels["load_force"], step), slow(channels["piston_position"], step)
@@ -80,7 +80,7 @@ def _counts(channels: Channels, step: float, bench: Bench) -> Iterator[Repair]:
 
 
 def _zeros(channels: Channels, step: float, bench: Bench) -> Iterator[Repair]:
-    """Where the position's zero lies, judged by the spring, else from the middle of the stroke."""
+    """Zero of the position, judged by the spring, else from the middle of the stroke."""
     position = slow(channels["piston_position"], step)
     offset, judged = 0.5 * bench.stroke - 0.5 * float(position.min() + position.max()), "the middle of what it travels"
     if "load_force" in channels:
@@ -97,7 +97,7 @@ def _zeros(channels: Channels, step: float, bench: Bench) -> Iterator[Repair]:
 
 
 def current_sizes(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """The current stays within what the valve takes."""
+    """Check that the current stays within the valve's limit."""
     if "valve_current" not in channels:
         return
     largest = float(np.max(np.abs(channels["valve_current"])))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The piston runs where the valve sends it, and so do the pressures."""
+"""Checks that piston and pressures follow the valve."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_sim.model.bench import Bench
 
 
 def current_and_motion(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """The piston runs where the valve sends it, the force aside for which a leaking valve opens too."""
+    """Check that the piston follows the valve, apart from the force for which a leaking valve opens too."""
     if not {"valve_current", "piston_position"} <= channels.keys() or stands(channels, bench):
         return
     current, position = slow(channels["valve_current"], step), slow(channels["piston_position"], step)
@@ -33,7 +33,7 @@ def current_and_motion(channels: Channels, step: float, bench: Bench) -> Iterato
 
 
 def current_and_pressures(channels: Channels, step: float, bench: Bench) -> Iterator[Complaint]:
-    """With a load that yields, the pressures' force grows while the valve feeds chamber A."""
+    """Check that the pressures' force grows while the valve feeds chamber A, with a load that yields."""
     if not {"valve_current", "pressure_a", "pressure_b"} <= channels.keys() or stands(channels, bench):
         return
     force = slow(made_force(channels, bench), step)

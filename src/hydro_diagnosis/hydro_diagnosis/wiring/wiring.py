@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Detection of mistakes in wiring, naming and units before the diagnosis, with the column map that corrects them.
 
-What no bench does is complained about (`checks`, `delays`); a mistake is named when undoing it leaves no
-complaint, the fewest mistakes first. Nothing is ever repaired in silence.
+Contradictions that no bench shows raise complaints (`checks`, `delays`); a mistake is named when undoing it leaves no
+complaint, the fewest mistakes first. Nothing is ever repaired silently.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from hydro_diagnosis.wiring.repairs import Channels, Repair
 from hydro_sim.model.bench import Bench
 
 LOOKED_AT = 200_000
-"""Samples that are looked at, the first ones."""
+"""Number of samples examined, from the first."""
 SHORTEST = 2.0
-"""s, below which nothing is said."""
+"""Shortest recording [s] that is judged."""
 MOST = 4
-"""Mistakes at once that are looked for."""
+"""Largest number of simultaneous mistakes that is searched."""
 _FIELDS = (*MEASURED, "valve_current", "piston_velocity")
 ANYWAY = "if the bench really does that, --as-wired goes on regardless"
 
@@ -39,22 +39,22 @@ class WiringError(InputError):
 
 @dataclass(frozen=True)
 class Mistakes:
-    """What is wrong, and what would undo it."""
+    """Contradictions in the wiring, and the repairs that resolve them."""
 
     complaints: tuple[Complaint, ...]
     repairs: tuple[Repair, ...]
-    """Undo it all; empty if nothing that is known does."""
+    """Repairs that resolve all of them; empty if no known ones do."""
 
 
 def wiring_checked(table: RawTable, bench: Bench, columns: ColumnMap | None) -> RawTable:
-    """The table, with a note where channels contradict each other in a way that no known mistake explains.
+    """Return the table, with a note where channels contradict each other in a way that no known mistake explains.
 
     Parameters
     ----------
     table
         As read, before any check of its quality.
     bench
-        What the bench is believed to be.
+        The assumed bench.
     columns
         The map by which it was read.
 
@@ -80,7 +80,7 @@ def wiring_checked(table: RawTable, bench: Bench, columns: ColumnMap | None) -> 
 
 
 def mistakes(table: RawTable, bench: Bench) -> Mistakes | None:
-    """What is wrong with how a recording's channels are wired; None if nothing is."""
+    """Find the wiring mistakes in a recording; None if there are none."""
     step, channels = _even(table)
     if not channels or step * len(next(iter(channels.values()))) < SHORTEST:
         return None

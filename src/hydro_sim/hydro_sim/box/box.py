@@ -32,16 +32,16 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
 
 RATE_RANGE = 1e8
-"""N/s, magnitude that a differentiated force can have: a load cell's full range within a tenth of a sample."""
+"""Largest magnitude [N/s] of a differentiated force: a load cell's full range within a tenth of a sample."""
 
 VELOCITY_RANGE = 10.0
-"""m/s, magnitude that a differentiated position can have."""
+"""Largest magnitude [m/s] of a differentiated position."""
 
 Integral = Literal["bumpless", "paper"]
 """Forms of the force law's integral (`hydro_sim.box.force_law`)."""
 
 EMULATED_BOX = "hydro emulator"
-"""What the emulator's box calls itself on the line: no person stands beside that one."""
+"""Name of the emulator's box on the line: no person stands beside that one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -89,7 +89,7 @@ class BoxConfig:
             raise SettingsError(f"hold_timeout {self.hold_timeout:g} s is above trip_timeout {self.trip_timeout:g} s")
 
     def constants(self, bench: Bench) -> npt.NDArray[np.void]:
-        """What the compiled box reads: one record of `kernel.SETTINGS_DTYPE`, shape (1,)."""
+        """Return the settings for the compiled box: one record of `kernel.SETTINGS_DTYPE`, shape (1,)."""
         record = np.zeros(1, kernel.SETTINGS_DTYPE)
         for name in set(record.dtype.names or ()) & {entry.name for entry in fields(self)}:
             record[name] = getattr(self, name)
@@ -118,16 +118,16 @@ class Box:
         self.reset()
 
     def reset(self) -> None:
-        """As after power-up: disarmed, no command seen, sequence 0."""
+        """Reset to power-up: disarmed, no command seen, sequence 0."""
         kernel.reset(self.state)
 
     def receive(self, command: Command, time: float) -> None:
-        """Take a command that arrived at box time [s]."""
+        """Process a command that arrived at box time [s]."""
         fill_command(self._command, command)
         kernel.receive(self.settings, self.state, self._command, time)
 
     def tick(self, measurement: FloatArray, time: float) -> np.void:
-        """One sample at box time [s] of a measurement x, shape (8,); returns a record of `STATE_DTYPE`.
+        """Run one sample at box time [s] on a measurement x, shape (8,); return a record of `STATE_DTYPE`.
 
         Its `valve_current` is what to hold until the next sample; always finite and within the valve's limit.
         """
@@ -138,17 +138,17 @@ class Box:
 
     @property
     def refused(self) -> int:
-        """Values in commands that were not finite or out of range, since the reset."""
+        """Number of values in commands that were not finite or out of range, since the reset."""
         return int(self.state["refused"][0])
 
 
 def with_base_gains(kp: float, ki: float) -> BoxConfig:
-    """A configuration with these base gains [1/s], [1/s^2] and the default limits of the total gains.
+    """Return a configuration with these base gains [1/s], [1/s^2] and the default limits of the total gains.
 
     Raises
     ------
     SettingsError
-        They are outside of these limits.
+        If they are outside of these limits.
     """
     usual = BoxConfig()
     kp_shift, ki_shift = usual.base_kp - kp, usual.base_ki - ki

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 
 
 def reals(numbers: Iterable[float]) -> str:
-    """Initializer of an array of `hydro_real`: decimals that give the same doubles back."""
+    """Initializer of an array of `hydro_real`, in decimals that reproduce the doubles exactly."""
     return "{" + ", ".join(f"HYDRO_R({float(number)!r})" for number in numbers) + "}"
 
 
@@ -23,6 +23,6 @@ def wrapped(words: Iterable[str], width: int = 118, indent: str = "    ") -> str
 
 
 def header_file(guard: str, origin: str, body: str) -> str:
-    """A whole header: licence, where it came from, include guard, text."""
+    """Return a complete header file: licence, origin, include guard, text."""
     head = f"/* SPDX-License-Identifier: Apache-2.0 */\n/* {origin} */\n"
     return f"{head}#ifndef {guard}\n#define {guard}\n\n{body}\n\n#endif\n"

@@ -24,7 +24,7 @@ from hydro_sim.model.sensors import Sensors
 
 Precision = Literal["double", "single"]
 NAME = "hydro firmware"
-"""What the box in C calls itself on the line."""
+"""Name of the box in C on the line."""
 
 SINGLE_DTYPE = np.dtype(
     [(name, np.float32 if index > 1 and name != "flags" else STATE_DTYPE[name]) for index, name in
@@ -37,7 +37,7 @@ _COUNTS = ("taken", "stale", "greetings", "refused", "refused_references", "last
 
 
 def library_path(precision: Precision) -> Path:
-    """Where set-up put the library.
+    """Return the path of the library that set-up built.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def _library(precision: Precision) -> ctypes.CDLL:
 
 
 class Firmware:
-    """One box in C, on from its power-on.
+    """One box in C, from its power-on.
 
     Parameters
     ----------
@@ -99,16 +99,16 @@ class Firmware:
         self.power_on(epoch)
 
     def power_on(self, epoch: int | None = None) -> None:
-        """As after power-up; without an epoch, the next."""
+        """Reset to power-on, with the given epoch or the next."""
         self.epoch = self.epoch % 0xFFFFFFFF + 1 if epoch is None else epoch
         self._c.hydro_c_power_on(self._box, ctypes.byref(self._config), ctypes.c_uint32(self.epoch))
 
     def take(self, data: bytes) -> None:
-        """Bytes that came over the line."""
+        """Process bytes that arrived over the line."""
         self._c.hydro_c_bytes(self._box, data, ctypes.c_size_t(len(data)))
 
     def tick(self, measurement: FloatArray, time: float) -> npt.NDArray[np.void]:
-        """One sample of a measurement, shape (8,), at box time [s]: a record of `STATE_DTYPE`, shape (1,)."""
+        """Run one sample on x, shape (8,), at box time [s]; return a record of `STATE_DTYPE`, shape (1,)."""
         self._measurement[:] = measurement
         place = ctypes.c_void_p(self._sample.ctypes.data)
         self._c.hydro_c_tick(
@@ -127,7 +127,7 @@ class Firmware:
         self._c.hydro_c_differentiate(self._rates, *places)
 
     def frames(self) -> bytes:
-        """What goes up the line after a tick."""
+        """Return the bytes sent up the line after a tick."""
         count = self._c.hydro_c_frames(self._box, self._out)
         return ctypes.string_at(self._out, count)
 

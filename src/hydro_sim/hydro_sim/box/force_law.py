@@ -19,7 +19,7 @@ from hydro_bridge.serial.frames import INTEGRAL_FORMS
 from hydro_sim.model import hydraulics
 
 BUMPLESS = INTEGRAL_FORMS.index("bumpless")
-"""Number of the form; any other is the paper's."""
+"""Number of the bumpless form; any other is the paper's."""
 
 
 @njit(cache=True)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The compiled kernel of `box.box`, on records of settings, command and state.
 
-The same compiled functions serve one call per millisecond and the offline loop: both give the same numbers to the bit.
+The same compiled functions serve the call per millisecond and the offline loop: both give bit-identical results.
 """
 
 from __future__ import annotations
@@ -40,16 +40,16 @@ STATE_DTYPE = np.dtype(
     + [("armed_at", np.float64), ("excess", np.float64)],
     align=True,
 )
-"""All that the box remembers; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
+"""State of the box; `integral` is what the integrator carries (`force_law`), `faults` are the flags of the
 faults that tripped it, `excess` [N] is by how much the load force stood beyond its limit when the box was armed."""
 
 CORRECTION_HOLD = 3.5e-3
-"""s for which a command's correction acts: it was decided for one sample, and is an impulse if held (decision 64)."""
+"""Time [s] for which a command's correction acts: decided for one sample, an impulse if held (decision 64)."""
 
 RECOVERY = 1.0
-"""s after arming within which a load force that began beyond its limit must come back."""
+"""Time [s] after arming within which a load force that began beyond its limit must return."""
 RECOVERY_MARGIN = 20.0
-"""N that such a force may rise at first: the load cell's noise and the oil's last swing."""
+"""Initial rise [N] allowed to such a force: the load cell's noise and the oil's last swing."""
 
 
 @njit(cache=True)
@@ -99,7 +99,7 @@ def _admitted(state, value, low, high):
 
 @njit(cache=True)
 def _playable(signal, force_range):
-    """Whether the reference stays within what the load cell can show [N]; false of anything that is not finite.
+    """Return whether the reference stays within what the load cell can show [N]; false of anything that is not finite.
 
     A HOLD has no frequency: its own may be any finite number.
     """
@@ -128,7 +128,7 @@ def tick(bench, settings, states, measurement, time, outputs):
 
 @njit(cache=True)
 def _watch(state, limits, time):
-    """Whether commands are late; if they are gone for good, the box trips and wants to see a disarm."""
+    """Return whether commands are late; if they are gone for good, the box trips and wants to see a disarm."""
     age = time - state.received_at
     if age > limits.trip_timeout:
         state.tripped = state.tripped or state.armed
@@ -160,7 +160,7 @@ def _check(state, limits, measurement, time):
 
 @njit(cache=True)
 def _allowance(state, time):
-    """How far [N] the force may stand beyond its limit: as far as it did at arming, falling to zero within `RECOVERY`.
+    """Allowed excess [N] of the force beyond its limit: as at arming, falling to zero within `RECOVERY`.
 
     A closed valve holds the force that tripped the box, and only the armed loop can take it back.
     """

@@ -24,7 +24,7 @@ from numba import njit
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
 
 FADE = 0.3
-"""s, length of a cross-fade."""
+"""Length [s] of a cross-fade."""
 
 EDGE = 0.125
 """Length of a smooth step's edge in periods."""
@@ -43,7 +43,7 @@ SIGNAL_DTYPE = np.dtype(
 REFERENCE_DTYPE = np.dtype(
     [("old", SIGNAL_DTYPE), ("new", SIGNAL_DTYPE), ("wanted", SIGNAL_DTYPE), ("fade_start", np.float64)]
 )
-"""What the generator remembers: `new` fades in over `old` from `fade_start` on; `wanted` is what was last asked for."""
+"""State of the generator: `new` fades in over `old` from `fade_start` on; `wanted` is the latest request."""
 
 HOLD, SINE, MULTISINE = int(Waveform.HOLD), int(Waveform.SINE), int(Waveform.MULTISINE)
 

@@ -157,7 +157,7 @@ def _serve(options: argparse.Namespace) -> None:
 
 
 def _stopper() -> list[int]:
-    """A list that is no longer empty once somebody asked for the end."""
+    """Return a list that is no longer empty once a stop was requested."""
     asked: list[int] = []
 
     def ask(number: int, _: FrameType | None) -> None:

@@ -34,7 +34,7 @@ class ControlPipe:
         self._rest = b""
 
     def lines(self) -> Iterator[str]:
-        """Whole lines that have arrived."""
+        """Return the complete lines that have arrived."""
         with contextlib.suppress(BlockingIOError):
             self._rest = (self._rest + os.read(self._file, 4096))[-8192:]
         *lines, self._rest = self._rest.split(b"\n")
@@ -42,7 +42,7 @@ class ControlPipe:
             yield line.decode(errors="replace")
 
     def close(self) -> None:
-        """Take the pipe away."""
+        """Remove the pipe."""
         os.close(self._file)
         with contextlib.suppress(OSError):
             self.path.unlink()

@@ -38,7 +38,7 @@ class FirmwareMachine(Machine):
 
     @property
     def refused(self) -> tuple[int, int]:
-        """Values, and references, that the box refused since its power-up."""
+        """Numbers of values, and of references, that the box refused since its power-up."""
         counts = self.firmware.counts()
         return counts["refused"], counts["refused_references"]
 
@@ -49,7 +49,7 @@ class FirmwareMachine(Machine):
         self.samples = 0
 
     def receive(self, command: Command) -> None:
-        """Take a command, as a frame of the line: its numbers become float32."""
+        """Process a command as a frame of the line: its numbers become float32."""
         self.firmware.take(encode_command(next(self._sent), 0, command))
 
     def tick(self) -> np.void:
@@ -75,13 +75,13 @@ class FirmwareLink(BoxLink):
         self.firmware = firmware
 
     def poll(self, now: float) -> Command | None:
-        """Give the box what has arrived by `now` [s]; it takes its commands itself."""
+        """Pass to the box what has arrived by `now` [s]; it processes its commands itself."""
         if data := self._arrived(now):
             self.firmware.take(data)
         return None
 
     def reboot(self) -> None:
-        """Nothing: the machine's restart powers the box on anew."""
+        """Do nothing: the machine's restart powers the box on anew."""
 
     def _frames(self, sample: np.void) -> bytes:
         counts = self.firmware.counts()

@@ -65,5 +65,5 @@ def write_bag(folder: str | Path, recording: Recording, bench: Bench) -> None:
 
 
 def truth(path: str | None) -> TruthConfig:
-    """Truth of a YAML file, or the default profile."""
+    """Load the truth from a YAML file, or return the default profile."""
     return load_truth(path) if path else profile("default")

@@ -22,7 +22,7 @@ from hydro_sim.model.sensors import Sensors
 
 @njit(cache=True)
 def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, physical):
-    """One sample of box and plant in place.
+    """Advance box and plant by one sample, in place.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class Machine:
 
     @property
     def refused(self) -> tuple[int, int]:
-        """Values, and references, that the box refused since its power-up."""
+        """Numbers of values, and of references, that the box refused since its power-up."""
         return int(self.box["refused"][0]), int(self.box["refused_references"][0])
 
     @property
@@ -91,7 +91,7 @@ class Machine:
         return self.samples * SAMPLE_PERIOD
 
     def warm_up(self) -> None:
-        """Run everything once, so that nothing is left to compile, and start anew."""
+        """Run everything once, so that all is compiled, and start anew."""
         self.receive(Command())
         self.tick()
         self.plant.reset(self._seed)
@@ -103,12 +103,12 @@ class Machine:
         self.samples = 0
 
     def receive(self, command: Command) -> None:
-        """Take a command that arrived since the last sample."""
+        """Process a command that arrived since the last sample."""
         fill_command(self._command, command)
         kernel.receive(self.settings, self.box, self._command, self.time)
 
     def tick(self) -> np.void:
-        """One sample; returns a record of `STATE_DTYPE`. `clean` and `physical` then hold what belongs to it."""
+        """Run one sample; return a record of `STATE_DTYPE`. `clean` and `physical` then belong to it."""
         sample: StateArray = np.empty(1, STATE_DTYPE)
         noise = self.plant.noise.row()
         work = self.plant.work
@@ -122,7 +122,7 @@ class Machine:
     def run(
         self, commands: npt.NDArray[np.void], which: npt.NDArray[np.int64]
     ) -> tuple[StateArray, FloatArray, FloatArray]:
-        """Many samples in one compiled loop, with a command before each.
+        """Run many samples in one compiled loop, with a command before each.
 
         Parameters
         ----------

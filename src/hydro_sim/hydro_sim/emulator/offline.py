@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Offline recordings of the emulated bench: the same samples as in real time, to the bit."""
+"""Offline recordings of the emulated bench, bit-identical to those in real time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ class Recording:
     """One recorded run; all arrays have n samples."""
 
     states: StateArray
-    """What the bench recorded, `STATE_DTYPE`, shape (n,)."""
+    """Samples that the bench recorded, `STATE_DTYPE`, shape (n,)."""
     noise_free: StateArray
     """The same run's readings without noise and quantisation, amplifiers' lags included; for scoring only."""
     physical: FloatArray

@@ -23,4 +23,4 @@ def _emulator() -> None:
 
 
 STEPS: dict[str, Callable[[], None]] = {"emulator": _emulator}
-"""By what is said while one runs."""
+"""By the message shown while each runs."""

@@ -85,7 +85,7 @@ class RealTime:
         self._events = sorted(self.faults.events, key=lambda event: event.at)
 
     def run(self, seconds: float | None, stopped: Callable[[], bool]) -> Timing:
-        """Run for `seconds`, or until `stopped`; returns how well the deadlines were met."""
+        """Run for `seconds`, or until `stopped`; return the statistics of the deadlines."""
         count = None if seconds is None else round(seconds / SAMPLE_PERIOD)
         timing, cpu = self.timing, time.process_time()
         gc.collect()
@@ -105,7 +105,7 @@ class RealTime:
         return timing
 
     def _wait(self, deadline: int, start: int) -> int:
-        """Sleep until the deadline [ns]; returns the start, moved if the machine was away for long."""
+        """Sleep until the deadline [ns]; return the start, shifted if the machine was suspended for long."""
         left = deadline - time.monotonic_ns()
         if left > 0:
             time.sleep(left * 1e-9)

@@ -16,7 +16,7 @@ DEFAULT_SCHEDULE = (
     Segment(seconds=4.0, waveform="sine", amplitude=150.0, offset=100.0, frequency=0.5),
     Segment(seconds=2.0, waveform="hold", offset=-100.0),
 )
-"""20 s with something of everything."""
+"""Default schedule of 20 s, of varied waveforms."""
 
 
 def fit_to(segments: Sequence[Segment], seconds: float) -> list[Segment]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""References and gains over time that excite a bench: schedules, random ones, playback, coverage.
+"""Excitation of a bench by references and gains over time: schedules, random draws, playback, coverage.
 
 May import `hydro_bridge.signals` and `model`.
 """

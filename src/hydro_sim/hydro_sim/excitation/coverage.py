@@ -20,7 +20,7 @@ WORKING_RANGE: dict[str, tuple[float, float]] = {
     "proportional_gain": (15.0, 75.0),
     "integral_gain": (5.0, 15.0),
 }
-"""What a model is to be good at: 300 N at 2 Hz with offsets (physics.md), SI units."""
+"""Working range of a model: 300 N at 2 Hz with offsets (physics.md), SI units."""
 
 BINS = 20
 
@@ -28,9 +28,8 @@ BINS = 20
 def coverage(states: StateArray) -> Table:
     """One row per quantity: its range, its spread, and how much of the working range was visited while armed.
 
-    `visited` is the share of 20 bins of the working range with at least 0.1 % of the samples; the last row is the
-    share of
-    cells of load force by velocity, 10 each way, within the ellipse that sines of 400 N and 3770 N/s fill.
+    `visited` is the share of 20 bins of the working range with at least 0.1 % of the samples; the last row is the share
+    of cells of load force by velocity, 10 each way, within the ellipse that sines of 400 N and 3770 N/s fill.
     """
     armed = states[(states["flags"] & Flag.ARMED) != 0]
     seconds = 1e-3 * len(armed)

@@ -35,14 +35,14 @@ class Range:
 
 
 SHARES = {Waveform.HOLD: 0.1, Waveform.SINE: 0.35, Waveform.MULTISINE: 0.4, Waveform.SMOOTH_STEP: 0.15}
-"""How often each waveform is drawn."""
+"""Probability of each waveform."""
 
 STEEPNESS = {Waveform.HOLD: 0.0, Waveform.SINE: 1.0, Waveform.MULTISINE: 1.8, Waveform.SMOOTH_STEP: 4.0}
 """Peak rate of each waveform over amplitude times 2 pi frequency (hydro_sim.box.reference)."""
 
 
 def draw(seconds: float, seed: int, limits: Range | None = None) -> list[Segment]:
-    """A schedule of that length [s]; the same seed gives the same one."""
+    """Draw a schedule of that length [s]; the same seed gives the same one."""
     limits, generator = limits or Range(), np.random.default_rng(seed)
     segments: list[Segment] = []
     left = round(seconds, 3)

@@ -19,10 +19,10 @@ class Playback:
         self._index, self._samples = -1, 0
         self._clean = False
         self.flags = Flag(0)
-        """Of the last sample."""
+        """Flags of the last sample."""
         self.trips = 0
         self.trips_in_a_row = 0
-        """Since the last segment that was played from its beginning to its end without one."""
+        """Trips since the last segment that was played from its beginning to its end without one."""
 
     @property
     def seconds(self) -> float:
@@ -40,7 +40,7 @@ class Playback:
         return self._index == len(self._schedule)
 
     def on_sample(self, flags: int) -> None:
-        """Take a sample's flags. What a plant did before the first segment began is not counted."""
+        """Process a sample's flags. Nothing before the first segment is counted."""
         before, self.flags = self.flags, Flag(flags)
         if self._index < 0:
             return
@@ -49,7 +49,7 @@ class Playback:
             self.trips, self.trips_in_a_row, self._clean = self.trips + 1, self.trips_in_a_row + 1, False
 
     def next(self) -> Segment | None:
-        """The segment that begins now, if one does."""
+        """Return the segment that begins now, if one does."""
         index = max(self._index, 0)
         while index < len(self._ends) and self.elapsed >= self._ends[index]:
             index += 1

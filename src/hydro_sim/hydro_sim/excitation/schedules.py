@@ -44,7 +44,7 @@ class Segment:
 
     @property
     def signal(self) -> ReferenceSignal:
-        """The reference as it is sent to the box."""
+        """Return the reference as it is sent to the box."""
         return ReferenceSignal(
             waveform=Waveform[self.waveform.upper()],
             amplitude=self.amplitude,
@@ -69,7 +69,7 @@ class Segment:
 
 
 def load_schedule(path: str | Path) -> list[Segment]:
-    """Segments from a YAML file with a list under `segments`.
+    """Load segments from a YAML file with a list under `segments`.
 
     Raises
     ------
@@ -80,7 +80,7 @@ def load_schedule(path: str | Path) -> list[Segment]:
 
 
 def schedule_from(data: object, where: str) -> list[Segment]:
-    """Segments from plain YAML data; raises SettingsError like `load_schedule`."""
+    """Return segments from plain YAML data; raises SettingsError like `load_schedule`."""
     entries = data.get("segments") if isinstance(data, dict) and set(data) == {"segments"} else None
     if not isinstance(entries, list) or not entries:
         raise SettingsError(f"{where} must hold one list of segments under the key segments")

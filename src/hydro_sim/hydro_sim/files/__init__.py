@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files of learning: recordings as runs, weights, and the box that each file belongs to.
+"""Files for learning: recordings as runs, weights, and the box that each file belongs to.
 
 May import `model`.
 """

@@ -3,12 +3,12 @@
 
 Model, metric, policy and agent carry a `MadeFor` in their header, entry `made_for` of the JSON `hydro`::
 
-    box        digest of the bench.yaml that the box believed: what the force law takes for true, not what was simulated
+    box        digest of the bench.yaml that the box believed: what the force law assumes, not what was simulated
     model      digest of the learned bench's tensors, of a metric or of a policy trained on it; empty: none was used
     base gains of the box, of policies and agents: their actions are changes to these
     integral   form of the law's integral, where it is known
 
-A file without one fits nothing: nobody knows what for it was made. `ros2 run hydro_sim stamp` writes one.
+A file without one matches no box: its origin is unknown. `ros2 run hydro_sim stamp` writes one.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hydro_bridge.safety.box_info import KnownBox
 from hydro_sim.model.bench import Bench
 
 ENTRY = "made_for"
-"""Of a file's header."""
+"""Key of the entry in a file's header."""
 
 
 class PairingError(UserError):
@@ -49,7 +49,7 @@ class MadeFor:
     """Trained on many drawn benches: for any of them whose box has these base gains."""
 
     def to_header(self) -> dict[str, Any]:
-        """As JSON types."""
+        """Return plain JSON types."""
         return asdict(self)
 
 
@@ -60,31 +60,31 @@ class BoxIdentity:
     digest: str
     """Empty: not known."""
     source: str
-    """Where that stands, for people."""
+    """Source of that information, for people."""
     base_gains: tuple[float, float] | None = None
     """K_p [1/s], K_i [1/s^2]; None: not known."""
     integral: str = ""
 
     @classmethod
     def of_file(cls, path: str | Path | None, base_gains: tuple[float, float] | None = None) -> BoxIdentity:
-        """Of a box that believes this bench.yaml; None: the nominal one."""
+        """Return the identity of a box that believes this bench.yaml; None: the nominal one."""
         bench = Bench.load(path) if path else Bench.nominal()
         return cls(digest=bench.digest, source=str(path or "bench.yaml of hydro_sim"), base_gains=base_gains)
 
     @classmethod
     def of_box(cls, box: KnownBox) -> BoxIdentity:
-        """Of a box that runs."""
+        """Return the identity of a running box."""
         source = f"/hydro/box of {box.plant or 'the plant'}"
         return cls(digest=box.bench_digest, source=source, base_gains=box.base_gains, integral=box.integral)
 
     @property
     def told(self) -> str:
-        """For sentences."""
+        """Return a description for use in sentences."""
         return f"{self.digest} ({self.source})"
 
 
 def made_for(header: Mapping[str, Any]) -> MadeFor | None:
-    """The stamp in a file's header; None if there is none that can be read."""
+    """Return the stamp in a file's header; None if there is none that can be read."""
     try:
         return MadeFor(**header[ENTRY])
     except (KeyError, TypeError):
@@ -92,16 +92,16 @@ def made_for(header: Mapping[str, Any]) -> MadeFor | None:
 
 
 def mismatch(thing: str, made: MadeFor | None, box: BoxIdentity, remedy: str, *, model: str | None = None) -> str:
-    """Why `thing` does not match this box, in one sentence that ends with the remedy; empty if it does.
+    """Return why `thing` does not match this box, in one sentence that ends with the remedy; empty if it does.
 
     Parameters
     ----------
     thing
-        What is to be paired, by kind and file: "the metric own.safetensors".
+        Object to be paired, by kind and file: "the metric own.safetensors".
     made
         What it was made for.
     box
-        What the box believes. What is not known of it is not compared.
+        Identity of the box. Unknown parts are not compared.
     remedy
         What to do instead.
     model

@@ -17,20 +17,20 @@ from hydro_bridge.files import bench_file
 from hydro_bridge.signals import PLANT_FIELDS, Flag, FloatArray, StateArray, matrix
 
 BOX_TOPIC, BENCH_FILE = "/hydro/box", "bench.yaml"
-"""Where a recording says what its box believed: the topic, and before there was one, the attachment."""
+"""Where a recording states the bench that its box believed: the topic, or the attachment of older recordings."""
 
 SHORTEST = 2000
-"""Samples; a shorter run is left out."""
+"""Shortest run [samples] that is used."""
 
 VALIDATION = 1000
-"""Samples of a run that validate, at least: room for a few predictions after what an observer needs to settle."""
+"""Smallest number of validation samples of a run: room for a few predictions after an observer has settled."""
 
 READING_COLUMNS = (0, 2, 4, 5, 6)
-"""Columns of x that sensors give; the others the box makes of them."""
+"""Columns of x that sensors give; the box computes the others from them."""
 
 
 class DataError(ValueError):
-    """Recordings cannot be trained on; the message is one sentence."""
+    """Recordings that cannot be trained on; the message is one sentence."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +38,7 @@ class Run:
     """Successive samples without a gap: u[k] is held from x[k] to x[k + 1]."""
 
     name: str
-    """Of the recording."""
+    """Name of the recording."""
     x: FloatArray
     """Shape (n, 8), measured, SI units."""
     u: FloatArray
@@ -67,7 +67,7 @@ def digest(states: StateArray) -> str:
 
 
 def runs(name: str, states: StateArray) -> list[Run]:
-    """The gapless runs of a recording that are long enough and have valid sensors."""
+    """Return the gapless runs of a recording that are long enough and have valid sensors."""
     x, u = matrix(states), np.ascontiguousarray(states["valve_current"])
     good = np.isfinite(x).all(axis=1) & np.isfinite(u) & ((states["flags"] & Flag.SENSOR_FAULT) == 0)
     joined = good[1:] & good[:-1] & (np.diff(states["sequence"]).view(np.int32) == 1)
@@ -87,7 +87,7 @@ class Data:
 
 
 def load(paths: Sequence[str | Path]) -> dict[str, StateArray]:
-    """States of recordings by name; raises hydro_bridge.bags.recording.RecordingError."""
+    """Load the states of recordings by name; raises hydro_bridge.bags.recording.RecordingError."""
     return {Path(path).name: read_bag(path).state for path in paths}
 
 
@@ -97,7 +97,7 @@ def believed_bench(paths: Sequence[str | Path]) -> str:
     Raises
     ------
     DataError
-        They are of boxes that believed different benches: one model cannot be for both.
+        If they are of boxes that believed different benches: one model cannot be for both.
     """
     said = {str(path): _believed(path) for path in paths}
     found = {name: digest for name, digest in said.items() if digest}
@@ -118,7 +118,7 @@ def _believed(path: str | Path) -> str:
 
 
 def split(recordings: dict[str, StateArray], *, share: float = 0.15, gap: int = 1000) -> Data:
-    """Training and validation runs, which share no sample.
+    """Return training and validation runs, which share no sample.
 
     With three recordings or more the last one validates. With fewer, the last `share` of each run's time does, at least
     `VALIDATION` samples, `gap` samples after where training ends; a run that is too short for that is trained on whole.

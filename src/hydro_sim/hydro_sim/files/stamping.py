@@ -17,12 +17,12 @@ _LENGTH = 8
 
 
 def header_of(blob: bytes) -> dict[str, Any]:
-    """The header that our files carry, JSON under `hydro`.
+    """Return the header of this project's files, JSON under `hydro`.
 
     Raises
     ------
     ValueError
-        These are no bytes of a file of ours.
+        If the bytes are not of such a file.
     """
     try:
         outer = json.loads(blob[_LENGTH : _LENGTH + int.from_bytes(blob[:_LENGTH], "little")])
@@ -33,7 +33,7 @@ def header_of(blob: bytes) -> dict[str, Any]:
 
 
 def stamp_of(path: Path) -> MadeFor | None:
-    """The stamp of a file; None if it has none or is not ours."""
+    """Return the stamp of a file; None if it has none or is of another project."""
     try:
         return made_for(header_of(path.read_bytes()))
     except ValueError:
@@ -41,7 +41,7 @@ def stamp_of(path: Path) -> MadeFor | None:
 
 
 def stamped(blob: bytes, made: MadeFor | None) -> bytes:
-    """The same file with this stamp instead of the one it had; None: without.
+    """Return the same file with this stamp instead of its own; None: without.
 
     Raises
     ------

@@ -2,9 +2,8 @@
 """Weights on disk: a safetensors file of a few kB with a JSON header. Never pickle.
 
 The header's one entry `hydro` holds: format, structure, hidden, constants (name, unit), units of the state,
-normalization,
-region of training, `made_for` (`files.pairing`), and `training`: recordings with digests, command, seed, settings,
-code version, errors reached.
+normalization, region of training, `made_for` (`files.pairing`), and `training`: recordings with digests, command, seed,
+settings, code version, errors reached.
 """
 
 from __future__ import annotations
@@ -30,11 +29,11 @@ Tensors = dict[str, FloatArray]
 
 
 class WeightsError(ValueError):
-    """A file holds no weights of a learned bench; the message is one sentence."""
+    """A file that holds no weights of a learned bench; the message is one sentence."""
 
 
 def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeFor | None = None) -> None:
-    """Write tensors, header and what they were made for; missing folders are made."""
+    """Write tensors, header and stamp; create missing folders."""
     if made is not None:
         header = {**header, ENTRY: made.to_header()}
     Path(path).parent.mkdir(parents=True, exist_ok=True)
@@ -44,12 +43,12 @@ def save(path: str | Path, tensors: Tensors, header: dict[str, Any], made: MadeF
 
 
 def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
-    """Tensors and header of a weights file.
+    """Load tensors and header of a weights file.
 
     Raises
     ------
     WeightsError
-        If the file is missing, is no safetensors file, is not of this format, or holds numbers that are none.
+        If the file is missing, is no safetensors file, is not of this format, or holds unsound numbers.
     """
     try:
         with safe_open(str(path), framework="numpy") as file:
@@ -80,7 +79,7 @@ def shipped() -> Path:
 
 
 def digest(path: str | Path) -> str:
-    """First digits of the SHA-256 of a file's tensors; stamps and notes in the header do not change it.
+    """Return the first digits of the SHA-256 of a file's tensors; stamps and notes in the header do not change it.
 
     Raises
     ------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bench identified from recordings: objectives, optimisers, start states, evaluation, `learn` and `validate`.
+"""Identification of a bench from recordings: objectives, optimisers, start states, evaluation, `learn` and `validate`.
 
 May import all of this package but `simulation`, `emulator` and `nodes`.
 """

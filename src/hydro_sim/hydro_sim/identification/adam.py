@@ -2,7 +2,7 @@
 """The training loop of every model structure: Adam (Kingma and Ba, 2015) on one vector, with early stopping.
 
 An epoch depends on the parameters, the optimizer's state, and the epoch's number alone (shuffles are drawn from seed
-and epoch): a run that was resumed gives the same numbers, to the bit, as one that was not interrupted.
+and epoch): a resumed run gives bit-identical results to one that was not interrupted.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.neural import adam_kernel
 
 GAIN = 1e-3
-"""Share by which a validation must be better than the best to count."""
+"""Relative improvement over the best validation that counts."""
 
 
 class Objective(Protocol):
     """A training objective."""
 
     def refresh(self, parameters: FloatArray) -> None:
-        """Do anew what depends on the model but is not trained through: the windows' start states."""
+        """Recompute what depends on the model but is not differentiated: the windows' start states."""
 
     def gradients(self, parameters: FloatArray, epoch: int) -> Iterator[tuple[float, FloatArray]]:
-        """Loss and gradient of each batch of an epoch; `parameters` changes in place between them."""
+        """Yield loss and gradient of each batch of an epoch; `parameters` changes in place between them."""
 
     def validate(self, parameters: FloatArray) -> float:
         """Error on the validation runs; the smaller the better."""
@@ -74,7 +74,7 @@ class Progress:
 
     @classmethod
     def begin(cls, parameters: FloatArray) -> Progress:
-        """Nothing done yet."""
+        """Return the progress of a training that has not begun."""
         zeros = np.zeros_like(parameters)
         return cls(
             parameters=parameters.copy(), best=parameters.copy(), anchor=parameters.copy(), first_moment=zeros,
@@ -82,12 +82,12 @@ class Progress:
         )  # fmt: skip
 
     def arrays(self) -> dict[str, FloatArray]:
-        """All of it by name; numbers as arrays of one."""
+        """Return all fields by name; numbers as arrays of one."""
         return {entry.name: np.atleast_1d(np.asarray(getattr(self, entry.name))) for entry in fields(self)}
 
     @classmethod
     def of(cls, arrays: Mapping[str, FloatArray]) -> Progress:
-        """What `arrays` gave; KeyError or TypeError if they are not whole."""
+        """Restore from `arrays`; KeyError or TypeError if they are incomplete."""
         scalars = {name: arrays[name][0].item() for name in ("best_error", "best_epoch", "epoch", "steps")}
         return cls(**{**arrays, **scalars})
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The analytic plant of `hydro_sim.model.hydraulics` rolled out in batches: what a learned model is compared with."""
+"""The analytic plant of `hydro_sim.model.hydraulics` rolled out in batches, for comparison with learned models."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from hydro_sim.structured.rollout import differentiate, show
 def omitted_terms(bench: Bench) -> str:
     """A sentence that names the bench file's effects and closures, which this model omits.
 
-    What has a past (spool, bristles, a dead time) cannot start there from a measurement. Closed-loop simulations start
-    at rest and leave nothing out: `hydro_sim.model.plant.AnalyticPlant`.
+    Elements with memory (spool, bristles, a dead time) cannot start from a measurement there. Closed-loop simulations
+    start at rest and leave nothing out: `hydro_sim.model.plant.AnalyticPlant`.
     """
     names = ", ".join(map(label, bench.terms))
     return f"of the bench file's effects the analytic model's predictions leave out {names}" if names else ""

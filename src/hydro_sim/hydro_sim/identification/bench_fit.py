@@ -26,13 +26,13 @@ from hydro_sim.model.bench_model import Named
 from hydro_sim.model.sensitivities import Sensitivities
 
 PRIOR = 10.0
-"""Typical sizes, or factors of e: how far a parameter is believed to be from its value in the bench file at first."""
+"""Prior standard deviation of a parameter about its value in the bench file: typical sizes, or factors of e."""
 STEP_MAX = 1.0
-"""In one iteration: a typical size, a factor of e, or all of a parameter that is larger than its typical size."""
+"""Largest step of an iteration: a typical size, a factor of e, or all of a parameter larger than its typical size."""
 START_MAX = 4.0
-"""Of s in one iteration."""
+"""Largest step of s in one iteration."""
 SETTLED = 1e-3
-"""Part by which the cost must fall for another iteration."""
+"""Share by which the cost must fall for another iteration."""
 
 
 class Coordinates:
@@ -43,9 +43,9 @@ class Coordinates:
     parameters
         All of a model.
     values
-        What the bench file says, shape (parameters,).
+        Values in the bench file, shape (parameters,).
     free
-        Which of them are learnt.
+        Those that are learned.
     """
 
     def __init__(self, parameters: Sequence[Named], values: FloatArray, free: Indices) -> None:
@@ -62,17 +62,17 @@ class Coordinates:
         return theta
 
     def one(self, q: FloatArray) -> FloatArray:
-        """The free ones, held within their bounds."""
+        """Return the free ones, held within their bounds."""
         found = np.where(self.logarithm, np.exp(np.where(self.logarithm, q, 0.0)), self.scale * q)
         return np.asarray(np.clip(found, self.low, self.high))
 
     def q(self, theta: FloatArray) -> FloatArray:
-        """Of all parameters."""
+        """Coordinates q of the free parameters, given all."""
         one = theta[self.free]
         return np.asarray(np.where(self.logarithm, np.log(np.where(self.logarithm, one, 1.0)), one / self.scale))
 
     def magnitude(self, q: FloatArray) -> FloatArray:
-        """How far a step of q may lead: 1 at least, and |q| of a parameter that may be 0, which then doubles."""
+        """Largest step of q: 1 at least, and |q| of a parameter that may be 0, which then doubles."""
         return np.asarray(np.where(self.logarithm, 1.0, np.maximum(np.abs(q), 1.0)))
 
     def slopes(self, q: FloatArray) -> FloatArray:
@@ -93,7 +93,7 @@ class Batch:
     targets: FloatArray
     """Measured readings, shape (n, H, 5)."""
     noise: FloatArray
-    """What they are weighed by, shape (5,)."""
+    """Deviations by which they are weighted, shape (5,)."""
 
 
 @dataclass
@@ -127,7 +127,7 @@ class Problem:
         self.size = batch.targets.size
 
     def improve(self, fit: Fit) -> bool:
-        """One iteration, in place; whether another one is worth while."""
+        """Run one iteration in place; return whether another one is worthwhile."""
         reduced, gradient, back = self.normal(fit)
         cost = self.cost(fit.q, fit.s)
         reach = STEP_MAX * self.coordinates.magnitude(fit.q)
@@ -155,7 +155,7 @@ class Problem:
         return total / self.size if np.isfinite(total) else np.inf
 
     def left(self, fit: Fit) -> FloatArray:
-        """RMS of what predictions leave of each reading, shape (5,)."""
+        """RMS prediction error of each reading, shape (5,)."""
         k, _ = self.exact.coefficients(self.coordinates.theta(fit.q))
         found = [self.exact.model.rollout(k, self._start(i, s), self.batch.currents[i]) for i, s in enumerate(fit.s)]
         return np.asarray(np.sqrt(np.mean((np.array(found) - self.batch.targets) ** 2, axis=(0, 1))))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learns the parameters of a bench file's effects and closures from recordings.
 
-Rounds of two halves: the filter follows the recordings with the parameters so far and says where windows begin
-(`bench_states`), then parameters and starts are fitted to the windows together (`bench_fit`). At first the filter
-trusts the model little, so that a poor bench file does not send the starts astray. A reading of which the model leaves
-more than noise is weighed by what is left: the likelihood of five unknown variances.
+Each round has two halves: the filter follows the recordings with the present parameters and gives the start states of
+windows (`bench_states`), then parameters and starts are fitted to the windows together (`bench_fit`). At first the
+filter trusts the model little, so that a poor bench file does not mislead the starts. A reading whose error exceeds the
+noise is weighted by that error: the likelihood of five unknown variances.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ from hydro_sim.model.sensitivities import Sensitivities
 SUBSTEPS = 10
 """Integration steps per sample: 100 us, a 110th of a period of the 90 Hz mass-on-oil mode."""
 TRUSTS = (30.0, 10.0, 3.0, 1.0, 1.0, 1.0)
-"""How much the filter thinks that the model misses, round by round."""
+"""Model error that the filter assumes, by round."""
 ITERATIONS = 5
-"""In a round, at most."""
+"""Largest number of iterations in a round."""
 TRIED = (0.03, 0.3, 3.0)
-"""Trusts of which the one that predicts the validation runs best is taken in the end."""
+"""Trusts of the final choice: the one that predicts the validation runs best."""
 DELAY_LEAST, DELAY_FACTOR = 5e-3, 2.0
-"""s, and times the bench file's: what a dead time may become."""
+"""Upper bound of a dead time: at least so many s, and so many times that of the bench file."""
 QUANTILE = 1.96
 """Standard deviations from the middle of a 95 % interval to its end."""
 
@@ -52,10 +52,10 @@ class Identified:
     """In the bench file."""
     value: float
     low: float
-    """Of the 95 % interval, as far as windows are independent and the model holds."""
+    """Lower end of the 95 % interval, as far as windows are independent and the model holds."""
     high: float
     seen: bool
-    """Whether the recordings say more than was believed before."""
+    """Whether the recordings add to the prior."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -65,18 +65,18 @@ class Result:
     bench: Bench
     parameters: list[Identified]
     noise: FloatArray
-    """Of the readings, measured in the recordings, shape (5,)."""
+    """Noise of the readings, measured in the recordings, shape (5,)."""
     left: FloatArray
     """RMSE of 70-sample predictions of the validation runs against the readings, shape (5,)."""
 
     @property
     def quality(self) -> Quality:
-        """How good it is."""
+        """Quality of the learned bench."""
         return Quality.of((self.left / self.noise).tolist())
 
 
 def learn(bench: Bench, data: Data, *, count: int = 120, seed: int = 0, report: Report = lambda text: None) -> Result:
-    """The bench with its effects' and closures' parameters fitted to `count` windows of the training runs.
+    """Return the bench with its effects' and closures' parameters fitted to `count` windows of the training runs.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def prediction_rmse(bench: Bench, runs: list[Run]) -> FloatArray:
 def best_prediction_rmse(
     exact: Sensitivities, theta: FloatArray, noise: FloatArray, runs: list[Run]
 ) -> tuple[FloatArray, StateEstimator]:
-    """As `prediction_rmse`, with the trust of the filter that leaves least; and that filter."""
+    """Return the lowest `prediction_rmse` over the filter's trusts, and that filter."""
     followers = [StateEstimator(exact, theta, noise, trust) for trust in TRIED]
     found = [(_left(follower, runs), follower) for follower in followers]
     return min(found, key=lambda one: float(np.mean(np.log(one[0]))))
@@ -164,7 +164,7 @@ def _coordinates(bench: Bench, model: BenchModel) -> Coordinates:
 
 
 def _windows(runs: list[Run], count: int, generator: np.random.Generator) -> list[Indices]:
-    """Where windows begin in each run, in rising order; none overlaps another."""
+    """Start samples of windows in each run, in rising order, without overlap."""
     places = [
         (i, begin) for i, run in enumerate(runs)
         for begin in range(min(SETTLED, len(run) // 4), len(run) - HORIZON - 1, HORIZON)

@@ -16,7 +16,7 @@ from hydro_sim.model.sensitivities import Sensitivities
 from hydro_sim.model.sensors import Sensors
 
 RATES = (1, 3, 7)
-"""Columns of x that the box makes of the readings 0, 1 and 4, and how each of them forgets."""
+"""Columns of x that the box computes from the readings 0, 1 and 4, and the coefficient of each."""
 DIFFERENTIATED = (0, 1, 4)
 MEMORIES = ("force_memory", "force_memory", "velocity_memory")
 
@@ -29,7 +29,7 @@ class BenchPrediction:
     bench
         The bench file.
     runs
-        What it is judged on: their noise is measured, and of the filter's trusts the one that leaves least is taken.
+        Runs for its evaluation: their noise is measured, and the filter's trust with the lowest error is taken.
     """
 
     def __init__(self, bench: Bench, runs: list[Run]) -> None:
@@ -41,7 +41,7 @@ class BenchPrediction:
         self.memories = np.array([record[name] for name in MEMORIES])
 
     def estimate(self, run: Run) -> FloatArray:
-        """Where predictions begin: the model's states, the box's rates, its readings; shape (n, states + 8)."""
+        """Start of predictions: the model's states, the box's rates, its readings; shape (n, states + 8)."""
         return np.concatenate([self.follower.states(run), run.x[:, RATES], run.x[:, READING_COLUMNS]], axis=1)
 
     def predict(self, starts: FloatArray, currents: FloatArray) -> FloatArray:

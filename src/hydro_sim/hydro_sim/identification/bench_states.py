@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """State estimation for a bench with any effects: initial states of predictions, with covariances.
 
-An extended Kalman filter on the bench's model follows a run. What it thinks where a window begins is the window's first
-guess, and its covariance says which way the start may be wrong: along the columns of `root`, each one standard
+An extended Kalman filter on the bench's model follows a run. Its estimate where a window begins is the window's first
+guess, and its covariance gives the directions in which the start may be wrong: the columns of `root`, each one standard
 deviation. Past currents are the recorded ones.
 """
 
@@ -20,15 +20,15 @@ from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
 from hydro_sim.model.sensitivities import Sensitivities, Track
 
 ORDER = 6
-"""Of the differences that noise is measured by: what a bench does below 100 Hz is a thirtieth of itself in them."""
+"""Order of the differences by which noise is measured: they reduce motion below 100 Hz to a thirtieth."""
 
 MISSED_PRESSURE, MISSED_VELOCITY, MISSED_HIDDEN = 6e-6, 2.5e-4, 1e-4
-"""What a sample of the model misses at a trust of 1, standard deviations: of the supply pressure, of the stroke per
+"""Model error per sample at a trust of 1, standard deviations: of the supply pressure, of the stroke per
 second, and of a hidden state's typical size."""
 
 
 def noise_of(runs: list[Run]) -> FloatArray:
-    """Standard deviation of the five readings' noise, shape (5,), from how they jump from sample to sample."""
+    """Standard deviation of the five readings' noise, shape (5,), from their differences between samples."""
     squares = [np.mean(np.diff(run.readings, ORDER, axis=0) ** 2, axis=0) for run in runs]
     spread = np.sqrt(np.mean(squares, axis=0) / comb(2 * ORDER, ORDER))
     moved = np.std(np.concatenate([run.readings for run in runs]), axis=0)
@@ -57,7 +57,7 @@ class StateEstimator:
     noise
         Standard deviation of the readings, shape (5,).
     trust
-        How much the model misses, times `MISSED_*`.
+        Scale of the model error, in units of `MISSED_*`.
     """
 
     def __init__(self, exact: Sensitivities, theta: FloatArray, noise: FloatArray, trust: float) -> None:
@@ -66,14 +66,14 @@ class StateEstimator:
         self.q = (trust * process_noise(exact.model)[: exact.held]) ** 2
 
     def states(self, run: Run) -> FloatArray:
-        """At every sample of a run, shape (n, states)."""
+        """Return the states at every sample of a run, shape (n, states)."""
         track = self._begin(run)
         first = track.y.copy()
         rest = self.exact.follow(self.k, track, run.u[:-1], run.readings[1:], self.q, self.noise**2)
         return np.concatenate([first[None], rest])
 
     def starts(self, run: Run, samples: Indices) -> Starts:
-        """At some samples of a run, in rising order."""
+        """Return start states at some samples of a run, in rising order."""
         track, at, readings, r = self._begin(run), 0, run.readings, self.noise**2
         held = self.exact.held
         states, roots = np.empty((len(samples), len(track.y))), np.empty((len(samples), held, held))

@@ -28,13 +28,13 @@ class Checkpoint:
 
     progress: adam.Progress
     model: Model
-    """As the loop began with it: the constants of a structured one are identified already."""
+    """The model as the loop began with it: the constants of a structured one are identified already."""
     settings: Settings
     asked: Mapping[str, Any] = field(default_factory=dict)
-    """Of the rest that was asked for, as JSON types: recordings' digests, the bench file."""
+    """The other options, as JSON types: recordings' digests, the bench file."""
 
     def save(self, path: Path) -> None:
-        """Write it; the old one stays until the new one is whole. Missing folders are made."""
+        """Write the checkpoint; the old one stays until the new one is complete. Missing folders are created."""
         arrays = {_PROGRESS + name: array for name, array in self.progress.arrays().items()}
         arrays |= {_MODEL + name: array for name, array in self.model.tensors().items()}
         about = {"model": self.model.header(), "settings": asdict(self.settings), "asked": dict(self.asked)}
@@ -46,7 +46,7 @@ class Checkpoint:
 
     @classmethod
     def load(cls, path: Path) -> Checkpoint:
-        """Read it; DataError if it is none."""
+        """Read a checkpoint; raises DataError if it is none."""
         try:
             with safe_open(str(path), framework="np") as file:
                 about = json.loads(file.metadata()["hydro"])

@@ -12,7 +12,7 @@ from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, FloatArray
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, UNITS, figure, legend
 
 SI_UNITS = ("N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s")
-"""Of the entries of x."""
+"""Units of the entries of x."""
 
 
 def draw_curves(history: FloatArray, path: str | Path, title: str) -> None:

@@ -1,11 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well a model predicts: the paper's Table rmse_model, errors over the horizon, by region, and a free run.
+"""Evaluation of a model: the paper's Table rmse_model, errors over the horizon, by region, and a free run.
 
 Every prediction starts from the model's own estimate of the state, which looks only back, and runs under the recorded
-current.
-Errors are normalized per state either by the standard deviation of the recording or by its range (largest minus
-smallest,
-of the noise-free log where there is one): the paper does not say which it used, so both are given.
+current. Errors are normalized per state either by the standard deviation of the recording or by its range (largest
+minus smallest, of the noise-free log where there is one): the paper does not say which it used, so both are given.
 """
 
 from __future__ import annotations
@@ -43,7 +41,7 @@ class Errors:
 
 
 def window_starts(run: Run, horizon: int, stride: int) -> Indices:
-    """Where predictions of a run begin; the observer has settled by then."""
+    """Start samples of a run's predictions, after the observer has settled."""
     return np.arange(SETTLED, len(run) - horizon - 1, stride)
 
 

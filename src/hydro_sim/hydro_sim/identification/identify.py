@@ -2,8 +2,7 @@
 """First stage of training the structured model: its constants, by Levenberg-Marquardt on many short windows.
 
 A window's start is not known well enough, so it is estimated along with the constants: every window has its own start
-state s,
-drawn towards its measured samples, and is eliminated from the normal equations (a Schur complement)::
+state s, drawn towards its measured samples, and is eliminated from the normal equations (a Schur complement)::
 
     min over theta, s_1 .. s_n of   sum_i |(readings(theta, s_i) - measured_i) / noise|^2  +  |(s_i - guess_i) /
     spread|^2
@@ -71,7 +70,7 @@ class _Normal:
 def improve(
     fit: Fit, readings: Readings, targets: FloatArray, guesses: FloatArray, spread: FloatArray, learned: Indices
 ) -> bool:
-    """One iteration, in place; returns whether the loss fell by more than a thousandth.
+    """Run one iteration in place; return whether the loss fell by more than a thousandth.
 
     Parameters
     ----------

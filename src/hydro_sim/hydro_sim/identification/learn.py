@@ -110,7 +110,7 @@ def resumed(options: argparse.Namespace) -> Checkpoint | None:
 
 
 def _begun(options: argparse.Namespace, data: recordings.Data, settings: training.Settings, bench: Bench) -> Checkpoint:
-    """A training at its beginning; of a structured model the constants are identified."""
+    """Return a training at its beginning; of a structured model the constants are identified."""
     model = training.start(data, settings, bench)
     if isinstance(model, StructuredModel):
         model = stages.fit_constants(model, data, settings.identify_windows, settings.seed, _say)
@@ -137,7 +137,7 @@ def _say(sentence: str) -> None:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse numbers that cannot work, before the work; raises ValueError."""
+    """Refuse impossible numbers before any work; raises ValueError."""
     counts = {"--horizon": options.horizon, "--batch": options.batch, "--epochs": options.epochs}
     counts |= {"--patience": options.patience, "--hidden": min(options.hidden)}
     for word, count in counts.items():

@@ -20,10 +20,10 @@ from hydro_sim.learned.any_model import BENCH_FILES, is_bench_file
 from hydro_sim.model.bench import Bench
 
 STRUCTURE = "bench"
-"""What `--structure` calls it."""
+"""Its name for `--structure`."""
 
 FITTING = ("bags", "out", "structure", "bench", "windows", "seed", "json")
-"""Options that mean something here."""
+"""Options that apply here."""
 
 COLUMNS = {
     "parameter": "",
@@ -37,12 +37,12 @@ COLUMNS = {
 
 
 def run(options: argparse.Namespace, said: Collection[str]) -> None:
-    """Learn, print, write.
+    """Learn the bench, print its quality, and write it.
 
     Raises
     ------
     UserError
-        Options that mean nothing here, or no bench file.
+        If an option does not apply here, or there is no bench file.
     ValueError
         See `bench_learning.learn`.
     """

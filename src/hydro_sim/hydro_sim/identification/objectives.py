@@ -18,7 +18,7 @@ from hydro_sim.structured import rollout
 from hydro_sim.structured.model import StructuredModel
 
 SETTLED = 600
-"""Samples at the beginning of a run that no window starts in: the observer is still settling."""
+"""Samples at the beginning of a run without window starts: the observer is still settling."""
 
 Indices = npt.NDArray[np.int64]
 
@@ -29,7 +29,7 @@ class Windows:
     Parameters
     ----------
     runs
-        Where from.
+        Source of the windows.
     horizon
         H, samples predicted.
     stride
@@ -72,7 +72,7 @@ def batches_of(starts: Indices, size: int) -> list[Indices]:
 
 
 class NetworkObjective:
-    """Trains the weights of a network on normalized states."""
+    """Training of a network's weights on normalized states."""
 
     def __init__(
         self,
@@ -90,7 +90,7 @@ class NetworkObjective:
         self.z, self.v = model.normalized(training.x, training.u)
 
     def refresh(self, parameters: FloatArray) -> None:
-        """Nothing: windows start from the measurement."""
+        """Do nothing: windows start from the measurement."""
 
     def gradients(self, parameters: FloatArray, epoch: int) -> Iterator[tuple[float, FloatArray]]:
         """See `adam.Objective`."""
@@ -109,7 +109,7 @@ class NetworkObjective:
 
 
 class StructuredObjective:
-    """Trains the network of a structured model on the readings, each weighed by what the model left of it.
+    """Training of a structured model's network on the readings, each weighted by the error that the model leaves.
 
     The constants stay as they were identified: against a reading as fine as the encoder's, a gradient step that suits
     the network is far too long for them.
@@ -126,11 +126,11 @@ class StructuredObjective:
         self.validation_states: FloatArray = self.states
 
     def at(self, parameters: FloatArray) -> StructuredModel:
-        """The model with these weights."""
+        """Return the model with these weights."""
         return self.model.with_parameters(self.model.theta, parameters)
 
     def refresh(self, parameters: FloatArray) -> None:
-        """Start states by the observer, with these parameters."""
+        """Recompute start states by the observer, with these parameters."""
         model = self.at(parameters)
         self.states = np.concatenate([model.estimate(run) for run in self.training.runs])
         self.validation_states = np.concatenate([model.estimate(run) for run in self.validation.runs])
@@ -146,7 +146,7 @@ class StructuredObjective:
             yield float(loss), by_flat
 
     def validate(self, parameters: FloatArray) -> float:
-        """Root of the mean squared error of the readings over the horizon, each over what was left of it."""
+        """Root of the mean squared error of the readings over the horizon, each over its remaining error."""
         return float(np.sqrt(np.mean((self.errors(parameters) * self.weights) ** 2)))
 
     def errors(self, parameters: FloatArray) -> FloatArray:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Stages of fitting the structured model's constants: windows, weights, observer.
 
-`identify` has the search itself. Readings are first weighed by their noise, taken for 100 times what it is, so that a
-poor start does not send the search astray. Where the model then leaves more than noise, readings are weighed by what
-it leaves and the constants fitted anew, until that settles: the likelihood of five unknown variances. By noise alone
-the finest reading would decide everything as soon as the bench is not quite of this structure.
+`identify` has the search itself. Readings are first weighted by 100 times their noise, so that a poor start does not
+mislead the search. Where the model then leaves more than noise, readings are weighted by the remaining error and the
+constants fitted anew, until that settles: the likelihood of five unknown variances. By noise alone, the finest reading
+would decide everything as soon as the bench deviates from this structure.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from hydro_sim.structured.model import StructuredModel, first_guess
 
 IDENTIFY_HORIZON = 150
 NOISE_SCALES = (100.0, 20.0, 4.0, 1.0)
-"""What the readings' noise is taken for, one after the other."""
+"""Multiples of the readings' noise by which they are weighted, in order."""
 ITERATIONS = 6  # at each of them
 REWEIGHTINGS = 4
-"""How often readings are weighed anew by what is left of them, at most."""
+"""Largest number of times that readings are reweighted by their remaining error."""
 SETTLED_LEFT = 0.1
-"""Change of what is left, of its logarithm, below which it counts as settled."""
+"""Change of the remaining error's logarithm below which it counts as settled."""
 REWEIGHTED_ITERATIONS = 12
 GUESS_SPREAD: FloatArray = np.array([2e4, 2e4, 2e-6, 5e-3, 2e-3, 1.0, 2.0, 200.0, 2e-5])
-"""Of a window's start about its first guess, units of the state."""
+"""Standard deviation of a window's start about its first guess, units of the state."""
 
 Report = Callable[[str], None]
 

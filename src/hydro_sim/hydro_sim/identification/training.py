@@ -55,7 +55,7 @@ class Settings:
 
 
 STRUCTURED_ADAM = adam.Settings(epochs=60, learning_rate=3e-4, patience=30, refresh_every=20)
-"""The constants come identified: what is left for the network is little, and goes quickly."""
+"""Settings where the constants are identified already: little is left for the network, and it trains fast."""
 
 
 CHOICES = ("structured", "residual", "network")
@@ -92,7 +92,7 @@ def objective(model: Model, data: Data, settings: Settings) -> NetworkObjective 
 
 
 def _engine(target: NetworkObjective | StructuredObjective, choice: tuple[Engine, ...]) -> Engine:
-    """The quicker one of several, on the first batch."""
+    """The fastest of several engines on the first batch."""
     if len(choice) > 1:
         target.refresh(target.model.flat)
 
@@ -109,8 +109,8 @@ def steps(
 ) -> Iterator[tuple[adam.Progress, Model]]:  # fmt: skip
     """Run the loop from the start or from `progress`; yields progress and the best model so far after every epoch.
 
-    Where all epochs are done already, both come once. `keep` gets what there is to go on from: at the beginning and at
-    every validation.
+    Where all epochs are done already, both come once. `keep` receives what training can resume from: at the beginning
+    and at every validation.
     """
     target = objective(model, data, settings)
     progress = progress or adam.Progress.begin(target.model.flat)

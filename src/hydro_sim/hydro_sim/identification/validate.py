@@ -67,7 +67,7 @@ def main() -> None:
 
 
 def _model(options: argparse.Namespace) -> Bench | Model:
-    """What is judged; PairingError where weights are not of the box that --bench names."""
+    """Load the model to validate; PairingError where weights are not of the box that --bench names."""
     if is_bench_file(options.model):
         return Bench.load(options.model)
     learned, path = Learned.load(options.model), Path(options.model or shipped())

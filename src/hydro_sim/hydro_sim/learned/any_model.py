@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A model of the bench by its file: weights of `learn`, or a bench file with named effects.
+"""Loading of a bench model of any kind: weights of `learn`, or a bench file with named effects.
 
-What a bench file believes it says itself; which box goes with it, the metric or the policy says that was made for both
+A bench file states its own numbers; the metric or the policy made for both states the box that belongs to it
 (`files.pairing`).
 """
 
@@ -22,19 +22,19 @@ BENCH_FILES = (".yaml", ".yml")
 
 
 def is_bench_file(path: str | Path | None) -> bool:
-    """Whether a file's name is a bench file's; None is the shipped model."""
+    """Return whether a file's name is a bench file's; None is the shipped model."""
     return path is not None and Path(path).suffix in BENCH_FILES
 
 
 def load_model(path: str | Path | None) -> StructuredModel | Bench:
-    """A model that has a certificate; None: the shipped one.
+    """Load a model that admits a certificate; None: the shipped one.
 
     Raises
     ------
     WeightsError
-        The file is missing or unreadable, or a network alone.
+        If the file is missing or unreadable, or holds a network alone.
     ValueError
-        The bench file is not one, or says itself that it predicts the bench badly.
+        If the bench file is invalid, or states that it predicts the bench badly.
     """
     if path is not None and is_bench_file(path):
         bench = Bench.load(path)
@@ -49,7 +49,7 @@ def load_model(path: str | Path | None) -> StructuredModel | Bench:
 
 
 def make_plant(path: str | Path | None, *, noise: float = 1.0) -> Plant:
-    """A plant of any model, networks too (raises as `load_model`)."""
+    """Return a plant of any model, networks too (raises as `load_model`)."""
     if path is not None and is_bench_file(path):
         return AnalyticPlant(Bench.load(path), noise=noise)
     return LearnedPlant(path, noise=noise)

@@ -22,7 +22,7 @@ Model = StructuredModel | NetworkModel | DeepModel
 STRUCTURES: dict[str, type[StructuredModel] | type[NetworkModel] | type[DeepModel]] = {
     "structured": StructuredModel, "network": NetworkModel, "deep": DeepModel, "residual": DeepModel,
 }  # fmt: skip
-"""By the name that files carry."""
+"""Classes of models by their names in files."""
 UNITS = {"state": ["N", "N/s", "N", "N/s", "Pa", "Pa", "m", "m/s"], "current": "A", "sample": "1e-3 s"}
 
 
@@ -35,7 +35,7 @@ class Learned:
     training: dict[str, Any] = field(default_factory=dict)
     """Recordings' digests, command, seed, settings, code version, errors reached."""
     made: MadeFor | None = None
-    """Whose bench it is; None: the file does not say."""
+    """The box that it was made for; None: the file does not state one."""
 
     def save(self, path: str | Path) -> None:
         """Write a weights file."""

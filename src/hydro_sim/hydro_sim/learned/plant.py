@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A learned model as a `hydro_sim.model.plant.Plant`: what the sim node and the offline loop step.
+"""A learned model as a `hydro_sim.model.plant.Plant`, for the sim node and the offline loop.
 
-The model gives x without noise. The sensors' noise and quantisation go through the box's differentiation by
-themselves and
-are added: conditioning is linear, so x comes out as if the readings had been noisy.
+The model gives x without noise. The sensors' noise and quantisation go through the box's differentiation by themselves
+and are added: conditioning is linear, so x comes out as if the readings had been noisy.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ Step = Callable[[FloatArray, float, FloatArray], None]
 """Advances a state [in place] under a current [A] and writes x, shape (8,)."""
 
 FARTHEST = 20.0
-"""Standard deviations beyond which a state of the network is not let go."""
+"""Standard deviations beyond which a state of the network is clipped."""
 
 
 class LearnedPlant:
@@ -148,7 +147,7 @@ def advance_network(layers, step, center, scale, state, current, x, a1, a2, y, m
 
 @njit(cache=True)
 def _errors(sensor, noise, clean, raw):
-    """What the sensors add to the five readings."""
+    """Errors that the sensors add to the five readings."""
     raw[0], raw[1], raw[2], raw[3], raw[4] = clean[0], clean[2], clean[4], clean[5], clean[6]
     sensors.sense(sensor, noise, raw)
     raw[0] -= clean[0]

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The region in which a model was trained.
 
-The region is an ellipsoid about the training samples in five coordinates that determine the rest: f_l, f_l', p_a,
-p_b, u. Its
-axes are the samples' principal axes, its size the farthest sample's with a margin.
+The region is an ellipsoid about the training samples in five coordinates that determine the rest: f_l, f_l', p_a, p_b,
+u. Its axes are the samples' principal axes, its size the farthest sample's with a margin.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ from numba import njit
 from hydro_bridge.signals import FloatArray
 
 COLUMNS = (2, 3, 4, 5)
-"""Columns of x that are looked at; the valve current is the fifth coordinate."""
+"""Columns of x that define the region; the valve current is the fifth coordinate."""
 
 MARGIN = 1.2
 """The ellipsoid's half axes over those that hold all training samples."""
@@ -33,7 +32,7 @@ class Region:
 
     @classmethod
     def about(cls, x: FloatArray, u: FloatArray) -> Region:
-        """The region of training samples x, shape (n, 8), u, shape (n,)."""
+        """Return the region of training samples x, shape (n, 8), u, shape (n,)."""
         q = np.column_stack((x[:, COLUMNS], u))
         center = q.mean(axis=0)
         values, axes = np.linalg.eigh(np.corrcoef(q.T))
@@ -42,13 +41,13 @@ class Region:
         return cls(center=center, whiten=np.ascontiguousarray(whiten / (MARGIN * reach)))
 
     def distance(self, x: FloatArray, u: FloatArray) -> FloatArray:
-        """How far out samples lie, shape (n,): above 1 is outside."""
+        """Distance of samples from the center, shape (n,): above 1 is outside."""
         return np.asarray(np.linalg.norm((np.column_stack((x[:, COLUMNS], u)) - self.center) @ self.whiten.T, axis=1))
 
 
 @njit(cache=True)
 def outside(center, whiten, x, u):
-    """Whether one sample, x of shape (8,), lies outside."""
+    """Return whether one sample, x of shape (8,), lies outside."""
     total = 0.0
     for i in range(5):
         part = whiten[i, 4] * (u - center[4])

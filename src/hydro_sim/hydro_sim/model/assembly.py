@@ -3,7 +3,7 @@
 
 ::
 
-    theta ── once ──> k         what hangs on parameters alone
+    theta ── once ──> k         what depends on parameters alone
     k, y ─── begin ──> y        hidden states of a still bench, from the six of the textbook
     y, u ─── enter ──> y        a sample begins: past currents move on
     y, u ─── step ───> y        one integration step: spool, edges | Runge-Kutta 4 | what remembers | amplifiers
@@ -50,7 +50,7 @@ class Functions:
     y: SX
     current: SX
     share: SX
-    """Of the sample, at which a step begins."""
+    """Share of the sample at which a step begins."""
     once: SX
     begin: SX
     enter: SX
@@ -65,7 +65,7 @@ class Functions:
 
 
 class Assembly:
-    """Puts a model together.
+    """Assembly of a model from its bench's numbers and effects.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Assembly:
     effects
         In the order of the bench file.
     ideal_cell
-        Whether the load cell shows the force as it is.
+        Whether the load cell is ideal.
     past
         Past currents that are kept for dead times; 0: none.
     substeps
@@ -135,7 +135,7 @@ class Assembly:
         return self._symbols[-1]
 
     def _correct(self, limits: Mapping[str, tuple[float, float]], ideal_cell: bool) -> None:
-        """Wrong numbers of the bench file put right, and what follows from the numbers."""
+        """Correct wrong numbers of the bench file, and derive what follows from the numbers."""
         n = self.numbers
         for effect in self.effects:
             before = dict(vars(n))
@@ -204,7 +204,7 @@ class Assembly:
         return out, back
 
     def _truth(self, y: Any) -> tuple[Symbol, ...]:
-        """What the five sensors would read if they were ideal, in the order of READINGS."""
+        """Readings of five ideal sensors, in the order of READINGS."""
         return eq.hydraulic_force(self.numbers, y[0], y[1]), y[4], y[0], y[1], y[2]
 
     def _read(self, y: SX) -> SX:
@@ -229,7 +229,7 @@ class Assembly:
         return slopes + [self.hidden[i][0].rates(drawn)[self.hidden[i][1].name] for i in self.integrated]
 
     def _start(self) -> tuple[list[Symbol], Symbol, rates.Edges]:
-        """What a step begins with: integrated states, the spool's mean position, and the edges."""
+        """Start of a step: integrated states, the spool's mean position, and the edges."""
         self.hidden_now = [self.y[len(TEXTBOOK) + i] for i in range(len(self.hidden))]
         self._bind(self.hidden_now)
         for effect in self.effects:
@@ -250,7 +250,7 @@ class Assembly:
         return self._remembered(start, end)
 
     def _holds(self) -> bool:
-        """Whether dry friction can hold the mass: with bristles it bends instead."""
+        """Return whether dry friction can hold the mass: with bristles it bends instead."""
         bristles = any(effect.id == "friction_presliding" for effect in self.effects)
         return not bristles and any(effect.acts_in("dry_level") for effect in self.effects)
 

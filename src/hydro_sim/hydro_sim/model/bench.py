@@ -74,9 +74,9 @@ class Bench:
     effects: tuple[Mapping[str, Any], ...] = ()
     """Effects beyond these equations, found by a diagnosis (`corrected.yaml`), as read: `hydro_sim.model.effects`."""
     closures: tuple[Mapping[str, Any], ...] = ()
-    """What a diagnosis modelled without a name, as read: equation, form, parameters (`hydro_sim.model.laws`)."""
+    """Closures found by a diagnosis, as read: equation, form, parameters (`hydro_sim.model.laws`)."""
     learned: Mapping[str, Any] | None = None
-    """What `learn` says of its file: the `bench` that it was (a digest), and how good it is (`Quality`)."""
+    """Result of `learn`: the `bench` that it was (a digest), and its `Quality`."""
 
     def __post_init__(self) -> None:
         for entry in fields(self):
@@ -97,14 +97,14 @@ class Bench:
 
     @property
     def terms(self) -> tuple[Mapping[str, Any], ...]:
-        """Effects and closures, as the model takes them."""
+        """Effects and closures, in the form that the model takes."""
         return (*self.effects, *({"id": "closure", **closure} for closure in self.closures))
 
     @property
     def unfit(self) -> str:
-        """Why nothing may rely on predictions of this bench, in a sentence; empty where nothing is known against it.
+        """Return why nothing may rely on predictions of this bench, in a sentence; empty if no reason is known.
 
-        What `learn` found of it holds as long as no number was changed since.
+        The finding of `learn` holds as long as no number was changed since.
         """
         if self.learned is None or self.learned.get("bench") != self.digest:
             return ""
@@ -112,7 +112,7 @@ class Bench:
 
     @classmethod
     def nominal(cls) -> Bench:
-        """The bench.yaml that comes with this package."""
+        """Return the bench of the bench.yaml that comes with this package."""
         with resources.as_file(resources.files("hydro_sim") / "data" / "bench.yaml") as path:
             return cls.load(path)
 
@@ -135,7 +135,7 @@ class Bench:
 
     @classmethod
     def from_mapping(cls, content: object) -> Bench:
-        """A bench from keys and values, for instance of a YAML file or of a recording's metadata.
+        """Create a bench from keys and values, for instance of a YAML file or of a recording's metadata.
 
         Raises
         ------
@@ -161,7 +161,7 @@ class Bench:
         )
 
     def to_mapping(self) -> dict[str, Any]:
-        """Keys and values as in bench.yaml; the optional ones only if set."""
+        """Return keys and values as in bench.yaml; the optional ones only if set."""
         values = {entry.name: getattr(self, entry.name) for entry in fields(self)}
         values["effects"] = [dict(effect) for effect in self.effects]
         values["closures"] = [dict(closure) for closure in self.closures]
@@ -169,11 +169,11 @@ class Bench:
 
     @property
     def digest(self) -> str:
-        """SHA-256 of keys and values, its first 12 digits: what models, metrics and policies are made for."""
+        """SHA-256 of keys and values, its first 12 digits: the reference in models, metrics and policies."""
         return bench_file.digest(self.to_mapping())
 
     def constants(self) -> npt.NDArray[np.void]:
-        """What compiled code reads: one record of `BENCH_DTYPE`, shape (1,)."""
+        """Return the bench for compiled code: one record of `BENCH_DTYPE`, shape (1,)."""
         numbers, record = self._with_corrected_numbers(), np.zeros(1, BENCH_DTYPE)
         for name in record.dtype.names or ():
             value = getattr(numbers, name, None)

@@ -22,17 +22,17 @@ Symbol = Any
 """A number, an array or a CasADi expression; in a model that is being assembled, an expression."""
 
 LOAD_CELL_DAMPING = math.sqrt(0.5)
-"""Of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
+"""Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
 
 LAMINAR = 100.0
-"""Pa, below which flow through an edge is proportional to the pressure drop, so that its slope is finite. With this
-little, p_a = p_s of a blocked cylinder is reached as by the square root, but for the last 100 Pa."""
+"""Pressure drop [Pa] below which flow through an edge is proportional to the pressure drop, so that its slope is
+finite. With this little, p_a = p_s of a blocked cylinder is reached as by the square root, except the last 100 Pa."""
 
 STOP_STIFFNESS = 1e7
-"""N/m of the cylinder's end stops: the largest hydraulic force presses 0.3 mm into them."""
+"""Stiffness [N/m] of the end stops: the largest hydraulic force presses 0.3 mm into them."""
 
 STOP_DAMPING = 4e3
-"""N s/m of the end stops while pressed, about critical: the piston does not bounce."""
+"""Damping [N s/m] of the end stops while pressed, about critical: the piston does not bounce."""
 
 
 def choose(condition: Symbol, first: Symbol, second: Symbol) -> Symbol:
@@ -50,7 +50,7 @@ def clip(value: Symbol, low: Symbol, high: Symbol) -> Symbol:
 
 
 def orifice(opening: Symbol, drop: Symbol) -> Symbol:
-    """Flow [m3/s] through an edge open by `opening` [m3/s/sqrt(Pa)] at a pressure drop [Pa]; turns round with it."""
+    """Flow [m3/s] through an edge open by `opening` [m3/s/sqrt(Pa)] at a pressure drop [Pa]; reverses with it."""
     size = np.abs(drop)
     return opening * np.copysign(np.sqrt(np.fmax(size, LAMINAR)) * np.fmin(size * (1.0 / LAMINAR), 1.0), drop)
 

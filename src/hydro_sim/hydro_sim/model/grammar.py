@@ -98,7 +98,7 @@ LAWS: tuple[Law, ...] = (
         "The load cell at the piston rod goes on rising under a force that stays: typical of a glued strain gauge.",
         0.05, lambda at, n: at.memory, _creep("force")),
 )  # fmt: skip
-"""Terms that are tried."""
+"""Laws that are tried."""
 
 _VELOCITY = Factor("velocity", "v", lambda at: at.velocity)
 _DIRECTION = Factor("direction", "sign(v)", lambda at: _sign(at.velocity))
@@ -120,6 +120,6 @@ ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one
 
 
 def remembers(closure: Mapping[str, Any]) -> bool:
-    """Whether an entry of a bench file's `closures` has hidden states."""
+    """Return whether an entry of a bench file's `closures` has hidden states."""
     law = ALL.get((str(closure["equation"]), str(closure["form"])))
     return isinstance(law, Law) and law.element is not None

@@ -27,21 +27,21 @@ STATES = 6
 """Length of the physical state y."""
 
 LOAD_CELL_DAMPING = math.sqrt(0.5)
-"""Of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
+"""Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
 
 SUBSTEPS = 20
 """Runge-Kutta steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""
 
 STOP_STIFFNESS = 1e7
-"""N/m of the cylinder's end stops: the largest hydraulic force presses 0.3 mm into them."""
+"""Stiffness [N/m] of the end stops: the largest hydraulic force presses 0.3 mm into them."""
 
 STOP_DAMPING = 4e3
-"""N s/m of the end stops while pressed, about critical: the piston does not bounce."""
+"""Damping [N s/m] of the end stops while pressed, about critical: the piston does not bounce."""
 
 
 @njit(cache=True)
 def signed_sqrt(pressure_drop: float) -> float:
-    """sqrt of a pressure drop [Pa], odd: flow through a land turns round with the drop."""
+    """sqrt of a pressure drop [Pa], odd: flow through a land reverses with the drop."""
     return math.copysign(math.sqrt(abs(pressure_drop)), pressure_drop)
 
 
@@ -82,7 +82,7 @@ def pressure_rates(bench, pressure_a, pressure_b, position, velocity, current):
 
 @njit(cache=True)
 def velocity_term(bench, position, velocity):
-    """h [N/s] (eq. q14): what moving does to the hydraulic force."""
+    """h [N/s] (eq. q14): effect of the motion on the hydraulic force."""
     volume_a, volume_b = volumes(bench, position)
     stiffness = bench.bulk_modulus * bench.piston_area**2 * (1.0 / volume_a + bench.area_ratio**2 / volume_b)
     return -stiffness * velocity

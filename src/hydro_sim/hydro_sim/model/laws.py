@@ -10,8 +10,8 @@ Terms are linear in their amplitudes. What one gives acts in its equation::
     load        force [N] of the load
     sensor      what the load cell at the rod shows more than the hydraulic force [N]
 
-None hangs on time: such a law would grow for ever. What a law remembers is one state `w` that follows a signal `s`, its
-second number the time or the path over which it does; a piston at rest or a still current moves no path::
+None depends on time: such a law would grow for ever. The memory of a law is one state `w` that follows a signal `s`,
+its second number the time or the path over which it does; a piston at rest or a still current moves no path::
 
     lag   w' = (s - w) / T
     path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
@@ -30,21 +30,21 @@ from hydro_sim.model.equations import Symbol, clip
 KNOTS = 12
 """Numbers of a table: of so many cubic B-splines."""
 SIGN_VELOCITY = 1e-3
-"""m/s, over which a force that follows the sign of the velocity turns round."""
+"""Velocity [m/s] over which a force that follows the sign of the velocity reverses."""
 VARIABLES = {"position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A"}
-"""What a table may be over, with units."""
+"""Variables of tables, with units."""
 
 
 @dataclass(frozen=True)
 class Signals:
-    """What laws are made of, SI units; what an equation does not know is 0."""
+    """Signals of which laws are made, SI units; those unknown to an equation are 0."""
 
     position: Symbol = 0.0
     velocity: Symbol = 0.0
     pressure_a: Symbol = 0.0
     pressure_b: Symbol = 0.0
     current: Symbol = 0.0
-    """Of the spool."""
+    """Position of the spool, as a current."""
     force: Symbol = 0.0
     """f_h."""
     memory: Symbol = 0.0
@@ -58,7 +58,7 @@ class Signals:
 
 @dataclass(frozen=True)
 class Element:
-    """What a law remembers: a state that follows one of `Signals`."""
+    """Memory of a law: a state that follows one of `Signals`."""
 
     kind: Literal["lag", "path"]
     signal: str
@@ -66,16 +66,16 @@ class Element:
     """Name of the time [s] or the path [unit of the signal] over which it follows."""
     unit: str
     probes: tuple[float, ...]
-    """Where a search looks first, ascending."""
+    """Start values of a search, ascending."""
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Of its number."""
+        """Bounds of its parameter."""
         return 0.1 * self.probes[0], 10.0 * self.probes[-1]
 
     @property
     def signal_unit(self) -> str:
-        """Of what it follows."""
+        """Unit of the signal that it follows."""
         return {"position": "m", "current": "A", "force": "N"}.get(self.signal, "Pa")
 
 
@@ -86,30 +86,30 @@ class Law:
     equation: str
     form: str
     unit: str
-    """Of the coefficient; with the shape's it gives that of the equation."""
+    """Unit of the coefficient; with that of the shape it gives that of the equation."""
     text: str
     """The shape as an equation."""
     sentence: str
-    """What such a term usually is."""
+    """Usual physical meaning of such a term."""
     typical: float
-    """A coefficient at which it is seen."""
+    """A coefficient at which it is noticeable."""
     shape: Callable[[Signals, Any], Symbol]
-    """Of signals and the bench's numbers."""
+    """The shape as a function of signals and the bench's numbers."""
     element: Element | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its numbers."""
+        """Names of its parameters."""
         return ("coefficient",) if self.element is None else ("coefficient", self.element.number)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
-        """What it gives, in the unit of its equation."""
+        """Value of the term, in the unit of its equation."""
         return numbers[0] * self.shape(at, n)
 
 
 @dataclass(frozen=True)
 class Factor:
-    """What a table may be multiplied by: its function is then a coefficient that varies (Hastie, Tibshirani 1993)."""
+    """Factor of a table, whose function is then a varying coefficient (Hastie, Tibshirani 1993)."""
 
     name: str
     text: str
@@ -123,27 +123,27 @@ class Table:
     equation: str
     variable: str
     unit: str
-    """Of its values."""
+    """Unit of its values."""
     typical: float
-    """A value at which it is seen."""
+    """A value at which it is noticeable."""
     factor: Factor | None = None
 
     @property
     def form(self) -> str:
-        """As laws are called."""
+        """Name of the form, as for laws."""
         return f"{self.factor.name} times table over {self.variable}" if self.factor else f"table over {self.variable}"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its numbers."""
+        """Names of its parameters."""
         return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
 
     def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
-        """Where its variable stands among the peaks of its splines, 1 to `KNOTS` - 2."""
+        """Position of its variable among the peaks of its splines, 1 to `KNOTS` - 2."""
         return 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
-        """What it gives, in the unit of its equation."""
+        """Value of the term, in the unit of its equation."""
         low, high, *values = numbers
         along = self.along(at, low, high)
         total: Symbol = 0.0

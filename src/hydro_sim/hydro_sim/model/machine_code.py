@@ -39,12 +39,12 @@ def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], N
     Parameters
     ----------
     name
-        What the source is written from, as text: all that it hangs on.
+        Specification of the source as text: all that it depends on.
 
     Raises
     ------
     ValueError
-        There is no C compiler, or it refuses; or there is no place to keep the library.
+        If there is no C compiler, it fails, or there is no place to keep the library.
     """
     file = library_path(name)
     if found := _loaded(file):
@@ -66,7 +66,7 @@ def cached_library(name: str, source: Callable[[], str], *, said: Callable[[], N
 
 
 def library_path(name: str) -> Path:
-    """Where the library of a name is, once it is compiled for this machine."""
+    """Path of the library of a name, once it is compiled for this machine."""
     return cache_folder() / f"{hashlib.sha256(f'{name} {_machine()}'.encode()).hexdigest()[:24]}.so"
 
 
@@ -105,7 +105,7 @@ def _compile(source: str, file: Path) -> None:
 
 @cache
 def _machine() -> str:
-    """What compiled code depends on besides its source."""
+    """Dependencies of compiled code besides its source."""
     try:
         first = Path("/proc/cpuinfo").read_text().partition("\n\n")[0].splitlines()
     except OSError:

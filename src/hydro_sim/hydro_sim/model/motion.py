@@ -16,7 +16,7 @@ import numpy as np
 from hydro_sim.model.equations import Symbol, choose
 
 STANDSTILL = 1e-9
-"""m/s, the least speed at which a level that depends on the direction is taken."""
+"""Smallest speed [m/s] at which a level that depends on the direction is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class DryFriction:
     level: Callable[[Symbol], Symbol]
     """N, at a velocity [m/s]."""
     sign: Symbol
-    """Of the motion that it opposes."""
+    """Sign of the motion that it opposes."""
     held: Symbol
     """Whether it brings the mass to rest."""
     holding: Symbol
@@ -47,7 +47,7 @@ class DryFriction:
 def stick_event(
     level: Callable[[Symbol], Symbol], mass: Symbol, velocity: Symbol, free: Symbol, step: float
 ) -> DryFriction:
-    """Of a step [s] that begins at a velocity [m/s] and, without friction, an acceleration `free` [m/s2]."""
+    """Effect over a step [s] that begins at a velocity [m/s] and, without friction, an acceleration `free` [m/s2]."""
     holding = mass * (velocity / step + free)
     sign = choose(holding >= 0.0, 1.0, -1.0)
     reach = level(sign * np.fmax(np.abs(velocity), STANDSTILL))

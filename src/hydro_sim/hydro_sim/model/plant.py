@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bench to step by the millisecond: the interface, and the analytic plant behind it.
+"""Plants that are stepped by the millisecond: the interface, and the analytic plant.
 
 Order of a sample: the box reads x_k, decides u_k, and the plant holds u_k until x_{k+1}. A plant gives the finished
 measurement x of eq. state_def: a physical plant runs its five readings through `model.sensors` as the box does, a
@@ -24,20 +24,20 @@ class Plant(Protocol):
     """One box sample of 1 ms at a time."""
 
     def reset(self, seed: int) -> FloatArray:
-        """Begin anew with noise from `seed`; returns the measurement x, shape (8,), of a still bench."""
+        """Reset with noise from `seed`; return the measurement x, shape (8,), of a still bench."""
 
     def step(self, valve_current: float) -> FloatArray:
-        """Hold the valve current [A] for one sample; returns the measurement x after it, shape (8,)."""
+        """Hold the valve current [A] for one sample; return the measurement x after it, shape (8,)."""
 
 
 STATES_MAX, COEFFICIENTS_MAX = 128, 320
-"""What a record holds: more than `effects.catalogue.CAPACITY` effects need."""
+"""Capacity of a record: more than `effects.catalogue.CAPACITY` effects need."""
 
 MODEL_DTYPE = np.dtype([("address", np.int64), ("k", np.float64, (COEFFICIENTS_MAX,))])
-"""A model for compiled code: where its `bench_sample` lies in this process, and its coefficients."""
+"""A model for compiled code: address of its `bench_sample` in this process, and its coefficients."""
 
 PLANT_STATE_DTYPE = np.dtype([("y", np.float64, (STATES_MAX,)), ("x", np.float64, (8,)), ("last", CONDITIONING_DTYPE)])
-"""All that an analytic plant remembers: the model's state y, measurement x, the differentiators' last samples."""
+"""State of an analytic plant: the model's state y, measurement x, the differentiators' last samples."""
 
 
 class AnalyticPlant:
@@ -86,7 +86,7 @@ class AnalyticPlant:
         return self.state["y"][0, :TEXTBOOK].copy()
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """In another process the model lies elsewhere."""
+        """Restore in another process, where the model has another address."""
         vars(self).update(state)
         self.constants["address"] = self.model.address
 

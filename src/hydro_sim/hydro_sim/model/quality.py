@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Quality of a bench file's predictions, and whether they are good enough to use.
 
-Where the noise is all that predictions leave, a model cannot be better. The mean over the readings tells models apart;
-the worst reading tells what a mean hides: four readings at the noise and one at 240 times have a mean of 3.
+A model whose predictions leave only noise cannot be better. The mean over the readings ranks models; the worst reading
+shows what a mean hides: four readings at the noise and one at 240 times have a mean of 3.
 """
 
 from __future__ import annotations
@@ -15,32 +15,32 @@ from typing import Any
 from hydro_bridge.signals import PLANT_FIELDS
 
 HORIZON = 70
-"""Samples of a prediction."""
+"""Length of a prediction [samples]."""
 
 READINGS = tuple(PLANT_FIELDS[column] for column in (0, 2, 4, 5, 6))
-"""What sensors give, in the order of a model's readings."""
+"""Sensor readings, in the order of a model's."""
 
 UNFIT = 3.0
-"""Times the noise that predictions may leave, geometric mean of the readings, of what is relied on."""
+"""Largest error of a model that is relied on, over the noise: geometric mean of the readings."""
 
 UNFIT_WORST = 10.0
-"""Times its noise that they may leave of the worst reading. More than for the mean, for noise does not say what an
+"""Largest error of the worst reading, over its noise. More than for the mean, as noise does not tell what an
 error does: ten times are 6 N of a load cell, and 3 um of an encoder."""
 
 GOOD = 1.3
-"""Times the noise, to which predictions may leave a reading without a word."""
+"""Error of a reading, over its noise, that is accepted without a note."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quality:
-    """Of a bench file. RMSE of predictions against the readings, over the readings' noise."""
+    """Quality of a bench file: RMSE of predictions against the readings, over the readings' noise."""
 
     over_noise: float
     """Geometric mean of the five readings; 1: nothing but noise."""
     worst: float
     """The largest of the five."""
     worst_reading: str
-    """Which one that is."""
+    """Name of that reading."""
 
     @classmethod
     def of(cls, ratios: Sequence[float]) -> Quality:
@@ -51,7 +51,7 @@ class Quality:
 
     @classmethod
     def from_mapping(cls, content: Any) -> Quality:
-        """What `learn` wrote into a bench file.
+        """Read what `learn` wrote into a bench file.
 
         Raises
         ------
@@ -74,7 +74,7 @@ class Quality:
 
     @property
     def unfit(self) -> str:
-        """Why nothing may rely on it, in a sentence; empty where it may."""
+        """Return why nothing may rely on it, in a sentence; empty where it may."""
         if not self.over_noise <= UNFIT:
             left = f"{self.over_noise:.3g} times the noise, more than {UNFIT:g}"
         elif not self.worst <= UNFIT_WORST:
@@ -87,7 +87,7 @@ class Quality:
         )
 
     def told(self) -> str:
-        """What is left, and what that means, in a sentence."""
+        """Return the remaining error and its meaning, in a sentence."""
         left = f"{self.over_noise:.2f} times the noise, {self.worst:.2f} times of {self.worst_reading}"
         told = f"{HORIZON}-sample predictions leave {left}"
         if self.unfit:

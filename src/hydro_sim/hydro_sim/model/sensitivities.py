@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Exact sensitivities of a bench model's predictions, and its states from a recording: what `learn` needs of a model.
+"""Exact sensitivities of a bench model's predictions, and its states from a recording, for `learn`.
 
 ::
 
@@ -8,9 +8,9 @@
     z, dz, y = exact.window(k, y, currents, dy, dk[:, free]) readings of a prediction, and their derivatives
     track = exact.follow(k, start, currents, readings, q, r) states at the samples: an extended Kalman filter
 
-Derivatives are forward: as many directions move along with the states as are asked for, each by the partial derivatives
-of one integration step, which come from the model's symbols. By p directions a sample costs its partial derivatives
-once, and a multiplication for each of them and each direction.
+Derivatives are forward: any number of directions is propagated with the states, each by the partial derivatives of one
+integration step, which come from the model's symbols. With p directions a sample costs its partial derivatives once,
+and a multiplication for each of them and each direction.
 
 Past currents (of a dead time) are known exactly: directions and covariances leave them out. `held` is the number of the
 other states.
@@ -29,12 +29,12 @@ from hydro_sim.model.bench_model import READINGS, BenchModel, library, to_c
 
 @dataclass
 class Track:
-    """Where a filter stands; it moves on in place."""
+    """State of a filter, updated in place."""
 
     y: FloatArray
     """States, shape (states,)."""
     covariance: FloatArray
-    """Of their error, shape (held, held)."""
+    """Covariance of their error, shape (held, held)."""
 
 
 class Sensitivities:
@@ -87,7 +87,7 @@ class Sensitivities:
     def follow(
         self, k: FloatArray, track: Track, currents: FloatArray, readings: FloatArray, q: FloatArray, r: FloatArray
     ) -> FloatArray:
-        """States, shape (n, states), each from the readings up to it; `track` moves on in place.
+        """States, shape (n, states), each from the readings up to it; `track` changes in place.
 
         Parameters
         ----------

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a bench to the measurement x: sensors, then the box's differentiation. Written once, for every physical plant.
+"""Measurement x of a bench: sensors, then the box's differentiation; shared by all physical plants.
 
 ::
 
@@ -25,7 +25,7 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 
 RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
-"""What the sensors give, in the order of every raw array here."""
+"""Sensor readings, in the order of every raw array here."""
 
 SENSORS_DTYPE = np.dtype(
     [("force_noise", np.float64), ("pressure_noise", np.float64), ("position_step", np.float64)]
@@ -69,7 +69,7 @@ def _memory(age: float) -> float:
 
 
 class Noise:
-    """Standard normal numbers for the sensors: one row of 5 per sample, the same however many are taken at a time."""
+    """Standard normal numbers for the sensors: one row of 5 per sample, independent of how many are taken at a time."""
 
     BLOCK = 1000
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """C source of an assembled model: the functions of `assembly` with their derivatives, and the loops of `bench_model.c`.
 
-The source needs a C99 compiler and its mathematics library, nothing else: it is also what a box can run.
+The source needs only a C99 compiler and its mathematics library, so that a box can run it too.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Outputs = Sequence[tuple[str, SX]]
 
 
 def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensitivities: bool = False) -> str:
-    """The whole source, one text; without derivatives it compiles in a fifth of the time.
+    """Return the whole source as one text; without derivatives it compiles in a fifth of the time.
 
     `sensitivities`: with the loops of `bench_sensitivities.c`, by any number of directions at once.
     """
@@ -48,7 +48,7 @@ def c_source(model: Functions, substeps: int, *, derivatives: bool = True, sensi
 
 
 def _tangents(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]:
-    """How d y/d(y, u), D of shape (N, N + 1), moves on."""
+    """Propagation of d y/d(y, u), D of shape (N, N + 1)."""
     states = model.y.numel()
     d = casadi.SX.sym("D", states, states + 1)
 
@@ -66,7 +66,7 @@ def _tangents(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]
 
 
 def _gradients(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]:
-    """How a gradient by what comes out becomes one by what went in."""
+    """Propagation of a gradient from a function's outputs back to its inputs."""
     g, gz, gk = (SX.sym("g", one.numel()) for one in (model.y, model.read, model.k))
 
     def back(outcome: SX, by: SX, gradient: SX) -> SX:
@@ -90,7 +90,7 @@ def _partial(outcome: SX, model: Functions) -> SX:
 
 
 def _partials(model: Functions, at: Inputs) -> list[tuple[str, Inputs, Outputs]]:
-    """What comes out, and those of its derivatives by y and k that are not always 0."""
+    """Outputs, and those of their derivatives by y and k that are not always 0."""
     step, read = (_partial(outcome, model).nz[:] for outcome in (model.step, model.read))
     once = casadi.sparsify(casadi.jacobian(model.once, model.theta)).nz[:]
     return [

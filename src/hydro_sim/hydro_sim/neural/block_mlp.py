@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward and backward passes of `mlp`'s perceptron over a block of windows or transitions: the training of both.
+"""Forward and backward passes of `mlp`'s perceptron over a block of windows or transitions, for training.
 
 Layers are padded with zeros to multiples of four (`padded`). Buffers and `at` are as in `dense`; all buffers of a call
 are read and written at the same `at`.

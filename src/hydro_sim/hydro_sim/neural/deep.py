@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network of any depth gives x', by itself or on top of the analytic model's own sample; gradient through time.
+"""A network of any depth for x', alone or on top of the analytic model's sample; gradient through time.
 
 ::
 
@@ -10,8 +10,8 @@
     flat weights  | W1 (9, h1) | b1 (h1) | ... | W (hn, 8) | b (8) |        sizes = 9, h1, ..., hn, 8
     loss          mean over windows, horizon and states of (z - measured)^2
 
-Windows go through in blocks, a layer at a time, as products of matrices (BLAS). For two small layers by themselves
-there is `network`, which keeps them in registers.
+Windows are processed in blocks, a layer at a time, as products of matrices (BLAS). For two small layers alone there is
+`network`, which keeps them in registers.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ from hydro_sim.model import analytic_step
 from hydro_sim.neural.network import STATES
 
 BLOCK = 64
-"""Windows that go through the network together."""
+"""Windows that are processed together."""
 
 
 class Parts(NamedTuple):
-    """A model in the form of the kernels."""
+    """A model in the form that the kernels take."""
 
     flat: Any
-    """Weights; float32 or float64, and so is everything that is computed with them."""
+    """Weights, float32 or float64; everything is computed in the same type."""
     sizes: Any
-    """Of the layers, inputs and outputs included, int64."""
+    """Sizes of the layers, inputs and outputs included, int64."""
     step: Any
-    """What one sample adds to z per unit of the outputs, shape (8,), of the weights' kind."""
+    """Increment of z in a sample per unit of the outputs, shape (8,), of the weights' type."""
     residual: bool
     """Whether the analytic model's gain is added."""
     constants: Any
@@ -61,7 +61,7 @@ def layer(parts, index):
 
 @njit(cache=True)
 def _places(sizes, rows):
-    """Where each layer begins in a buffer of `rows` rows a layer, and where the buffer ends."""
+    """Start of each layer in a buffer of `rows` rows a layer, and the end of the buffer."""
     places = np.zeros(len(sizes) + 1, np.int64)
     for index in range(len(sizes)):
         places[index + 1] = places[index] + rows * sizes[index]
@@ -114,7 +114,7 @@ def _gain(parts, z, v):
 
 @njit(cache=True)
 def _gain_back(parts, z, v, after, before):
-    """Add to the gradient by z before a sample what that after it, both of shape (n, 8), is by way of the gain."""
+    """Backpropagate the gain: add its part of the gradient by z after a sample to that before it, shapes (n, 8)."""
     x, g, back = np.empty(STATES), np.empty(STATES), np.empty(STATES)
     physics = parts.constants, parts.memories
     for k in range(len(z)):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A network of any depth as a model, by itself or on top of the bench file's equations, and its file. See `deep`."""
+"""A network of any depth as a model, alone or on top of the bench file's equations, and its file. See `deep`."""
 
 from __future__ import annotations
 
@@ -25,23 +25,23 @@ class DeepModel(NormalizedModel):
     """x' = f(x, u) by a network, plus the analytic model's where there is a bench."""
 
     bench: Bench | None = None
-    """Of the analytic part, its effects left out; None: the network is all there is."""
+    """Bench of the analytic part, without its effects; None: a network alone."""
 
     @property
     def name(self) -> str:
-        """Of the structure."""
+        """Name of the structure."""
         return "deep" if self.bench is None else "residual"
 
     @classmethod
     def untrained(cls, training: list[Run], hidden: tuple[int, ...], seed: int, bench: Bench | None) -> DeepModel:
-        """Random weights; with a bench the last layer is zero: the analytic model as it is."""
+        """Return a model of random weights; with a bench the last layer is zero: the analytic model unchanged."""
         last = 1.0 if bench is None else 0.0
         flat = normalized.initial(np.random.default_rng(seed), (INPUTS, *hidden, STATES), last=last)
         return cls(flat=flat, hidden=hidden, bench=bench, **normalized.normalization(training))
 
     @property
     def parts(self) -> deep.Parts:
-        """What the kernels take, float32."""
+        """Return the arguments of the kernels, float32."""
         bench = self.bench or Bench.nominal()  # compiled code wants one either way
         record = Sensors().constants()[0]
         return deep.Parts(
@@ -60,7 +60,7 @@ class DeepModel(NormalizedModel):
         return deep.loss_and_gradient(*self.parts, z, v, targets, numba.get_num_threads())
 
     def header(self) -> dict[str, Any]:
-        """What the tensors are."""
+        """Return the description of the tensors."""
         text = "z = (x - center) / scale, v = u / current_scale; x' = rate_scale * network([z, v]), SI"
         bench = {} if self.bench is None else {"bench": self.bench.to_mapping()}
         text += "" if self.bench is None else "; plus the bench's own gain in a sample (learned.analytic_step)"

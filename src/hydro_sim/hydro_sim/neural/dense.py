@@ -21,7 +21,7 @@ from numba import njit
 from hydro_sim.neural.mlp import LOOSE
 
 BLOCK = 128
-"""Windows that go through the network together: eight vectors of float32, and a layer fits the first-level cache."""
+"""Windows that are processed together: eight vectors of float32, and a layer fits the first-level cache."""
 CHUNK = 4
 """Steps whose weight gradients are summed at once: a chunk of two layers fits the second-level cache."""
 GAP = 16

@@ -14,9 +14,9 @@ class Engine(Protocol):
     def network(
         self, layers: Any, step: Any, starts: Any, currents: Any, targets: Any, printed: bool
     ) -> tuple[float, FloatArray]:
-        """Of the paper's network: loss and gradient by the flat weights."""
+        """Return loss and gradient by the flat weights of the paper's network."""
 
     def structured(
         self, c: Any, layers: Any, center: Any, scale: Any, starts: Any, currents: Any, targets: Any, weights: Any
     ) -> tuple[float, FloatArray, FloatArray]:
-        """Of the structured model: loss and gradients by the constants and by the flat network."""
+        """Return loss and gradients by the constants and by the flat network of the structured model."""

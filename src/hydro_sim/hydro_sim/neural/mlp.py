@@ -8,10 +8,8 @@
     a1 = relu(x W1 + b1)    a2 = relu(a1 W2 + b2)    y = a2 W3 + b3
 
 A trajectory is sequential and a network this small lives in the first-level cache, so one trajectory at a time, its
-loops
-running over neighboring weights, is what vectorizes; a batch is spread over cores. `Layers` is a tuple of views of
-the flat
-vector, so that compiled code has names, and the optimizer one vector.
+loops running over neighboring weights, is what vectorizes; a batch is spread over cores. `Layers` is a tuple of views
+of the flat vector, so that compiled code has names, and the optimizer one vector.
 """
 
 from __future__ import annotations

@@ -27,13 +27,13 @@ class NetworkModel(NormalizedModel):
 
     @classmethod
     def untrained(cls, training: list[Run], hidden: tuple[int, int], seed: int) -> NetworkModel:
-        """Random weights."""
+        """Return a model of random weights."""
         flat = normalized.initial(np.random.default_rng(seed), (INPUTS, *hidden, STATES))
         return cls(flat=flat, hidden=hidden, **normalized.normalization(training))
 
     @property
     def compiled(self) -> tuple[Any, ...]:
-        """layers and step, float32: what the kernels take."""
+        """Layers and step for the kernels, float32."""
         flat = self.flat.astype(np.float32)
         return mlp.layers(flat, INPUTS, self.hidden, STATES), self.step
 
@@ -47,7 +47,7 @@ class NetworkModel(NormalizedModel):
         return engine.network(layers, step, z, v, targets, printed)
 
     def header(self) -> dict[str, Any]:
-        """What the tensors are."""
+        """Return the description of the tensors."""
         text = "z = (x - center) / scale, v = u / current_scale; x' = rate_scale * network([z, v]), SI"
         return {"structure": self.name, "hidden": list(self.hidden), "activation": "relu", "normalization": text}
 

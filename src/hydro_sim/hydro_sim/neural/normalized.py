@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""x' = f(x, u) by a network of normalized x and u: what such models share, however they are computed."""
+"""x' = f(x, u) by a network of normalized x and u: common part of such models."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class NormalizedModel(ABC):
     current_scale: float
     """A."""
     rate_scale: FloatArray
-    """Shape (8,), SI units per second: what one unit of the network's outputs means."""
+    """Shape (8,), SI units per second: scale of the network's outputs."""
     rest: FloatArray
     """x of the still bench, shape (8,)."""
 
@@ -57,16 +57,16 @@ class NormalizedModel(ABC):
 
     @abstractmethod
     def header(self) -> dict[str, Any]:
-        """What the tensors are."""
+        """Return the description of the tensors."""
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Of all layers, inputs and outputs included."""
+        """Sizes of all layers, inputs and outputs included."""
         return (INPUTS, *self.hidden, STATES)
 
     @property
     def step(self) -> Any:
-        """What one sample adds to z per unit of the outputs, shape (8,), float32."""
+        """Increment of z in a sample per unit of the outputs, shape (8,), float32."""
         return (SAMPLE_PERIOD * self.rate_scale / self.scale).astype(np.float32)
 
     def normalized(self, x: FloatArray, u: FloatArray) -> tuple[Any, Any]:
@@ -87,11 +87,11 @@ class NormalizedModel(ABC):
         return x
 
     def with_weights(self: M, flat: FloatArray) -> M:
-        """The same with other weights."""
+        """Return the same model with other weights."""
         return replace(self, flat=np.asarray(flat, np.float64).copy())
 
     def tensors(self) -> dict[str, FloatArray]:
-        """What is saved: the layers' weights w1, b1, w2 ... and the normalization."""
+        """Return the saved tensors: the layers' weights w1, b1, w2 ... and the normalization."""
         arrays = {name: getattr(self, name) for name in ("center", "scale", "rate_scale", "rest")}
         begin = 0
         for index, (n, m) in enumerate(pairwise(self.sizes), 1):
@@ -102,7 +102,7 @@ class NormalizedModel(ABC):
 
 
 def normalization(training: list[Run]) -> dict[str, Any]:
-    """Fields of a model from training runs. Rates are scaled by what 10 ms show: one sample's difference is noise."""
+    """Return fields of a model from training runs. Rates are scaled over 10 ms: the change in a sample is noise."""
     x, u = np.concatenate([run.x for run in training]), np.concatenate([run.u for run in training])
     moved = np.concatenate([run.x[10:] - run.x[:-10] for run in training]).std(axis=0)
     return {
@@ -112,7 +112,7 @@ def normalization(training: list[Run]) -> dict[str, Any]:
 
 
 def read(tensors: Tensors, header: dict[str, Any]) -> dict[str, Any]:
-    """Fields of a model from a file; KeyError or ValueError if tensors and header do not fit."""
+    """Return fields of a model from a file; KeyError or ValueError if tensors and header do not fit."""
     hidden = tuple(int(width) for width in header["hidden"])
     sizes, parts = (INPUTS, *hidden, STATES), []
     for index, (n, m) in enumerate(pairwise(sizes), 1):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Asking a plant to arm and to disarm: one request at a time, without a person only where that is allowed."""
+"""Requests to arm and disarm a plant: one at a time, without a person only where that is allowed."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ NOT_YET = "not armed, still waiting for {}: you are asked once all is ready"
 TOO_EARLY = "the plant was armed before all was ready here: it is disarmed, so that nothing waits armed"
 _ARM = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
 HOW_TO_ARM = {False: f"the plant is disarmed: {_ARM}", True: f"the plant has tripped: {_ARM} --off, and then without"}
-"""By whether it has tripped."""
+"""Instructions by whether the plant has tripped."""
 _SETTLE = 0.1  # s, between two requests
 _RETRY = 1.0  # s, after a refusal
 _ANSWER_WITHIN = 3.0  # s; a plant that has gone does not answer any more
@@ -29,13 +29,13 @@ _DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
 
 
 def tell(sentence: str) -> None:
-    """Say it on the terminal, above a progress bar; where nobody reads that any more, nowhere."""
+    """Print a message on the terminal, above a progress bar; do nothing if the terminal is closed."""
     with suppress(OSError, ValueError):
         tqdm.write(sentence, file=sys.stderr)
 
 
 class Arming:
-    """Seeks an armed plant, for a commander. A plant that has tripped is disarmed first."""
+    """Arming of a plant on behalf of a commander. A plant that has tripped is disarmed first."""
 
     def __init__(self, node: Node, commander: Commander) -> None:
         self._node, self._commander = node, commander
@@ -45,24 +45,24 @@ class Arming:
         self._keys: queue.SimpleQueue[str] = queue.SimpleQueue()
 
     def begin(self, *, rearm: bool) -> None:
-        """From now on Enter on the terminal arms; with `rearm` nobody has to."""
+        """Begin: Enter on the terminal arms from now on; with `rearm`, arming is automatic."""
         self._rearm = rearm
         if not rearm and sys.stdin is not None and sys.stdin.isatty():
             threading.Thread(target=self._read_keys, daemon=True).start()
 
     def rest(self) -> None:
-        """Nothing is sought: what a person has granted was for this once."""
+        """Stop seeking: a person's consent was for one time only."""
         self._granted, self._told = False, ""
 
     def seek(self, *, tripped: bool, now: float) -> None:
-        """Call some times a second while the plant is not armed; `now` by the monotonic clock [s]."""
+        """Seek an armed plant: call several times a second while it is not armed; `now` by the monotonic clock [s]."""
         awaited = self._answer is not None and not self._answer.done() and now < self._ask_after + _ANSWER_WITHIN
         if awaited or not (self._rearm or self._may_arm(tripped)) or now < self._ask_after:
             return
         self._request(arm=not tripped, now=now)
 
     def wait(self, awaited: str, *, armed: bool, now: float) -> None:
-        """Call instead while something is still `awaited`: nothing is armed; who wants it, or has done it, is told."""
+        """Call instead while something is still `awaited`: requests to arm are refused, early arming is undone."""
         while not self._keys.empty():
             self._keys.get()
             tell(f"! {NOT_YET.format(awaited)}")
@@ -75,7 +75,7 @@ class Arming:
             self._request(arm=False, now=now)
 
     def give_back(self) -> bool:
-        """Give the authority back, which disarms, with nobody else spinning the node; whether the plant confirms."""
+        """Give the authority back, which disarms, while nobody else spins the node; return whether it is confirmed."""
         answer, executor = self._commander.give(), EventsExecutor()
         if answer is None:
             return False
@@ -92,7 +92,7 @@ class Arming:
             self._answer.add_done_callback(partial(self._on_answer, arm))
 
     def _may_arm(self, tripped: bool) -> bool:
-        """Whether a person has said so since the plant was armed last; says how."""
+        """Return whether a person has said so since the plant was armed last; says how."""
         while not self._keys.empty():
             self._keys.get()
             self._granted = True

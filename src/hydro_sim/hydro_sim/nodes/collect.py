@@ -37,16 +37,16 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.nodes.collecting import TRIPS_IN_A_ROW, CollectNode
 
 TRIPPED = 3
-"""Exit status after `TRIPS_IN_A_ROW` trips: the recording is whole up to there."""
+"""Exit status after `TRIPS_IN_A_ROW` trips: the recording is complete up to there."""
 
 
 def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Namespace, ros: Sequence[str]) -> str:
-    """Record while the schedule plays; why the plant could not go on, or nothing.
+    """Record while the schedule plays; return why the plant could not continue, or nothing.
 
     Raises
     ------
     UserError
-        It was broken off, the recorder ended, another node drives the plant, or its box believes another bench.
+        If it was interrupted, the recorder ended, another node drives the plant, or its box believes another bench.
     """
     start_ros(ros)
     try:
@@ -76,12 +76,12 @@ def _play(schedule: Sequence[Segment], bench: Bench | None, options: argparse.Na
 
 
 def _bench_of(node: CollectNode, asked: Bench | None) -> Bench:
-    """The bench.yaml to keep in the recording: what was asked for, or else what the box believes.
+    """Return the bench.yaml to store in the recording: the requested one, or else the one that the box believes.
 
     Raises
     ------
     PairingError
-        The box believes another one than was asked for.
+        If the box believes another one than requested.
     """
     box = node.box
     if asked is None:
@@ -95,7 +95,7 @@ def _bench_of(node: CollectNode, asked: Bench | None) -> Bench:
 def _record(
     node: CollectNode, schedule: Sequence[Segment], bench: Bench, options: argparse.Namespace
 ) -> tuple[str, bool]:
-    """Drive the plant beside a recorder; why nothing records any more, and whether a signal ended it."""
+    """Drive the plant beside a recorder; return why recording ended, and whether a signal ended it."""
     drawn = [] if options.schedule else [f"seed={options.seed}"]
     words = ["--out", str(options.out), "--metadata", f"plant={node.plant or 'unknown'}", *drawn]
     with ExitStack() as stack:
@@ -114,7 +114,7 @@ def _record(
 
 
 def _why_ended(recorder: Companion, out: Path) -> str:
-    """Why nothing records any more; empty as long as something does."""
+    """Return why recording ended; empty while it runs."""
     if recorder.running:
         return ""
     if recorder.process.returncode == 2:  # it could not use `out`
@@ -144,7 +144,7 @@ def main() -> int:
 
 
 def _playable(schedule: Sequence[Segment]) -> Sequence[Segment]:
-    """The schedule, if it asks for no corrections: those are the filter's, which the emulator's recordings lack."""
+    """Return the schedule if it has no corrections: those are the filter's; only the emulator records others."""
     for index, segment in enumerate(schedule):
         if segment.delta_u:
             raise UserError(

@@ -4,7 +4,7 @@
 ::
 
     meet     which box is it, may this node command it, and arm it without a person (simulation, emulator)?
-    drive    wait for the recorder, record the still bench, arm, play, arm anew after a trip; too many trips are the end
+    drive    wait for the recorder, record the still bench, arm, play, arm again after a trip; too many trips end it
     leave    reference 0 N, and a disarm that the plant confirms
 """
 
@@ -56,7 +56,7 @@ class CollectNode(Node):
     Parameters
     ----------
     schedule
-        What is played.
+        Schedule to play.
     rearm
         Whether the plant may be armed without a person; None: if it is the simulation or the emulator.
     """
@@ -64,13 +64,13 @@ class CollectNode(Node):
     def __init__(self, schedule: Sequence[Segment], rearm: bool | None) -> None:
         super().__init__("collect")
         self.plant = ""
-        """What runs, once it is met: sim, or what the box calls itself; empty if nobody says."""
+        """Name of the plant, once it is met: sim, or the box's own name; empty if unknown."""
         self.ended = ""
-        """Why it ended before the schedule did, if it did by itself."""
+        """Reason for ending before the schedule did, if it ended by itself."""
         self.playback = Playback(schedule)
         self._rearm = rearm
         self.box: KnownBox | None = None
-        """What the plant says of its box: schedules ask for gains in all, and a box takes changes to its own."""
+        """Box that the plant reports: schedules state total gains, and a box takes changes to its own."""
         self._heard = self._asked = inf  # when the first sample came; when the authority was first asked for, s
         self._readiness = Readiness([self._plant_needed(), box_info_requirement(lambda: self.box is not None)], _warn)
         self._met, self._finished, self._driving = Future(), Future(), False
@@ -85,12 +85,12 @@ class CollectNode(Node):
         self.create_timer(_PERIOD, self._on_timer, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def meet(self) -> bool:
-        """Wait for a plant and look around; whether a signal ended it.
+        """Wait for a plant and check it; return whether a signal ended the wait.
 
         Raises
         ------
         UserError
-            Somebody else commands the plant, no plant comes, or nobody says what the box is.
+            If another node commands the plant, no plant appears, or the box is unknown.
         """
         broken = spin(self, self._met)
         if not broken and self.ended:
@@ -98,7 +98,7 @@ class CollectNode(Node):
         return broken
 
     def drive(self, recorder: Companion, bag: Path) -> bool:
-        """Play once the recorder says that it has samples in `bag`, while it runs; whether a signal ended it."""
+        """Play while the recorder runs, once it has samples in `bag`; return whether a signal ended it."""
         self._recorder, self._driving = recorder, True
         self._readiness = Readiness([RecorderWatch(self, bag, recorder).requirement], _warn)
         self._bar = progress(total=round(self.playback.seconds), label="collecting", unit="s")
@@ -106,7 +106,7 @@ class CollectNode(Node):
         return spin(self, self._finished)
 
     def leave(self) -> None:
-        """Leave the plant disarmed, with a reference of 0 N for who arms it next, and give back the authority."""
+        """Leave the plant disarmed, with a reference of 0 N for whoever arms it next, and give back the authority."""
         with endings.undisturbed():  # a second Ctrl-C waits
             self._driving = False
             self._commander.reference(Signal())
@@ -171,7 +171,7 @@ class CollectNode(Node):
         self._begun = now - self._still_since >= _REST
 
     def _ready(self, now: float) -> bool:
-        """Whether what must be there is; what never comes is the end."""
+        """Return whether what must be there is; what never comes is the end."""
         try:
             self._readiness.look(now)
         except NotReadyError as error:

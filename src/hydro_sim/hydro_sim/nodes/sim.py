@@ -35,7 +35,7 @@ from hydro_sim.model.plant import AnalyticPlant, Plant
 from hydro_sim.simulation.realtime import SimSettings, Simulation
 
 SIMULATED_BOX = "hydro sim"
-"""What the simulated box calls itself."""
+"""Name of the simulated box."""
 CLOCK_DEPTH = 10
 
 
@@ -76,7 +76,7 @@ class SimSide(Simulation):
 
 
 class SimNode(PlantNode):
-    """Plant node over a simulation."""
+    """Plant node of a simulation."""
 
     def __init__(self, settings: SimSettings, *, realtime: bool) -> None:
         super().__init__("sim")
@@ -107,7 +107,7 @@ class SimNode(PlantNode):
         self._thread = threading.Thread(target=self.simulation.run, name="plant", daemon=True)
 
     def begin(self) -> None:
-        """Start the plant's thread: not before all settings are right."""
+        """Start the plant's thread, once all settings are valid."""
         self.publish_box(self._known)
         self._thread.start()
 
@@ -125,12 +125,12 @@ class SimNode(PlantNode):
         self.publish_state(stamp_ns, sequence, values, flags)
 
     def gained(self) -> None:
-        """Gains have been taken: in lock-step the next samples may follow."""
+        """Note that gains were taken: in lock-step the next samples may follow."""
         self.simulation.gained()
 
 
 def _plant(settings: SimSettings, bench: Bench) -> Plant:
-    """The plant that the settings name."""
+    """Create the plant that the settings name."""
     name = settings.model or ("analytic" if settings.bench else "shipped")
     if name == "analytic":
         return AnalyticPlant(bench, noise=settings.noise)

@@ -6,8 +6,8 @@
     sample k ──> filter ──> correction for k ──┐
     10 samples ──> trainer ──> gains ──────────┴──> sample k + 1
 
-Whoever has not been heard yet is not waited for, and neither is a trainer while the plant is disarmed. Whoever falls
-silent is named in the log, and the simulation goes on without it until it is back.
+A node that has not been heard yet is not waited for, nor is a trainer while the plant is disarmed. A node that falls
+silent is named in the log, and the simulation continues without it until it returns.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from collections.abc import Callable
 from hydro_bridge.signals import SAMPLES_PER_STEP
 
 RESEND = 0.25
-"""s after which an unanswered sample is sent again: the state is published best effort."""
+"""Time [s] after which an unanswered sample is sent again: the state is published best effort."""
 
 
 class LockStep:
@@ -30,7 +30,7 @@ class LockStep:
     log
         Called with a sentence when a peer comes or falls silent.
     silence_max
-        s to wait for a peer.
+        Longest wait [s] for a peer.
     correction_every
         Samples per correction, as the filter is set.
     """
@@ -43,11 +43,11 @@ class LockStep:
 
     @property
     def engaged(self) -> bool:
-        """Whether anybody is waited for."""
+        """Whether any node is waited for."""
         return self._filter or self._trainer
 
     def corrected(self, sequence: int) -> None:
-        """The filter has answered sample `sequence`."""
+        """Note that the filter has answered sample `sequence`."""
         with self._news:
             if not self._filter:
                 self._log("in lock-step with the filter")
@@ -55,7 +55,7 @@ class LockStep:
             self._news.notify_all()
 
     def gained(self) -> None:
-        """The trainer has sent gains."""
+        """Note that the trainer has sent gains."""
         with self._news:
             if not self._trainer:
                 self._log("in lock-step with the trainer")
@@ -83,7 +83,7 @@ class LockStep:
             self._released = False
 
     def awaited(self, sequence: int) -> list[str]:
-        """Who has yet to answer sample `sequence`."""
+        """Return the nodes that have yet to answer sample `sequence`."""
         behind = (sequence - self._corrected) & 0xFFFFFFFF
         uncorrected = self._filter and self._correction_every <= behind < 1 << 31
         return ["filter"] * uncorrected + ["trainer"] * (self._trainer and self._ungained >= SAMPLES_PER_STEP)

@@ -41,7 +41,7 @@ class Schedule:
     gains: FloatArray | tuple[float, float]
     """K_p [1/s] and K_i [1/s^2] in force: one pair, or shape (policy steps, 2) at 100 Hz, the last pair held on."""
     seconds: float
-    """s, length of the run."""
+    """Length [s] of the run."""
     correction: FloatArray | None = None
     """delta_u [A] per sample, shape (samples,); None: none, and flagged FILTER_STALE as on the bench."""
 
@@ -54,7 +54,7 @@ class Schedule:
 def simulate(
     plant: Plant, bench: Bench, schedule: Schedule, *, config: BoxConfig | None = None, seed: int = 0
 ) -> StateArray:
-    """One armed run from rest.
+    """Simulate one armed run from rest.
 
     Parameters
     ----------

@@ -14,14 +14,14 @@ _PR_SET_TIMERSLACK = 29
 
 
 class Pacer:
-    """Deadlines at start + n period; what is late is caught up on, unless it was away for long.
+    """Deadlines at start + n period; delays are caught up, unless they are long.
 
     Parameters
     ----------
     period
         s between deadlines.
     give_up
-        s behind (the machine slept) from which on the lost time is not caught up on, but left out.
+        Delay [s] (the machine slept) from which on the lost time is not caught up, but skipped.
     """
 
     def __init__(self, period: float, *, give_up: float = 0.1) -> None:
@@ -30,7 +30,7 @@ class Pacer:
         self.late = 0
         """Periods that began more than a period late."""
         self.skipped = 0.0
-        """s left out."""
+        """Time [s] skipped."""
         self.host_clock = HostClock()
         self.restart()
 
@@ -40,7 +40,7 @@ class Pacer:
 
     @property
     def scheduled_ns(self) -> int:
-        """ROS time [ns] for which the present period was meant: jitter of waking up is not in it."""
+        """ROS time [ns] at which the present period was due, without the jitter of waking up."""
         return self.host_clock.ros_time(self._deadline)
 
     def wait(self) -> None:
@@ -58,6 +58,6 @@ class Pacer:
 
 
 def exact_timers() -> None:
-    """Ask the kernel to wake the calling thread when it is due, not when it is convenient (50 us later by default)."""
+    """Ask the kernel to wake the calling thread on time, without the default timer slack of 50 us."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)  # ns

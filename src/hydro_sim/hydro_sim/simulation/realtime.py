@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Real-time simulation of box and plant, without ROS: the sim node behind its topics.
+"""Real-time simulation of box and plant, without ROS: the core of the sim node.
 
 One thread runs `run`, a sample at a time: ask the guard, tick the box, hand the sample on, step the plant. Other
 threads tell the guard what is wanted (under `lock`), `arm`, and report corrections and gains. The bridge's `Link` is
@@ -104,7 +104,7 @@ class Simulation:
 
     @property
     def refused(self) -> int:
-        """Values in commands that the box did not take as they were."""
+        """Number of values in commands that the box altered."""
         return self._box.refused
 
     def clock(self) -> float:
@@ -145,17 +145,17 @@ class Simulation:
         self.steps.release()
 
     def send(self, corrects: int | None = None) -> None:
-        """A correction for sample `corrects` has come; it goes down with the next sample."""
+        """Accept a correction for sample `corrects`; it is sent with the next sample."""
         if corrects is not None and self.settings.speed == 0.0:
             self.steps.corrected(corrects)
 
     def gained(self) -> None:
-        """Gains have come."""
+        """Note that gains have arrived."""
         if self.settings.speed == 0.0:
             self.steps.gained()
 
     def arm(self, arm: bool, timeout: float = 0.5) -> str:
-        """Arm or disarm, and wait for the box to confirm; why it did not, or nothing. Not for the thread of `run`."""
+        """Arm or disarm and wait for the box to confirm; return why not, or nothing. Not for the thread of `run`."""
         with self.lock:
             if arm and self.flags & Flag.TRIPPED:
                 return f"the box has tripped ({self.flags.name}): disarm it, then arm it"
@@ -169,7 +169,7 @@ class Simulation:
         return f"the box did not confirm within {timeout:g} s ({self.flags.name})"
 
     def warm_up(self) -> FloatArray:
-        """Let everything compile before there are deadlines; returns the first measurement. Again, it costs nothing."""
+        """Compile everything before the deadlines begin; return the first measurement. Repeated calls cost nothing."""
         begin = time.monotonic()
         self._box.receive(Command(), 0.0)
         self._box.tick(self._plant.reset(self.settings.seed), 0.0)
@@ -181,7 +181,7 @@ class Simulation:
         return self._plant.reset(self.settings.seed)
 
     def _stamp(self) -> int:
-        """Of the present sample, ns: ROS time at speed 1, else the simulation's own."""
+        """Stamp [ns] of the present sample: ROS time at speed 1, else the simulation's own."""
         if not self.real_time:
             return self.samples * round(1e9 * SAMPLE_PERIOD)
         step = self.pacer.host_clock.look()

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Learned constants of `physics`: initial value, unit, and scale of the optimizer's variable.
 
-A constant that must stay positive is start * exp(theta); any other is start + step * theta. Start values come from
-the bench
-file where it has them; the rest are a textbook's orders of magnitude, not this bench's values.
+A constant that must stay positive is start * exp(theta); any other is start + step * theta. Start values come from the
+bench file where it has them; the others are orders of magnitude from textbooks, not this bench's values.
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ class Constant:
 
 
 def constants(bench: Bench) -> tuple[Constant, ...]:
-    """All of them, in the order of `physics`."""
+    """Return all constants, in the order of `physics`."""
     area_ratio, gain = bench.area_ratio, bench.valve_gain
     bandwidth = bench.load_cell_bandwidth or 100.0
     return (

@@ -2,8 +2,7 @@
 """One sample of the structured model, and its gradient: four steps of Runge-Kutta 4 with the bristle split off.
 
 A step of 250 us (Strang splitting, second order): half a step of the bristle, exact at constant velocity so that no
-velocity
-makes it stiff; a Runge-Kutta step of y; the other half of the bristle. `state` is [y (8), z], shape (9,).
+velocity makes it stiff; a Runge-Kutta step of y; the other half of the bristle. `state` is [y (8), z], shape (9,).
 """
 
 from __future__ import annotations
@@ -49,7 +48,7 @@ def scratch():
 
 @njit(cache=True)
 def half_bristle(c, bristle, velocity):
-    """The deflection [m] half a step later."""
+    """Return the deflection [m] half a step later."""
     level = c[COULOMB] + c[STRIBECK] * math.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))
     decay = c[BRISTLE] * abs(velocity) * 0.5 * STEP / level
     kept = math.exp(-decay)
@@ -82,7 +81,7 @@ def half_bristle_back(c, bristle, velocity, g, gc):
 
 @njit(cache=True)
 def advance(c, state, current, r, work):
-    """One sample of 1 ms in place; leaves in `work` where each step began."""
+    """Advance by one sample of 1 ms in place; leave in `work` the start of each step."""
     y = state[:8]
     for step in range(SUBSTEPS):
         work.starts[step] = state

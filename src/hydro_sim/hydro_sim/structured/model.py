@@ -20,10 +20,10 @@ from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.rollout import FULL, INPUTS, OUTPUTS
 
 CHUNK = 3000
-"""Samples that one thread filters after the observer has settled."""
+"""Samples that one thread filters once the observer has settled."""
 
 STILL = 50
-"""Samples at the beginning of a recording, disarmed, that show the still bench."""
+"""Disarmed samples at the beginning of a recording that show the still bench."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,7 +33,7 @@ class StructuredModel:
     bench: Bench
     """Start values of the constants."""
     theta: FloatArray
-    """Shape (CONSTANTS,): where the constants stand, `constants.values`."""
+    """Shape (CONSTANTS,): the constants' variables, `constants.values`."""
     flat: FloatArray
     """The network's weights."""
     hidden: tuple[int, int]
@@ -44,15 +44,15 @@ class StructuredModel:
     rest: FloatArray
     """Full state of the still bench, shape (12,)."""
     trust: float = 1.0
-    """Scale of what the observer believes the model to miss per sample, above 0."""
+    """Scale of the model error per sample that the observer assumes, above 0."""
     left: FloatArray = field(default_factory=observer.READING_NOISE.copy)
-    """Shape (5,): RMS of what 70-sample predictions leave of each reading, noise at least; weighs them in training."""
+    """Shape (5,): RMS error of each reading in 70-sample predictions, noise at least; weights them in training."""
 
     name = "structured"
 
     @classmethod
     def untrained(cls, bench: Bench, training: list[Run], hidden: tuple[int, int], seed: int) -> StructuredModel:
-        """The bench's own equations: the network's last layer is zero. Normalization is taken from the runs."""
+        """Return the bench's own equations: the network's last layer is zero. Normalization is taken from the runs."""
         x, u = np.concatenate([run.x for run in training]), np.concatenate([run.u for run in training])
         inputs = np.column_stack((x[:, 4:8], u))
         generator = np.random.default_rng(seed)
@@ -64,12 +64,12 @@ class StructuredModel:
 
     @property
     def table(self) -> tuple[constants.Constant, ...]:
-        """What the constants are."""
+        """Table of the constants."""
         return constants.constants(self.bench)
 
     @property
     def compiled(self) -> tuple[Any, ...]:
-        """c, layers, center, scale, memories: what the kernels take."""
+        """c, layers, center, scale and memories for the kernels."""
         record = Sensors().constants()[0]
         memories = np.array([record["force_memory"], record["velocity_memory"]])
         c, _ = constants.values(self.table, self.theta)
@@ -100,13 +100,13 @@ class StructuredModel:
         return full
 
     def tensors(self) -> Tensors:
-        """What is saved."""
+        """Return the saved tensors."""
         views = mlp.layers(self.flat, INPUTS, self.hidden, OUTPUTS)._asdict()
         others = {"theta": self.theta, "center": self.center, "scale": self.scale, "rest": self.rest}
         return {**views, **others, "trust": np.array([self.trust]), "left": self.left}
 
     def header(self) -> dict[str, Any]:
-        """What the tensors are."""
+        """Return the description of the tensors."""
         c, _ = constants.values(self.table, self.theta)
         entries = [
             {"name": entry.name, "unit": entry.unit, "value": float(value), "learned": entry.learned}
@@ -129,7 +129,7 @@ class StructuredModel:
         return cls(bench=bench, flat=flat, hidden=hidden, trust=float(tensors["trust"][0]), left=left, **arrays)
 
     def with_parameters(self, theta: FloatArray, flat: FloatArray) -> StructuredModel:
-        """The same with other parameters."""
+        """Return the same model with other parameters."""
         return replace(self, theta=theta.copy(), flat=flat.copy())
 
 

@@ -2,10 +2,9 @@
 """Observer of the structured model's state from the readings so far (an extended Kalman filter).
 
 A window cannot start from the measurement itself: its 0.6 N and 6 kPa of noise would be most of the error 70 samples
-later,
-and the spool, the bristle and the amplifier are not measured at all. The filter uses the five readings (the rates are
-made from
-them and hold nothing new), their noise, and the model; it looks only back. Its Jacobian is taken by finite differences.
+later, and the spool, the bristle and the amplifier are not measured at all. The filter uses the five readings (the
+rates are made from them and hold nothing new), their noise, and the model; it looks only back. Its Jacobian is taken by
+finite differences.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS, READINGS
 
 SETTLING = 500
-"""Samples after which a filter that began from a measurement is believed."""
+"""Samples after which a filter that began from a measurement has settled."""
 
 NUDGES: FloatArray = np.array([1e3, 1e3, 1e-7, 1e-5, 1e-6, 1e-3, 1e-2, 1.0, 1e-8])
 """Steps of the finite differences, units of the state."""
@@ -72,8 +71,7 @@ def follow(model, readings, currents, start, settings, states):
     """Filter one run: `states`, shape (n, 12), become the full states at the samples of `readings`, shape (n, 5).
 
     `start`, shape (12,), is the first guess. The rates are made of the model's own steps, not of the differences
-    between
-    one corrected estimate and the next: these are noise.
+    between one corrected estimate and the next: these are noise.
     """
     c, layers, center, scale, memories = model
     spread, nudges, missed, noise = settings

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The equations of the structured model and their gradients: `model.hydraulics` with what textbooks add to it.
+"""Equations of the structured model and their gradients: `model.hydraulics` with textbook extensions.
 
 ::
 

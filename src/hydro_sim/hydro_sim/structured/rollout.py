@@ -27,7 +27,7 @@ from hydro_sim.structured.physics import AREA, BIAS_H, BIAS_L, CONSTANTS, GAIN_H
 
 INPUTS, OUTPUTS, READINGS, FULL = 5, 3, 5, 12
 OUTPUT_SCALES = (0.02, 0.02, 5.0)
-"""What one unit of the network means: relative flow into A, out of B, force [N]."""
+"""Scales of the network's outputs: relative flow into A, out of B, force [N]."""
 
 
 @njit(cache=True)
@@ -56,7 +56,7 @@ def _read_back(c, s, g, gs, gc):
 
 @njit(cache=True)
 def residual(layers, center, scale, s, x, a1, a2, r):
-    """What the network adds at state s: r, shape (3,)."""
+    """Output of the network at state s: r, shape (3,)."""
     for i in range(INPUTS):
         x[i] = (s[i] - center[i]) / scale[i]
     mlp.forward(layers, x, a1, a2, r)
@@ -66,14 +66,14 @@ def residual(layers, center, scale, s, x, a1, a2, r):
 
 @njit(cache=True)
 def advance(c, layers, center, scale, s, current, work, x, a1, a2, r):
-    """One sample of 1 ms of s, shape (9,), in place."""
+    """Advance s, shape (9,), by one sample of 1 ms in place."""
     residual(layers, center, scale, s, x, a1, a2, r)
     integration.advance(c, s, current, r, work)
 
 
 @njit(cache=True)
 def bound(c, s):
-    """Keep s where a bench can be, whatever was commanded: what is simulated stays finite."""
+    """Bound s to what a bench can reach, whatever was commanded: the simulation stays finite."""
     s[0] = min(max(s[0], 0.0), 2.0 * c[SUPPLY])
     s[1] = min(max(s[1], 0.0), 2.0 * c[SUPPLY])
     s[2] = min(max(s[2], -2e-3), c[STROKE] + 2e-3)
@@ -82,7 +82,7 @@ def bound(c, s):
 
 @njit(cache=True)
 def advance_full(c, layers, center, scale, memories, full, current, work, x, a1, a2, r, measured):
-    """One sample of 1 ms of the full state, shape (12,), in place, and the x, shape (8,), that the box makes of it.
+    """Advance the full state, shape (12,), by one sample of 1 ms in place; `measured`, shape (8,), becomes the box's x.
 
     `memories`: the box's coefficients for force rates and for the velocity (hydro_sim.model.sensors).
     """

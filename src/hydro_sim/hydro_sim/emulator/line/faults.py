@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Fault injection on a serial line, with seeded probabilities: one `FaultyLine` for each direction.
 
-Chances are per frame. What passes a line is one frame up (box to bridge), and down whatever one read gave, mostly one.
+Probabilities are per frame. The unit is one frame up (box to bridge), and down whatever one read gave, mostly one.
 """
 
 from __future__ import annotations
@@ -72,9 +72,9 @@ class FaultyLine:
     Parameters
     ----------
     faults
-        Chances; may be replaced at any time.
+        Probabilities; may be replaced at any time.
     generator
-        Where chance comes from.
+        Source of randomness.
     """
 
     LIMIT = 1 << 16  # bytes that wait during a stall; what is more is lost
@@ -88,17 +88,17 @@ class FaultyLine:
         self._stalled_until = 0.0
 
     def stall(self, until: float) -> None:
-        """Let nothing pass until this time [s]."""
+        """Block the line until this time [s]."""
         self._stalled_until = max(self._stalled_until, until)
 
     def clear(self) -> None:
-        """Forget what waits: the plug was pulled."""
+        """Discard what waits: the line was unplugged."""
         self._waiting.clear()
         self._held = b""
         self._stalled_until = 0.0
 
     def carry(self, chunk: bytes, now: float) -> bytes:
-        """What comes out of the line at time `now` [s] when `chunk`, possibly empty, goes in."""
+        """Return what leaves the line at time `now` [s] when `chunk`, possibly empty, enters it."""
         out = self._disturb(chunk) if chunk and self._any() else chunk
         if now < self._stalled_until:
             if sum(map(len, self._waiting)) + len(out) <= self.LIMIT:

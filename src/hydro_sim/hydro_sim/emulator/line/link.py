@@ -41,20 +41,20 @@ class LinkReport:
 
 
 class CommandOrder:
-    """Accepts the commands of one connection once each and in order; protocol.md, Order of commands."""
+    """Acceptance of the commands of one connection, once each and in order (protocol.md, Order of commands)."""
 
     def __init__(self) -> None:
         self._newest: int | None = None
 
     def accept(self, sequence: int) -> bool:
-        """Whether this sequence number is newer than all before, by half of the circle of 2^32 (RFC 1982)."""
+        """Return whether this sequence number is newer than all before, by half of the circle of 2^32 (RFC 1982)."""
         if self._newest is not None and not 0 < (sequence - self._newest) % _CIRCLE < _CIRCLE // 2:
             return False
         self._newest = sequence
         return True
 
     def reset(self) -> None:
-        """A new conversation: its first command may have any number."""
+        """Begin a new conversation: its first command may have any number."""
         self._newest = None
 
 
@@ -66,13 +66,13 @@ class BoxLink:
     terminal
         The port.
     info
-        What the box says about itself.
+        Identity that the box states.
     faults, seed
-        What goes wrong, and its chances' seed.
+        Injected faults, and the seed of their probabilities.
     details
-        What it says besides to a host of version 2; its epoch counts up at each reboot.
+        Additional data for a host of version 2; its epoch counts up at each reboot.
     refused
-        Gives how many values and references the box refused since its power-on.
+        Returns how many values and references the box refused since its power-on.
     """
 
     def __init__(
@@ -101,16 +101,16 @@ class BoxLink:
         self._greeting = True
 
     def set_faults(self, faults: LinkFaults) -> None:
-        """Change what goes wrong from now on."""
+        """Replace the injected faults from now on."""
         self.up.faults = self.down.faults = faults
 
     def stall(self, seconds: float, now: float) -> None:
-        """Let nothing pass for `seconds` from `now` [s]."""
+        """Block the line for `seconds` from `now` [s]."""
         self.up.stall(now + seconds)
         self.down.stall(now + seconds)
 
     def unplug(self, seconds: float, now: float) -> None:
-        """Take the port away for `seconds` from `now` [s]."""
+        """Remove the port for `seconds` from `now` [s]."""
         self.terminal.unplug()
         self.up.clear()
         self.down.clear()
@@ -120,7 +120,7 @@ class BoxLink:
         self._replug_at = now + seconds
 
     def reboot(self) -> None:
-        """The box was power-cycled: it greets anew, knows no command, and what it had of one is lost."""
+        """Reset after a power cycle: the box greets anew, has no command, and loses any partial one."""
         self.last_command = 0
         self.decoder.reset()
         self._waiting.clear()
@@ -130,10 +130,10 @@ class BoxLink:
         self._greeting = True
 
     def poll(self, now: float) -> Command | None:
-        """Newest command that has arrived by `now` [s], if any; answers greetings, which disarm.
+        """Return the newest command that has arrived by `now` [s], if any; answer greetings, which disarm.
 
-        What comes behind a greeting in the same millisecond waits for the next: the disarm is not to be overtaken. A
-        greeting behind it makes it void: nothing piles up, however many come.
+        What follows a greeting in the same millisecond waits for the next: the disarm must not be overtaken. A further
+        greeting discards it: nothing accumulates, however many come.
         """
         data = self._arrived(now)
         frames, self._waiting = [*self._waiting, *(self.decoder.feed(data) if data else ())], []
@@ -156,7 +156,7 @@ class BoxLink:
         return Command() if greeted else newest
 
     def _arrived(self, now: float) -> bytes:
-        """Bytes that have come down the line by `now` [s]; plugs in again when it is time."""
+        """Return bytes that have arrived by `now` [s]; plug in again when it is time."""
         if not self.terminal.plugged:
             if now < self._replug_at:
                 return b""
@@ -172,7 +172,7 @@ class BoxLink:
         self._write(self.up.carry(self._frames(sample), now))
 
     def _frames(self, sample: np.void) -> bytes:
-        """What goes up with this sample."""
+        """Return the frames sent with this sample."""
         box_time, sequence, *values, flags = sample.item()
         time_us = round(box_time * 1e6)
         refused = self._refused() if self.version > VERSION_MIN else None
@@ -197,7 +197,7 @@ class BoxLink:
         self.report.sent += 1
 
     def summary(self) -> str:
-        """One line on what passed and what went wrong on purpose."""
+        """Return one line of text on the traffic and the injected faults."""
         made = {name: self.up.counts[name] + self.down.counts[name] for name in CHANCES}
         text = (
             f"{self.report.sent} frames sent, {self.report.unheard} unheard, {self.report.blocked} blocked, "

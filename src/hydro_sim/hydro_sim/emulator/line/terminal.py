@@ -55,7 +55,7 @@ class Terminal:
         return self._master is not None and not any(event & select.POLLHUP for _, event in self._poll.poll(0))
 
     def plug(self) -> None:
-        """Make a new pair and point the link at it; nothing happens if it is plugged."""
+        """Create a new pair and point the link at it; do nothing if it is plugged."""
         if self._master is not None:
             return
         master, slave = os.openpty()
@@ -78,7 +78,7 @@ class Terminal:
             raise SettingsError(f"{self.path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
 
     def unplug(self) -> None:
-        """Take the port away: whoever has it open sees a hang-up, the link is gone."""
+        """Remove the port: whoever has it open sees a hang-up, and the link is removed."""
         if self._master is None:
             return
         self._poll.unregister(self._master)
@@ -89,7 +89,7 @@ class Terminal:
                 self.path.unlink()
 
     def read(self) -> bytes:
-        """What has arrived; nothing if nothing has, or nobody is there."""
+        """Return what has arrived; empty if nothing has, or nobody has the port open."""
         if self._master is None:
             return b""
         try:
@@ -102,7 +102,7 @@ class Terminal:
             raise
 
     def write(self, data: bytes) -> int:
-        """Write what fits without waiting; returns how many bytes did."""
+        """Write what fits without waiting; return the number of bytes written."""
         if self._master is None:
             return 0
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`TruthConfig`: everything about the emulated bench in one YAML file, and the two profiles it can start from."""
+"""`TruthConfig`: the configuration of the emulated bench in one YAML file, and the two profiles it can start from."""
 
 from __future__ import annotations
 
@@ -122,12 +122,12 @@ def load_truth(path: str | Path) -> TruthConfig:
 
 
 def truth_to_mapping(config: TruthConfig) -> dict[str, Any]:
-    """Plain data that `truth_from_mapping` turns back into `config`."""
+    """Return plain data from which `truth_from_mapping` restores `config`."""
     return {"profile": "nominal", **to_mapping(config)}
 
 
 def check(config: TruthConfig) -> TruthConfig:
-    """`config` itself, when its parts fit together.
+    """Return `config`, if its parts are consistent.
 
     Raises
     ------

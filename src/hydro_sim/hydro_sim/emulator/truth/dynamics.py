@@ -40,7 +40,7 @@ STATE = np.dtype(
         ("sample", np.int64),
     ]
 )
-"""All that the physical plant remembers."""
+"""State of the physical plant."""
 
 
 @njit(cache=True)
@@ -135,7 +135,7 @@ def _heun_step(p, state, time, command, work):
 
 @njit(cache=True)
 def hold_command(p, state, current, walk_noise):
-    """A new sample begins: remember its valve current [A] and draw the random force's next value."""
+    """Begin a sample: store its valve current [A] and draw the random force's next value."""
     state.commands[state.sample % DELAY_SAMPLES] = current
     if p.walk_force > 0.0:
         kept = math.exp(-SAMPLE_PERIOD / p.walk_time)
@@ -144,7 +144,7 @@ def hold_command(p, state, current, walk_noise):
 
 @njit(cache=True)
 def advance_substep(p, state, index, work):
-    """Substep `index` of the present sample, in place; `work` is scratch space, shape (3, 8)."""
+    """Advance by substep `index` of the present sample, in place; `work` is scratch space, shape (3, 8)."""
     elapsed = index * SUBSTEP
     time = state.sample * SAMPLE_PERIOD + elapsed
     # the command is constant within a step; both of Heun's slopes must see the same side of its jumps

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dry friction: how strong it is, and three ways for it to act (static, smooth, LuGre).
+"""Dry friction: its level, and its three forms (static, smooth, LuGre).
 
 LuGre: z' = v - sigma_0 |v| / g(v) z,  F = sigma_0 z + sigma_1 z'.  Source: Canudas de Wit, Olsson, Astrom, Lischinsky,
 "A new model for control of systems with friction", IEEE TAC 40(3), 1995.

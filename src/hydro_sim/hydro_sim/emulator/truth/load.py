@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the piston works against: spring, lost motion, hysteresis, cushions, end stops, disturbances."""
+"""Load of the piston: spring, lost motion, hysteresis, cushions, end stops, disturbances."""
 
 from __future__ import annotations
 

@@ -26,7 +26,7 @@ TRUTH_FIELDS = (
 
 @njit(cache=True)
 def advance(p, box, state, chain, work, noise, current):
-    """One sample of 1 ms in place: physics, amplifiers, reading. What every path through the emulator runs.
+    """Advance by one sample of 1 ms in place: physics, amplifiers, reading. Every path through the emulator runs it.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ def advance(p, box, state, chain, work, noise, current):
 
 @njit(cache=True)
 def start(p, box, state, chain, noise):
-    """Bench at rest and its first reading; shapes as in `advance`."""
+    """Set the bench at rest, with its first reading; shapes as in `advance`."""
     dynamics.rest_state(p[0], state[0])
     sensing.start(p[0], box[0], state[0], chain[0], noise)
 
@@ -71,7 +71,7 @@ def _run(p, box, state, chain, work, noise, currents, noisy, clean, truth):
 
 
 class NoiseStream:
-    """Standard normal numbers by the row, the same however many are taken at a time."""
+    """Standard normal numbers by rows, independent of how many are taken at a time."""
 
     BLOCK = 1024
 
@@ -100,7 +100,7 @@ class TruthPlant:
     Parameters
     ----------
     config
-        What it is made of.
+        Configuration of the bench.
     seed
         Of the sensors' noise and the random force.
     """
@@ -116,20 +116,20 @@ class TruthPlant:
         self.reset(seed)
 
     def reset(self, seed: int) -> FloatArray:
-        """Bench at rest, noise from `seed`. Returns the measurement x, shape (8,)."""
+        """Reset to rest, with noise from `seed`; return the measurement x, shape (8,)."""
         self.noise = NoiseStream(seed)
         start(self.parameters, self.differentiation, self.state, self.chain, self.noise.row())
         return self.measurement()
 
     def step(self, valve_current: float) -> FloatArray:
-        """Hold `valve_current` [A] for 1 ms. Returns the measurement x after it, shape (8,)."""
+        """Hold `valve_current` [A] for 1 ms; return the measurement x after it, shape (8,)."""
         advance(
             self.parameters, self.differentiation, self.state, self.chain, self.work, self.noise.row(), valve_current
         )
         return self.measurement()
 
     def run(self, currents: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Many samples without a box, in one compiled loop.
+        """Run many samples without a box, in one compiled loop.
 
         Parameters
         ----------

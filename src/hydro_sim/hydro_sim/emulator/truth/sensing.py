@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the plant to what the box reads: crosstalk, amplifier lag, gain and bias, noise, quantisation, differentiation.
+"""Sensors of the truth plant: crosstalk, amplifier lag, gain and bias, noise, quantisation, differentiation.
 
 Two chains run side by side over the same lags: one with noise and quantisation (the measurement), one without (the
 noise-free log, for scoring only). Differentiation is the box's own code, `hydro_sim.model.sensors.condition`.
@@ -26,7 +26,7 @@ CHAIN = np.dtype(
         ("clean", np.float64, (8,)),  # the same without noise and quantisation
     ]
 )
-"""Memory of the sensors."""
+"""State of the sensors."""
 
 
 @njit(cache=True)
@@ -54,7 +54,7 @@ def start(p, box, state, chain, noise):
 
 @njit(cache=True)
 def follow(p, state, chain):
-    """One substep of the amplifiers, by the trapezoidal rule."""
+    """Advance the amplifiers by one substep, by the trapezoidal rule."""
     _collect(p, state, chain.now)
     for i in range(5):
         w, mean = p.lag_frequency[i], 0.5 * (chain.before[i] + chain.now[i])
@@ -89,7 +89,7 @@ def _read(p, chain, noise, noisy, raw):
 
 @njit(cache=True)
 def read(p, box, chain, noise):
-    """One sample of the box; leaves `measurement` and `clean` in `chain`."""
+    """Read one sample of the box into `measurement` and `clean` of `chain`."""
     raw = np.empty(5)
     _read(p, chain, noise, False, raw)
     condition(box, chain.clean_last, raw, chain.clean)

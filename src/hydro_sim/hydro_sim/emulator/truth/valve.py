@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The valve: dead time, spool, four edges, and what leaks past and between them.
+"""Valve: dead time, spool, four edges, and leakage past and between them.
 
 Spool positions are in amperes of the command that would hold them.
 """

@@ -28,16 +28,16 @@ from hydro_sim.model.equations import Symbol
 
 @dataclass(frozen=True, kw_only=True)
 class Parameter:
-    """A number of an effect."""
+    """A parameter of an effect."""
 
     name: str
     unit: str
     low: float
     high: float
     neutral: float
-    """At which the effect does nothing."""
+    """Value at which the effect vanishes."""
     scale: float
-    """A typical size: the standard deviation of what is believed before any recording."""
+    """A typical size: the standard deviation of the prior."""
 
     def of(self, effect: str, parameters: Mapping[str, Any]) -> float:
         """Its value among an entry's parameters.
@@ -61,7 +61,7 @@ class Parameter:
 
 @dataclass(frozen=True, kw_only=True)
 class Hidden:
-    """A state that an effect brings."""
+    """A hidden state of an effect."""
 
     name: str
     unit: str
@@ -90,7 +90,7 @@ class Surroundings:
     step: float
     """s, an integration step."""
     once: Callable[[Symbol], Symbol]
-    """Mark what hangs on parameters alone: it is computed when these change, not in every step."""
+    """Mark what depends on parameters alone: it is computed when these change, not in every step."""
     dry_level: Callable[[Symbol], Symbol]
     """Dry friction [N] of all effects, at a velocity [m/s]."""
     began: Symbol = 0.0
@@ -106,9 +106,9 @@ class Effect:
 
     id: ClassVar[str]
     options: ClassVar[Mapping[str, tuple[str, ...]]] = {}
-    """What an entry says beside its parameters (chamber, cell, sensor, form), and the values that there are."""
+    """Keys of an entry beside its parameters (chamber, cell, sensor, form), and their possible values."""
     single: ClassVar[bool] = False
-    """Whether a bench can have but one."""
+    """Whether a bench can have only one."""
     late: ClassVar[bool] = False
     """Whether its `command` comes after all others: edges open where the spool is, whatever the order of the file."""
     all_edges: ClassVar[bool] = False
@@ -140,13 +140,13 @@ class Effect:
 
     @classmethod
     def acts_in(cls, term: str) -> bool:
-        """Whether the class overrides a term."""
+        """Return whether the class overrides a term."""
         return getattr(cls, term) is not getattr(Effect, term)
 
     # --- terms, on the way from the bench file to the reading -------------------------------------------------------
 
     def correct(self, n: Any) -> None:
-        """Put wrong numbers of the bench file right, in place."""
+        """Correct wrong numbers of the bench file, in place."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         """Hidden states of a still bench; what is not named is 0. `signals`: the readings' true values, and `spool`."""
@@ -189,12 +189,12 @@ class Effect:
         return {}
 
     def remember(self, position: Symbol, velocity: Symbol) -> None:
-        """Write into `self.next` what a step that ends there [m, m/s] leaves behind."""
+        """Write into `self.next` the hidden states after a step that ends there [m, m/s]."""
 
     def follow(self, channel: str, early: Symbol, late: Symbol) -> tuple[Symbol, Symbol]:
         """A sensor's signal at the beginning and the end of a step, behind the effect's amplifier."""
         return early, late
 
     def show(self, channel: str, signal: Symbol) -> Symbol:
-        """What a sensor makes of the signal."""
+        """Reading of a sensor for the signal."""
         return signal

@@ -17,13 +17,13 @@ from hydro_sim.model.effects import closure, motion, numbers, oil, sensing, valv
 from hydro_sim.model.effects.base import Effect, Parameter
 
 CAPACITY = 24
-"""Effects that a bench can have at once."""
+"""Largest number of effects of a bench."""
 
 CLOSURES = 6
-"""Closures that a bench can have at once."""
+"""Largest number of closures of a bench."""
 
 DELAY_MAX = 62e-3
-"""s, to which dead times may add up."""
+"""Largest sum [s] of dead times."""
 
 
 @dataclass(frozen=True)
@@ -60,10 +60,10 @@ def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
 
 _NAMED = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
 CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
-"""By id and options, as `label` writes them."""
+"""Effects by id and options, as `label` writes them."""
 
 KINDS: dict[str, Kind] = CATALOGUE | _kinds(closure.EFFECTS)
-"""And closures."""
+"""Effects and closures."""
 
 
 def kind_of(effect: Mapping[str, Any]) -> tuple[Kind, tuple[float, ...]]:

@@ -17,7 +17,7 @@ from hydro_sim.model.laws import Element, Law, Signals, Table
 _WIDEST = 1e9
 """SI unit, of where a table begins or ends."""
 _REACH = 1e4
-"""Times the typical size of a coefficient: how far it may go."""
+"""Bound of a coefficient, as a multiple of its typical size."""
 _SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0}
 
 
@@ -58,7 +58,7 @@ class Closure(Effect):
         return 0.0
 
     def _remembered(self, signal: Symbol) -> Symbol:
-        """State of the element where its signal is this."""
+        """State of the element in equilibrium with this signal."""
         return self._past()
 
 

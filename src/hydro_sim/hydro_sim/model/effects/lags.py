@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Second-order lags sampled exactly: how a state moves on over a step.
+"""Second-order lags sampled exactly: the change of state over a step.
 
 ::
 

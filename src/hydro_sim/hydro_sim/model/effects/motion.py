@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Effects on the piston's motion: friction, cushions, stops, load.
 
-How dry friction holds is the model's part (`model.motion`); its effects say at which level it gives way. With bristles
-nothing holds: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources: Armstrong-Helouvry et al.
-1994, eq. 5; Dahl 1968.
+How dry friction holds is part of the model (`model.motion`); its effects give the level at which it yields. With
+bristles nothing holds: dF/dx = sigma (1 - F sign(x_p')/level), solved exactly along a step. Sources: Armstrong-Helouvry
+et al. 1994, eq. 5; Dahl 1968.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from hydro_sim.model.effects.base import Effect, hidden, parameter
 from hydro_sim.model.equations import Symbol, choose, clip
 
 QUADRATIC_DEPTH = 5e-3
-"""m, at which a quadratic cushion has the force of the linear one."""
+"""Depth [m] at which a quadratic cushion has the force of the linear one."""
 
 LEVEL_MIN = 1e-6
-"""N, below which a bristle's level counts as this."""
+"""Lower bound [N] of a bristle's level."""
 
 
 class FrictionCoulomb(Effect):
@@ -45,7 +45,7 @@ class FrictionCoulombDirectional(Effect):
 
 
 class FrictionStribeck(Effect):
-    """More of it near standstill."""
+    """Additional dry friction near standstill."""
 
     id = "friction_stribeck"
     breakaway_force = parameter("N", 0.0, 5000.0, scale=5.0)

@@ -29,7 +29,7 @@ class MovingMass(Effect):
 
 
 class SpringStiffness(Effect):
-    """k_s is another."""
+    """Wrong k_s in the bench file."""
 
     id = "spring_stiffness"
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
@@ -49,7 +49,7 @@ class SpringRest(Effect):
 
 
 class SupplyPressure(Effect):
-    """p_s is another."""
+    """Wrong p_s in the bench file."""
 
     id = "supply_pressure"
     ratio = parameter("-", 0.01, 100.0, scale=0.05, neutral=1.0)
@@ -69,7 +69,7 @@ class TankPressure(Effect):
 
 
 class PistonArea(Effect):
-    """A_p is another."""
+    """Wrong A_p in the bench file."""
 
     id = "piston_area"
     ratio = parameter("-", 0.01, 100.0, scale=0.02, neutral=1.0)
@@ -79,7 +79,7 @@ class PistonArea(Effect):
 
 
 class AreaRatio(Effect):
-    """alpha is another."""
+    """Wrong alpha in the bench file."""
 
     id = "area_ratio"
     ratio = parameter("-", 0.01, 100.0, scale=0.02, neutral=1.0)
@@ -89,7 +89,7 @@ class AreaRatio(Effect):
 
 
 class DeadVolume(Effect):
-    """A chamber's V_dead is another."""
+    """Wrong V_dead of a chamber in the bench file."""
 
     id = "dead_volume"
     options = {"chamber": ("a", "b")}

@@ -9,10 +9,10 @@ from hydro_sim.model.effects.base import Effect, hidden, parameter
 from hydro_sim.model.equations import Symbol, orifice
 
 MEETING_POINT = 5e6
-"""Pa, where a leak through a sharp edge passes as much as a laminar one of the same coefficient."""
+"""Pressure drop [Pa] at which a leak through a sharp edge passes as much as a laminar one of the same coefficient."""
 
 ATMOSPHERE = 101325.0
-"""Pa, at which the free air's volume fraction is stated."""
+"""Pressure [Pa] at which the free air's volume fraction is stated."""
 
 
 class SupplyDroop(Effect):
@@ -69,7 +69,7 @@ class LeakageExternal(Effect):
 
 
 class BulkModulus(Effect):
-    """beta is another, whatever the pressure."""
+    """Wrong beta in the bench file, at all pressures."""
 
     id = "bulk_modulus"
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)

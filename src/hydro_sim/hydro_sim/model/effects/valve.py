@@ -111,7 +111,7 @@ class ValveDeadbandSoft(Effect):
 
 
 class ValveGain(Effect):
-    """K_v is another."""
+    """Wrong K_v in the bench file."""
 
     id = "valve_gain"
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
@@ -121,7 +121,7 @@ class ValveGain(Effect):
 
 
 class ValveGainAsymmetry(Effect):
-    """K_v is another where the piston is driven back."""
+    """Another K_v where the piston is driven back."""
 
     id = "valve_gain_asymmetry"
     ratio = parameter("-", 0.01, 100.0, scale=0.1, neutral=1.0)
