@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The outside world as topics and arrays: serial line, bags, terminal, and what goes to the valve.
+"""Interfaces of the bench: serial line, recordings, terminal, and the guarded path of commands to the valve.
 
-`signals` names what travels. Stages: `serial` (bytes), `safety` (what may go down), `link` (the bridge's end of the
-line), `bags` (recordings), `ros` (what all nodes share), `nodes` (executables). Beside them: `files`, `cli`, `process`.
+`signals` defines the exchanged signals. Stages: `serial` (bytes), `safety` (command guard), `link` (host side of the
+serial line), `bags` (recordings), `ros` (shared by all nodes), `nodes` (executables). Utilities: `files`, `cli`,
+`process`.
 """

@@ -20,12 +20,12 @@ class UnwritableError(UserError, argparse.ArgumentTypeError):
 
 
 def is_file_error(error: Exception) -> bool:
-    """Whether the operating system raised this error about a file or disk space, rather than a fault of ours."""
+    """Return whether the operating system raised this error about a file or disk space; False for a fault of ours."""
     return isinstance(error, OSError) and (error.filename is not None or error.errno in _NO_PLACE)
 
 
 def user_message(error: Exception) -> str:
-    """Text of an error for the user; a system error names its file and the remedy, without an errno."""
+    """Return the text of an error for the user; a system error names its file and the remedy, without an errno."""
     if not isinstance(error, OSError) or error.strerror is None:
         return str(error)
     file = "" if error.filename is None else f"{error.filename}: "
@@ -34,17 +34,17 @@ def user_message(error: Exception) -> str:
 
 
 def writable(path: str) -> str:
-    """Return `path` if a file can be written there: checked at the start, not after hours of work.
+    """Return `path` if a file can be written there; for a check at the start, not after hours of work.
 
     Raises
     ------
     UnwritableError
-        It cannot; the sentence says why.
+        The file cannot be written; the sentence gives the reason.
     """
     if os.path.isdir(path):
         raise UnwritableError(f"{path} is a folder: name a file")
     _refuse_unwritable(path, "written")
-    if os.path.isfile(path):  # it is replaced by a new one, which takes its folder
+    if os.path.isfile(path):  # replaced by a new file, which needs write access to its folder
         folder = Path(path).resolve().parent
         if not os.access(folder, os.W_OK):
             raise UnwritableError(f"{path} cannot be written: you may not write to {folder}: choose another place")
@@ -54,7 +54,7 @@ def writable(path: str) -> str:
 def writable_folder(path: str | Path) -> Path:
     """Return `path` if it is a writable folder or can be created; raises UnwritableError.
 
-    It is not made yet: a command that refuses something else leaves nothing behind.
+    The folder is not created yet, so that a command that then refuses another argument leaves nothing behind.
     """
     _refuse_unwritable(path, "made")
     if os.path.exists(path) and not os.path.isdir(path):
@@ -63,7 +63,7 @@ def writable_folder(path: str | Path) -> Path:
 
 
 def _refuse_unwritable(path: str | Path, done: str) -> None:
-    """Look at `path`, or else at the nearest folder above it that is there."""
+    """Check `path`, or the nearest existing folder above it."""
     place = Path(path).absolute()
     there = next(place for place in (place, *place.parents) if os.path.exists(place))
     if there != place and not there.is_dir():

@@ -12,7 +12,7 @@
         parity: Literal["none", "even"] = "none"
 
 Checks, YAML files, ROS parameters, help texts and reference pages are derived from them. msgspec converts and checks
-(docs/decisions/0062-settings-by-msgspec.md); the sentence for the user is written here.
+(docs/decisions/0062-settings-by-msgspec.md); the sentences for the user are written here.
 """
 
 from __future__ import annotations
@@ -45,36 +45,36 @@ class Setting:
 
     name: str
     hint: Any
-    """Its type, with annotations."""
+    """Type of the field, with annotations."""
     kind: Any
-    """Its type without annotations and None; of a tuple, that of its entries."""
+    """Type without annotations and None; for a tuple, that of its entries."""
     unit: str
     low: float
     high: float
     meaning: str
-    """The sentence below it, without its full stop; empty where there is none."""
+    """Sentence below the field, without its full stop; empty if there is none."""
     required: bool
 
     @property
     def words(self) -> tuple[str, ...]:
-        """What a field of type Literal takes."""
+        """Allowed values of a field of type Literal."""
         return typing.get_args(self.kind) if typing.get_origin(self.kind) is Literal else ()
 
     @property
     def text(self) -> str:
-        """Meaning, unit and range, as help texts and ROS give them."""
+        """Meaning, unit and range, as shown in help texts and ROS."""
         unit = "" if self.unit == "-" else self.unit
         limits = ", ".join(part for part in (unit, self.range) if part)
         return f"{self.meaning} [{limits}]".strip() if limits else self.meaning
 
     @property
     def range(self) -> str:
-        """Its range in words; empty where there is none."""
+        """Range in words; empty if there is none."""
         return f"{self.low:.12g} to {self.high:.12g}" if isfinite(self.low) else ""
 
 
 def describe(settings: type[Any]) -> dict[str, Setting]:
-    """Declarations of all fields of a settings dataclass, in order."""
+    """Return the declarations of all fields of a settings dataclass, in order."""
     if settings not in _KNOWN:
         hints, meanings = typing.get_type_hints(settings, include_extras=True), _sentences(settings)
         entries = dataclasses.fields(settings)
@@ -96,12 +96,12 @@ def check(settings: Any) -> None:
 
 
 def converted(setting: Setting, value: Any, where: str, *, strict: bool = False) -> Any:
-    """Return the value in the declared type; unless `strict`, numbers may be written as text (1e9 is, in YAML 1.1).
+    """Return the value in the declared type; unless `strict`, numbers may be given as text (as 1e9 is in YAML 1.1).
 
     Raises
     ------
     SettingsError
-        It is not as declared; the sentence begins with `where`.
+        The value violates the declaration; the sentence begins with `where`.
     """
     try:
         return msgspec.convert(value, setting.hint, strict=strict)
@@ -110,12 +110,12 @@ def converted(setting: Setting, value: Any, where: str, *, strict: bool = False)
 
 
 def _bound(number: float) -> float:
-    """msgspec holds integers to integer limits only; a float it holds to both."""
+    """Convert a limit to an integer if possible: msgspec checks integers against integer limits only."""
     return int(number) if float(number).is_integer() else number
 
 
 def _sentences(settings: type[Any]) -> dict[str, str]:
-    """The string below each field, from the source of the class."""
+    """Return the string below each field, from the source of the class."""
     tree = ast.parse(textwrap.dedent(inspect.getsource(settings)))
     found: dict[str, str] = {}
     for node, below in pairwise(typing.cast(ast.ClassDef, tree.body[0]).body):
@@ -141,7 +141,7 @@ def _setting(field: dataclasses.Field[Any], hint: Any, meaning: str) -> Setting:
 
 
 def _unwrapped(hint: Any) -> tuple[Any, msgspec.Meta]:
-    """The type inside Annotated, `| None` and tuple, and the first annotation that is met on the way."""
+    """Return the type inside Annotated, `| None` and tuple, and the first annotation found on the way."""
     origin, arguments = typing.get_origin(hint), typing.get_args(hint)
     if origin is typing.Annotated:
         kind, inner = _unwrapped(arguments[0])
@@ -152,7 +152,7 @@ def _unwrapped(hint: Any) -> tuple[Any, msgspec.Meta]:
 
 
 def _refusal(setting: Setting, value: Any) -> str:
-    """What is wrong with a value, to follow its name."""
+    """Return what is wrong with a value, to follow its name."""
     unit = "" if setting.unit == "-" else f" {setting.unit}"
     limits = f"within [{setting.low:g}, {setting.high:g}]{unit}"
     told = f": {setting.meaning}" if setting.meaning else ""

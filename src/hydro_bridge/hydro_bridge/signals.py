@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Signals between box and graph: names, order and meaning, without ROS.
+"""Signals exchanged between box and graph: names, order and meaning, without ROS.
 
 One sample of the bench as a numpy record (`STATE_DTYPE`)::
 
@@ -21,7 +21,7 @@ StateArray = npt.NDArray[np.void]
 """Array of `STATE_DTYPE` records, one per millisecond."""
 
 SAMPLE_PERIOD = 1e-3
-"""s, of the box."""
+"""Sample period of the box, s."""
 
 SAMPLES_PER_STEP = 10
 """Samples per policy step: gains come at 100 Hz (paper, section Real-World Training Implementation)."""
@@ -56,7 +56,7 @@ STATE_DTYPE = np.dtype(
     ],
     align=True,
 )
-"""One sample. Padded so that every float is aligned (numba and SIMD want that): 136 bytes."""
+"""Record type of one sample, 136 bytes; padded so that every float is aligned, for numba and SIMD."""
 
 
 class Flag(IntFlag):
@@ -73,7 +73,7 @@ class Flag(IntFlag):
 
 
 def flag_names(flags: int) -> str:
-    """Names of the flags that are set, for people (`Flag.name` of several is None before Python 3.11)."""
+    """Return the names of the flags that are set (`Flag.name` of several is None before Python 3.11)."""
     return ", ".join(str(flag.name) for flag in Flag if flag & flags) or "no flags"
 
 
@@ -131,18 +131,18 @@ class Command:
     corrects: int = 0
     """Sequence of the sample that `delta_u` was computed from."""
     filter_fresh: bool = False
-    """Whether a fresh correction of the filter stands behind this command; without it the box flags FILTER_STALE."""
+    """Whether this command is backed by a fresh correction of the filter; if not, the box flags FILTER_STALE."""
 
 
 def matrix(states: StateArray, fields: tuple[str, ...] = PLANT_FIELDS) -> FloatArray:
-    """Columns of a recording as one matrix.
+    """Return columns of a recording as one matrix.
 
     Parameters
     ----------
     states
         Records of `STATE_DTYPE`, shape (n,).
     fields
-        Names of float fields, k of them.
+        Names of k float fields.
 
     Returns
     -------

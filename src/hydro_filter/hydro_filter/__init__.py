@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction certificate, and the correction of the valve current that enforces it.
+"""Contraction certificate, and the correction of the valve current that enforces it.
 
-What it can and cannot do: safety.md. Stages: `model` (the loop and its exact Jacobians), `metric` (M),
+Guarantees and limits: safety.md. Stages: `model` (the loop and its exact Jacobians), `metric` (M),
 `certificate` (the half-line a du <= b and its QP), `controller` (the filter), `training` (`learn_metric`), `validation`
 (`validate`), `nodes` (executables).
 """

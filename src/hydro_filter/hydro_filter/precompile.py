@@ -30,7 +30,7 @@ FOUND: tuple[dict[str, Any], ...] = (
     {"id": "friction_coulomb", "parameters": {"force": 12.0}},
     {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}},
 )
-"""Effects that a diagnosis finds on most benches. Others are compiled where they first come; numbers need nothing."""
+"""Effects that a diagnosis finds on most benches. Others are compiled at first use; new parameter values need none."""
 
 
 def _filter(metric: str) -> None:
@@ -39,7 +39,7 @@ def _filter(metric: str) -> None:
 
 
 def _bench_file() -> None:
-    """The filter on a bench file: kernels for any, and the models of these effects and of none."""
+    """Compile the filter on a bench file: the general kernels, and the models with these effects and without any."""
     for effects in (FOUND, ()):
         made = LoopFilter(loop_parts(LearnedMetric.load(), _with(effects), Bench.nominal()))
         warm_up(made, Bench.nominal())
@@ -83,4 +83,4 @@ STEPS: dict[str, Callable[[], None]] = {
     "metric learning": _metric_learning,
     "metric learning, bench file": _metric_of_a_bench_file,
 }
-"""By what is said while one runs."""
+"""Functions by the message shown while each runs."""

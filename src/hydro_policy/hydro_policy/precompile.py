@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What set-up runs so that no executable of this package compiles: each entry point once, on small real inputs."""
+"""Compilation at set-up: each compiled entry point of this package is called once, on small real inputs."""
 
 from __future__ import annotations
 
@@ -53,4 +53,4 @@ STEPS: dict[str, Callable[[], None]] = {
         for (name, make), kind in product(_PLANTS.items(), FILTERS)
     },
 }
-"""By what is said while one runs."""
+"""Functions by the message shown while each runs."""

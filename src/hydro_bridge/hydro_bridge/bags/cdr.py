@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Serialized messages <-> arrays, many at a time.
+"""Vectorised conversion between serialized messages (CDR) and arrays.
 
-A message of numbers only, with at most a header in front, has the same bytes at the same places in every sample once
-the length of `header.frame_id` is known. So a thousand of them are one numpy view, not a thousand Python objects::
+A message of numbers only, with at most a leading header, has a fixed byte layout once the length of `header.frame_id`
+is known. A thousand of them are therefore one numpy view, not a thousand Python objects::
 
     00 01 00 00 | sec i4 | nanosec u4 | length u4 | frame_id ... NUL, padding | numbers, each aligned to its size
     CDR, little   0        4            8           12
 
-The offsets count from behind the first four bytes.
+Offsets are counted from the end of the first four bytes.
 """
 
 from __future__ import annotations
@@ -31,16 +31,16 @@ _NUMBERS = {
 }  # fmt: skip
 _HEADER = "std_msgs/msg/Header"
 _ENCAPSULATION = 4
-_FRAME_ID = 16  # where the characters of frame_id start, encapsulation included
+_FRAME_ID = 16  # offset of frame_id's characters, encapsulation included
 
 
 class NotFixedError(ValueError):
-    """The type has strings, sequences or nested types beyond a header: it has no table of its own."""
+    """The type has strings, sequences or nested types beyond a header, so it has no fixed table layout."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FixedLayout:
-    """How one type lies in bytes and in a table."""
+    """Layout of one message type, in bytes and as a table."""
 
     fields: tuple[tuple[str, str], ...]
     """Name and numpy code of each number, in message order, without the header."""
@@ -48,11 +48,11 @@ class FixedLayout:
 
     @property
     def table(self) -> np.dtype[np.void]:
-        """Record of the array: `time` in s (header stamp, or else log time), then the fields."""
+        """Record type of the table: `time` in s (header stamp, or log time without a header), then the fields."""
         return np.dtype([("time", "f8"), *self.fields], align=True)
 
     def wire(self, frame_id_size: int, order: str) -> np.dtype[np.void]:
-        """Record of the serialized message; `frame_id_size` counts the NUL; `order` is '<' or '>'."""
+        """Record type of the serialized message; `frame_id_size` includes the NUL; `order` is '<' or '>'."""
         names, formats, offsets = [], [], []
         place = 0
         if self.has_header:
@@ -69,19 +69,19 @@ class FixedLayout:
         return np.dtype(spec)  # type: ignore[call-overload]
 
     def decode(self, rows: ByteRows, log_times: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
-        """Table of serialized messages.
+        """Decode serialized messages into a table.
 
         Parameters
         ----------
         rows
             Shape (n, bytes).
         log_times
-            ns, shape (n,); taken where the type has no header.
+            ns, shape (n,); used if the type has no header.
 
         Raises
         ------
         ValueError
-            The bytes are no CDR of this type.
+            The bytes are not valid CDR of this type.
         """
         out = np.empty(len(rows), self.table)
         for part, size, order in self._kinds(rows):
@@ -95,7 +95,7 @@ class FixedLayout:
         return out
 
     def encode(self, table: npt.NDArray[np.void], frame_id: str = "bench") -> ByteRows:
-        """Serialized messages, little endian, shape (n, bytes), of a table with a header."""
+        """Encode a table with a header as serialized messages, little endian, shape (n, bytes)."""
         text = frame_id.encode() + b"\0"
         wire = self.wire(len(text), "<")
         values = np.zeros(len(table), wire)
@@ -111,7 +111,7 @@ class FixedLayout:
         return rows
 
     def _kinds(self, rows: ByteRows) -> list[tuple[npt.NDArray[np.bool_], int, str]]:
-        """Which rows share a byte order and a length of frame_id: nearly always all of them."""
+        """Group the rows by byte order and length of frame_id: nearly always one group."""
         if rows.shape[1] < (_FRAME_ID if self.has_header else _ENCAPSULATION):
             raise ValueError("message too short")
         kinds = []
@@ -129,12 +129,12 @@ class FixedLayout:
 
 
 def fixed_layout(text: str, type_name: str) -> FixedLayout:
-    """Layout of a type from its ros2msg text.
+    """Return the layout of a type from its ros2msg text.
 
     Raises
     ------
     NotFixedError
-        The type is not numbers with at most a header in front.
+        The type is not numbers only with at most a leading header.
     """
     _, members = get_types_from_msg(text, type_name)[type_name]
     has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == _HEADER
@@ -147,5 +147,5 @@ def fixed_layout(text: str, type_name: str) -> FixedLayout:
 
 
 def encode_states(states: StateArray, frame_id: str = "bench") -> ByteRows:
-    """`STATE_DTYPE` records as serialized BenchState messages, shape (n, bytes)."""
+    """Encode `STATE_DTYPE` records as serialized BenchState messages, shape (n, bytes)."""
     return fixed_layout(definition(STATE_TYPE).text, STATE_TYPE).encode(states, frame_id)

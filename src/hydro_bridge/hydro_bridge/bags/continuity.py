@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording misses: gaps in the sequence numbers and jumps of time."""
+"""Completeness of a recording: gaps in the sequence numbers and jumps in time."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ _RESTART = 600_000  # a sequence that jumps further was started anew (as in stre
 
 @dataclass(frozen=True, kw_only=True)
 class Continuity:
-    """Counts over one recording; all zero but `samples` and `seconds` if nothing is missing."""
+    """Counts over one recording; all but `samples` and `seconds` are zero if nothing is missing."""
 
     samples: int
     seconds: float
     """Last time minus first."""
     lost: int
-    """Sequence numbers that are missing."""
+    """Missing sequence numbers."""
     duplicates: int
     backward: int
-    """Samples whose sequence is behind the one before."""
+    """Samples whose sequence number is lower than that of the sample before."""
     restarts: int
     time_jumps: int
-    """Pairs of samples whose times differ from their sequences by more than the tolerance."""
+    """Pairs of samples whose time difference deviates from their sequence numbers by more than the tolerance."""
     largest_jump: float
-    """s, the worst of these."""
+    """s, largest of these deviations."""
 
     @property
     def whole(self) -> bool:
-        """Whether every sample is there, once, in order, at its time."""
+        """Whether every sample is present exactly once, in order and on time."""
         return not (self.lost or self.duplicates or self.backward or self.restarts or self.time_jumps)
 
 
@@ -44,7 +44,7 @@ def continuity(states: StateArray, *, period: float = 1e-3, tolerance: float = 5
     period
         s per sequence number.
     tolerance
-        s by which two successive times may differ from what their sequence numbers say.
+        s by which the difference of two successive times may deviate from their sequence numbers.
     """
     if len(states) < 2:
         return Continuity(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which files a recording consists of: a rosbag2 folder, whole or not, or a single .mcap."""
+"""Files of a recording: those of a rosbag2 folder, complete or not, or a single .mcap."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hydro_bridge.bags.types import RecordingError
 
 
 def mcap_files(path: Path) -> tuple[list[Path], list[str]]:
-    """The .mcap files in order, and notes on what is unusual about the folder.
+    """Return the .mcap files in order, and notes on anything unusual about the folder.
 
     Raises
     ------

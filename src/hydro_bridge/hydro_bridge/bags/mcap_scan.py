@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One pass over an .mcap file, finished or not: its blocks of messages, each checked, in the order of the file.
+"""Single pass over an .mcap file, finished or not: its checked blocks of messages in file order.
 
 It needs neither index nor summary, so a recording whose recorder was killed is read by the same code as any other.
 """
@@ -30,7 +30,7 @@ _LOOSE = 1 << 20  # bytes of messages outside chunks that are handed on together
 
 @dataclass(frozen=True, kw_only=True)
 class Span:
-    """Where the messages of one channel lie in a block."""
+    """Location of one channel's messages in a block."""
 
     starts: npt.NDArray[np.int64]
     sizes: npt.NDArray[np.int64]
@@ -40,7 +40,7 @@ class Span:
 
 @dataclass
 class McapScan:
-    """What is in the file; filled while `blocks` runs."""
+    """Contents of the file; filled in while `blocks` runs."""
 
     path: Path
     schemas: dict[int, Schema] = field(default_factory=dict)
@@ -51,12 +51,12 @@ class McapScan:
     """Whether the end of the file was reached as its writer meant it."""
 
     def blocks(self) -> Iterator[tuple[bytes, dict[int, Span]]]:
-        """Bytes of each block, and where the messages of each channel lie in it.
+        """Yield the bytes of each block and the location of each channel's messages in it.
 
         Raises
         ------
         RecordingError
-            No MCAP file, or a damaged chunk. A file that merely ends early raises nothing: `finished` stays False.
+            Not an MCAP file, or a damaged chunk. A truncated file raises nothing: `finished` stays False.
         """
         try:
             stream = self.path.open("rb")

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reads recordings into arrays by field name: a rosbag2 folder or a single .mcap, ours or by any other writer.
+"""Reader of recordings into arrays by field name: a rosbag2 folder or a single .mcap, from any writer.
 
-`read_bag` gives everything, `stream_bag` one topic piece by piece in bounded memory, `messages` the bytes as
-recorded, `objects` the messages of a topic that is not numbers only.
+`read_bag` returns everything, `stream_bag` one topic block by block in bounded memory, `messages` the bytes as
+recorded, `objects` the messages of a topic whose type is not numbers only.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ class Recording:
     topics: dict[str, str]
     """Type of each topic that has messages."""
     qos: dict[str, TopicQos]
-    """Quality of service that each of them was offered with."""
+    """Offered quality of service of each topic."""
     tables: dict[str, Table]
-    """Array of each topic that is numbers only."""
+    """Array of each topic whose type is numbers only."""
     metadata: dict[str, dict[str, str]]
     """MCAP metadata records; `hydro` holds the run's parameters, code version and digests."""
     attachments: dict[str, bytes]
-    """Files that travel along, for instance bench.yaml."""
+    """Attached files, for instance bench.yaml."""
     notes: tuple[str, ...]
-    """What the reader had to put up with, a sentence each; empty for a whole recording."""
+    """Irregularities that the reader tolerated, a sentence each; empty for a complete recording."""
 
     def __getitem__(self, topic: str) -> Table:
-        """Array of a topic; raises RecordingError if there is none."""
+        """Return the array of a topic; raises RecordingError if there is none."""
         if topic not in self.tables:
             raise RecordingError(_no_topic(self.path, topic, self.topics))
         return self.tables[topic]
@@ -55,7 +55,7 @@ class Recording:
 
 @dataclass
 class _Column:
-    """A table that grows."""
+    """Growing table."""
 
     table: Table
     count: int = 0
@@ -77,7 +77,7 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
     path
         A rosbag2 folder or an .mcap file.
     topics
-        Which topics to read; all by default.
+        Topics to read; all by default.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None) -> Recordi
 
 
 def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
-    """Arrays of one topic, one per block of the file (about a second, at most a megabyte); errors as `read_bag`."""
+    """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`."""
     source = BagSource(Path(path))
     found = False
     for scan, channel, block, span in source.spans():
@@ -130,7 +130,7 @@ def stream_bag(path: Path | str, topic: str = STATE_TOPIC) -> Iterator[Table]:
 
 
 def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
-    """Topic, type, log time [ns] and bytes of every message, by log time within a block; errors as `read_bag`."""
+    """Yield topic, type, log time [ns] and bytes of each message, by log time within a block; errors as `read_bag`."""
     spans: list[tuple[int, int, str, str, int]] = []
     source, last = BagSource(Path(path)), b""
     for scan, channel, block, span in source.spans():
@@ -144,7 +144,7 @@ def messages(path: Path | str) -> Iterator[tuple[str, str, int, bytes]]:
 
 
 def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
-    """Log time [s] and message, one object each, of a topic of any type such as /diagnostics; errors as `read_bag`."""
+    """Yield log time [s] and message object of a topic of any type such as /diagnostics; errors as `read_bag`."""
     source = BagSource(Path(path))
     decoder, found = MessageDecoder(source), False
     for scan, channel, block, span in source.spans():
@@ -157,7 +157,7 @@ def objects(path: Path | str, topic: str) -> Iterator[tuple[float, Any]]:
 
 
 def as_states(table: Table, path: Path) -> StateArray:
-    """`STATE_DTYPE` records from a table that has its fields; raises RecordingError for another type."""
+    """Return `STATE_DTYPE` records from a table that has its fields; raises RecordingError for another type."""
     if table.dtype == STATE_DTYPE:
         return table
     missing = [name for name in STATE_DTYPE.names or () if name not in (table.dtype.names or ())]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recordings: the one door to reading, writing, checking and repairing bags.
+"""Public interface of recordings: reading, writing, checking and repairing bags.
 
 >>> states = read_bag("runs/tuesday").state          # doctest: +SKIP
 >>> states["load_force"].mean(), continuity(states)  # doctest: +SKIP
@@ -33,18 +33,18 @@ __all__ = [
 
 
 def repair(folder: Path | str) -> int:
-    """Finish a recording whose recorder was killed, so that every other reader opens it too.
+    """Finish a recording whose recorder was killed, so that other readers can open it too.
 
-    The messages are copied into a whole file, which then takes the place of the broken one.
+    The messages are copied into a complete file, which then replaces the broken one.
 
     Returns
     -------
-    Number of messages kept.
+    Number of messages recovered.
 
     Raises
     ------
     RecordingError
-        The folder is no recording of one .mcap, or is damaged.
+        The folder is not a recording of one .mcap, or is damaged.
     """
     folder = Path(folder)
     broken = read_bag(folder, topics=())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording of a running graph, without ROS: bytes as they come, counted, handed to the system twice a second."""
+"""Recording of a running graph, without ROS: bytes written as received, counted, flushed twice a second."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from hydro_bridge.bags.writer import BagWriter
 from hydro_bridge.serial.stream import LinkCounts, SequenceTracker
 
 FLUSH_PERIOD = 0.5
-"""s: what `kill -9` may cost, and at worst twice that behind a slow disk."""
+"""s: longest loss through `kill -9`; at worst twice that on a slow disk."""
 
 
 def code_version() -> str:
-    """`git describe` of the sources that run, or else the package's version."""
+    """Return `git describe` of the running sources, or the package's version."""
     here = Path(__file__).resolve().parent
     try:
         command = ["git", "-C", str(here), "describe", "--always", "--dirty", "--tags"]
@@ -32,18 +32,18 @@ def code_version() -> str:
 
 
 def sequence_of(data: bytes) -> int:
-    """`sequence` of a serialized BenchState (little-endian CDR), which stands behind its header."""
+    """Return `sequence`, the field after the header, of a serialized BenchState (little-endian CDR)."""
     (length,) = unpack_from("<I", data, 12)
     return int(unpack_from("<I", data, 4 + -(-(12 + length) // 4) * 4)[0])
 
 
 class RecordingRun:
-    """One recording, and what it has so far.
+    """A recording in progress and its counts.
 
     Parameters
     ----------
     folder
-        Made here; must not exist.
+        Created here; must not exist.
     metadata, attachments
         As for `BagWriter`; the version of the code is added.
     """
@@ -71,7 +71,7 @@ class RecordingRun:
             self._tracker.accept(sequence_of(data))
 
     def summary(self) -> str:
-        """What was recorded, in one sentence."""
+        """Summarise the recording in one sentence."""
         topics = ", ".join(f"{count} {topic}" for topic, count in self.messages.items() if count) or "no messages"
         counts = self.counts
         return (
@@ -81,7 +81,7 @@ class RecordingRun:
 
 
 def parse_pairs(pairs: list[str]) -> dict[str, str]:
-    """``key=value`` words as a mapping; raises RecordingError for a word without ``=``."""
+    """Parse ``key=value`` words into a mapping; raises RecordingError for a word without ``=``."""
     for pair in pairs:
         if "=" not in pair:
             raise RecordingError(f"--metadata {pair}: key=value is meant")
@@ -89,7 +89,7 @@ def parse_pairs(pairs: list[str]) -> dict[str, str]:
 
 
 def read_attachments(paths: list[Path]) -> dict[str, bytes]:
-    """Files by name; raises RecordingError for one that cannot be read."""
+    """Read files into a mapping by name; raises RecordingError for one that cannot be read."""
     try:
         return {path.name: path.read_bytes() for path in paths}
     except OSError as error:

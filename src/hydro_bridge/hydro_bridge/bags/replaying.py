@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a recorded message is due again, and what its stamp then is. No ROS."""
+"""Timing and time stamps of replayed messages, without ROS."""
 
 from __future__ import annotations
 
@@ -17,28 +17,28 @@ _STAMPED = ("BenchState", "BoxInfo", "Correction", "Gains", "TrainingStatus", "D
 
 
 def restamp(data: bytes, time_ns: int) -> bytes:
-    """Serialized message with header (little-endian CDR) with a new stamp."""
+    """Return a serialized message with header (little-endian CDR) under a new stamp."""
     return data[:4] + _STAMP.pack(*divmod(time_ns, 1_000_000_000)) + data[12:]
 
 
 class Replay:
-    """Hands recorded messages on at their times.
+    """Passes on recorded messages at their original intervals.
 
     Parameters
     ----------
     path
         The recording.
     topics
-        Which topics.
+        Topics to replay.
     publish
         Called with topic and bytes when a message is due.
     speed
         Recorded seconds per second, above 0.
     loop
-        Begin again at the end.
+        Start again at the end.
     keep_stamps
-        Leave the header stamps as recorded; else each message is stamped with the time at which it is due, since a
-        consumer takes an old stamp for a stale sample.
+        Keep the header stamps as recorded; otherwise each message is stamped with its due time, since a consumer
+        treats an old stamp as a stale sample.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Replay:
         self._speed, self._loop, self._keep_stamps = speed, loop, keep_stamps
         self.published = 0
         self.latest = 0.0
-        """s by which the last message was late."""
+        """s, delay of the last message."""
         self._stopping = Event()
 
     def stop(self) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Message definitions as recordings carry them: ros2msg text with its nested types, and the RIHS01 type hash.
+"""Message definitions as stored in recordings: ros2msg text with its nested types, and the RIHS01 type hash.
 
-Those of the hydro graph are package data, so that recordings are written without a ROS installation; others come from
+Those of the hydro graph are package data, so that recording needs no ROS installation; others come from
 the ament index. `python -m hydro_bridge.bags.schema` renews the package data from the installed messages; a test
 compares the two.
 """
@@ -27,14 +27,14 @@ PACKAGED = (
     "diagnostic_msgs/msg/DiagnosticArray",
     "rcl_interfaces/msg/Log",
 )
-"""Types whose definitions travel with this package."""
+"""Types whose definitions are shipped with this package."""
 
 _RULE = "=" * 80
 
 
 @dataclass(frozen=True, kw_only=True)
 class Definition:
-    """What an MCAP channel has to say about its type."""
+    """Type definition for an MCAP channel."""
 
     text: str
     """Encoding ros2msg: the type's own .msg text, then each nested type below a rule and `MSG: package/Type`."""
@@ -43,24 +43,24 @@ class Definition:
 
 
 class UnknownTypeError(LookupError):
-    """No definition of this message type is to be found; the message names it."""
+    """No definition of this message type was found; the message names the type."""
 
 
 @cache
 def definition(type_name: str) -> Definition:
-    """Definition of `package/msg/Type`.
+    """Return the definition of `package/msg/Type`.
 
     Raises
     ------
     UnknownTypeError
-        Neither package data nor the ament index have it.
+        Neither package data nor the ament index has it.
     """
     packaged = _packaged().get(type_name)
     return Definition(**packaged) if packaged else installed_definition(type_name)
 
 
 def installed_definition(type_name: str) -> Definition:
-    """Definition from the .msg and .json files that rosidl installed; raises UnknownTypeError."""
+    """Return the definition from the .msg and .json files installed by rosidl; raises UnknownTypeError."""
     description = json.loads(_installed(type_name, ".json"))
     hashes = {entry["type_name"]: entry["hash_string"] for entry in description["type_hashes"]}
     nested = [entry["type_name"] for entry in description["type_description_msg"]["referenced_type_descriptions"]]
@@ -87,7 +87,7 @@ def _packaged() -> dict[str, dict[str, str]]:
 
 
 def main() -> None:
-    """Write the package data anew from the installed messages."""
+    """Regenerate the package data from the installed messages."""
     packaged = {name: vars(installed_definition(name)) for name in PACKAGED}
     path = Path(__file__).with_name("schemas.json")
     path.write_text(json.dumps(packaged, indent=1) + "\n", encoding="utf-8")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of one recording, one after the other, down to the bytes of each channel and the table they become."""
+"""Sequential access to the files of a recording: the bytes of each channel and their decoding into tables."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class BagSource:
         self.scans = [McapScan(path) for path in files]
 
     def spans(self) -> Iterator[tuple[McapScan, Channel, bytes, Span]]:
-        """Each channel's messages in each block of each file; raises RecordingError."""
+        """Yield each channel's messages in each block of each file; raises RecordingError."""
         for scan in self.scans:
             for block, spans in scan.blocks():
                 for number, span in spans.items():
@@ -50,7 +50,7 @@ class BagSource:
                 )
 
     def type_of(self, scan: McapScan, channel: Channel) -> tuple[str, str]:
-        """Name and ros2msg text of a channel's type; raises RecordingError."""
+        """Return name and ros2msg text of a channel's type; raises RecordingError."""
         schema = scan.schemas.get(channel.schema_id)
         if schema is None or channel.message_encoding != "cdr":
             raise RecordingError(f"{scan.path}: {channel.topic} has no type or is not CDR")
@@ -61,7 +61,7 @@ class BagSource:
         return schema.name, text
 
     def layout(self, scan: McapScan, channel: Channel) -> FixedLayout | None:
-        """Layout of a channel's type, None if it is not numbers only; raises RecordingError."""
+        """Return the layout of a channel's type, None if it is not numbers only; raises RecordingError."""
         name, text = self.type_of(scan, channel)
         if (name, text) not in self._layouts:
             try:
@@ -74,14 +74,14 @@ class BagSource:
 
 
 class MessageDecoder:
-    """Messages of any type of one recording, one object each; a topic's type is that of its first channel."""
+    """Decoder of messages of any type into objects; a topic's type is that of its first channel."""
 
     def __init__(self, source: BagSource) -> None:
         self._source, self._store = source, get_typestore(Stores.EMPTY)
         self._known: set[str] = set()
 
     def objects(self, scan: McapScan, channel: Channel, block: bytes, span: Span) -> Iterator[tuple[float, Any]]:
-        """Log time [s] and message of one channel in one block; raises RecordingError."""
+        """Yield log time [s] and message of one channel in one block; raises RecordingError."""
         name, text = self._source.type_of(scan, channel)
         if name not in self._known:
             self._store.register(
@@ -98,7 +98,7 @@ class MessageDecoder:
 
 
 def decode_span(path: Path, topic: str, layout: FixedLayout, block: bytes, span: Span) -> Table:
-    """Table of the messages of one channel in one block; raises RecordingError."""
+    """Return the table of one channel's messages in one block; raises RecordingError."""
     buffer = np.frombuffer(block, np.uint8)
     out = np.empty(len(span.starts), layout.table)
     for size in np.unique(span.sizes):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a recording holds, in numbers: topics, counts, times; of one that was never finished, too."""
+"""Summary of a recording, finished or not: topics, counts, times."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ class RecordingSummary:
     """ns since 1970, log time of the first message; 0 without any."""
     end_ns: int
     topics: dict[str, tuple[str, int]]
-    """Type and number of messages of each topic that has been announced."""
+    """Type and number of messages of each announced topic."""
     notes: tuple[str, ...]
-    """What is unusual, a sentence each."""
+    """Irregularities, a sentence each."""
 
 
 def summarized(path: Path | str) -> RecordingSummary:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What writing and reading of recordings share: their error, and a topic's quality of service as rosbag2 spells it."""
+"""Types shared by reader and writer: the error, and a topic's quality of service in rosbag2's notation."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class RecordingError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class TopicQos:
-    """The quality of service that a topic was offered with; what is not named here is at its default."""
+    """Offered quality of service of a topic; policies not listed here are at their defaults."""
 
     reliability: str = "reliable"
     """reliable or best_effort."""
@@ -24,7 +24,7 @@ class TopicQos:
 
     @classmethod
     def from_rosbag2(cls, profiles: str) -> TopicQos:
-        """From the YAML list in a channel's metadata; defaults for what is not there or not understood."""
+        """Parse the YAML list in a channel's metadata; missing or unknown entries take their defaults."""
         listed = yaml.safe_load(profiles) or [{}]
         first = listed[0]
         numbers = {"reliability": {2: "best_effort"}, "durability": {1: "transient_local"}}  # before version 9
@@ -37,7 +37,7 @@ class TopicQos:
         )
 
     def as_rosbag2(self) -> dict[str, object]:
-        """All keys of an offered QoS profile, version 9."""
+        """Return all keys of an offered QoS profile, version 9."""
         forever = {"sec": 9223372036, "nsec": 854775807}
         return {
             "history": "keep_last",

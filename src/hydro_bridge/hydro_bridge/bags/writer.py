@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writes recordings: a rosbag2 folder with metadata.yaml (version 9) and one .mcap, without ROS.
+"""Writer of recordings: a rosbag2 folder with metadata.yaml (version 9) and one .mcap, without ROS.
 
-What the readers insist on, and what `kill -9` leaves: recordings.md.
+Requirements of the readers and the effect of `kill -9`: recordings.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from hydro_bridge.signals import StateArray
 
 VERSION = 9
 NOT_FINISHED = "recording was not finished"
-"""Value of custom_data `hydro` in the metadata.yaml that stands there while the recording runs."""
+"""Value of custom_data `hydro` in metadata.yaml while the recording runs."""
 
 
 @dataclass(kw_only=True)
@@ -34,21 +34,21 @@ class _Topic:
 
 
 class BagWriter:
-    """A recording under way; use as context manager, or call `close`.
+    """A recording in progress; use as context manager, or call `close`.
 
     Parameters
     ----------
     folder
-        Made here; must not exist.
+        Created here; must not exist.
     metadata
         Run's parameters, code version, digests: MCAP metadata record `hydro`, and custom_data of metadata.yaml.
     attachments
-        Files to carry along by name, for instance bench.yaml.
+        Files to attach, by name, for instance bench.yaml.
 
     Raises
     ------
     RecordingError
-        The folder exists, or cannot be made.
+        The folder exists, or cannot be created.
     """
 
     def __init__(
@@ -81,7 +81,7 @@ class BagWriter:
         self.flush()
 
     def add_topic(self, topic: str, type_name: str, qos: TopicQos | None = None) -> None:
-        """Announce a topic of type `package/msg/Type`, once, before its first message; raises UnknownTypeError."""
+        """Register a topic of type `package/msg/Type`, once, before its first message; raises UnknownTypeError."""
         qos = qos or TopicQos()
         known = definition(type_name)
         if type_name not in self._schemas:
@@ -104,7 +104,7 @@ class BagWriter:
         self._span = (min(self._span[0], time_ns), max(self._span[1], time_ns))
 
     def write_states(self, states: StateArray, topic: str = "/hydro/state") -> None:
-        """Add `STATE_DTYPE` records as BenchState messages, logged at their own time."""
+        """Add `STATE_DTYPE` records as BenchState messages, logged at their own times."""
         if topic not in self._topics:
             self.add_topic(topic, STATE_TYPE, TopicQos(reliability="best_effort", depth=50))
         rows = encode_states(states)
@@ -113,7 +113,7 @@ class BagWriter:
             self.write(topic, stream[row * size : (row + 1) * size], time_ns)
 
     def flush(self) -> None:
-        """Hand everything so far to the operating system: it survives a `kill -9` of this process."""
+        """Flush everything written so far to the operating system, so that it survives a `kill -9` of this process."""
         self._writer.flush()  # type: ignore[no-untyped-call]
 
     def close(self) -> None:
@@ -139,7 +139,7 @@ class BagWriter:
         os.replace(scratch, self.folder / "metadata.yaml")
 
     def _information(self, custom: Mapping[str, str] | None) -> dict[str, object]:
-        """All keys of version 9: rosbag2 throws on a missing one."""
+        """Return all keys of version 9: rosbag2 throws on a missing one."""
         count = sum(topic.count for topic in self._topics.values())
         start, end = self._span if count else (0, 0)
         topics = [

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared by all commands: progress bars, tables, one-sentence errors, the rules of --resume.
+"""Utilities of all commands: progress bars, tables, one-sentence errors, the rules of --resume.
 
 May import all of this package but `ros` and `nodes`; every command may import it.
 """

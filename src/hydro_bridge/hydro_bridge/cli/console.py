@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared by all commands: progress bars, tables, and errors as one sentence with exit status 2.
+"""Console output of all commands: progress bars, tables, and one-sentence errors with exit status 2.
 
-Tables and results go to standard output, progress and messages to standard error: output can be piped.
+Tables and results go to standard output, progress and messages to standard error, so that output can be piped.
 """
 
 from __future__ import annotations
@@ -40,15 +40,15 @@ def fail(sentence: str) -> NoReturn:
 
 
 def command(*errors: type[Exception]) -> Callable[[Callable[[], int | None]], Callable[[], NoReturn]]:
-    """Decorate a `main`: known errors become one sentence, its return value the exit status.
+    """Decorate a `main`: known errors are printed as one sentence, its return value becomes the exit status.
 
     Ctrl-C, SIGTERM and SIGHUP raise `endings.Ended` in it: the status is 128 + the signal's number, 130 for Ctrl-C.
 
     Parameters
     ----------
     errors
-        Known errors besides those of this package, and besides files that cannot be read or written: for all others
-        the traceback stays.
+        Known errors in addition to those of this package and to files that cannot be read or written; all others
+        keep their traceback.
     """
     known: tuple[type[Exception], ...] = (UserError, *KNOWN_ERRORS, *errors)
 
@@ -86,9 +86,9 @@ def progress(
     unit: str = "it",
     every: float | None = None,
 ) -> tqdm[T]:
-    """Progress bar on standard error: iterate it, or `update` it.
+    """Return a progress bar on standard error: iterate over it, or `update` it.
 
-    Where that is no terminal there is none, or a line `every` so many seconds.
+    If standard error is not a terminal there is no bar, or one line every `every` seconds.
     """
     about: dict[str, Any] = {"total": total, "desc": label or None, "unit": unit}
     if every is None or sys.stderr.isatty():
@@ -100,7 +100,7 @@ def progress(
 
 
 class _Lines:
-    """Standard error, where each state of a progress bar becomes a line of its own."""
+    """Standard error wrapper that prints each state of a progress bar as a separate line."""
 
     def write(self, text: str) -> None:
         if line := text.strip("\r\n "):
@@ -112,14 +112,14 @@ class _Lines:
 
 @dataclass
 class Table:
-    """Rows of results: aligned text for people, and JSON with documented keys for programs.
+    """Table of results: aligned text for people, and JSON with documented keys for programs.
 
     Parameters
     ----------
     columns
-        Key of each column and what it means, with its unit. The keys are those of the JSON.
+        Key and meaning, with unit, of each column. The keys are those of the JSON.
     title
-        Above the table.
+        Heading above the table.
     """
 
     columns: Mapping[str, str]
@@ -127,13 +127,13 @@ class Table:
     rows: list[dict[str, Any]] = field(default_factory=list)
 
     def add(self, **values: Any) -> None:
-        """Add a row; every column must be given."""
+        """Add a row; a value is required for every column."""
         if set(values) != set(self.columns):
             raise ValueError(f"columns are {', '.join(self.columns)}, not {', '.join(values)}")
         self.rows.append(values)
 
     def text(self) -> str:
-        """Aligned columns, numbers to the right, below the columns' keys; what the keys mean stands underneath."""
+        """Return aligned columns below their keys, numbers right-aligned; the keys' meanings follow underneath."""
         cells = [[_shown(row[key]) for key in self.columns] for row in self.rows]
         widths = [max(len(key), *(len(row[n]) for row in cells), 0) for n, key in enumerate(self.columns)]
         right = [bool(self.rows) and not isinstance(self.rows[0][key], str) for key in self.columns]
@@ -143,15 +143,15 @@ class Table:
         return "\n".join([*([self.title] if self.title else []), *lines, *meanings])
 
     def show(self, json_file: Path | str | None = None) -> None:
-        """Print the table, and write it to `json_file` if there is one."""
+        """Print the table, and write it to `json_file` if given."""
         print(self.text())
         if json_file is not None:
             self.write_json(json_file)
 
     def write_json(self, path: Path | str) -> None:
-        """Write `{"title", "columns": {key: meaning}, "rows": [{key: value}]}`; what is not finite becomes null.
+        """Write `{"title", "columns": {key: meaning}, "rows": [{key: value}]}`; non-finite values become null.
 
-        Its folder is made where there is none.
+        A missing folder is created.
 
         Raises
         ------

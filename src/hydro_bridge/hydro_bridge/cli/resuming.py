@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The rules of --resume: a resumed run keeps the options that it was started with.
+"""Rules of --resume: a resumed run keeps the options that it was started with.
 
-run.resume                      goes on with the settings that it was begun with
-run.resume --seed 3             fine if it has this seed, else refused: nothing that is said is ignored
-run.resume --episodes 320       what a command lets change on the way (its help says so) applies
+run.resume                      continues with the settings that the run was started with
+run.resume --seed 3             accepted if the run has this seed, else refused: no option is silently ignored
+run.resume --episodes 320       applies, since the command's help lists the option as changeable
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from typing import Any
 from hydro_bridge.errors import UserError
 
 NEW_ONLY: Any = object()
-"""What was begun with an option that only what begins can be told: no word is right."""
+"""Start value of an option that only a new run accepts: any value on resume is refused."""
 _UNSAID = object()
 
 
 def explicit_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> dict[str, Any]:
-    """Options given explicitly in `words`, by name; those left at their defaults are omitted."""
+    """Return the options given explicitly in `words`, by name; those left at their defaults are omitted."""
     names = vars(parser.parse_args(words))
     said = vars(parser.parse_args(words, argparse.Namespace(**dict.fromkeys(names, _UNSAID))))
     return {name: value for name, value in said.items() if value is not _UNSAID}
@@ -33,15 +33,15 @@ def refuse_changes(parser: argparse.ArgumentParser, words: Sequence[str], what: 
     Parameters
     ----------
     what
-        What goes on, for the sentence.
+        Name of what is resumed, for the message.
     begun
-        What it was begun with, by the options' names, files as absolute paths, or `NEW_ONLY`. Options that are not in
-        it may change.
+        Original values by option name, files as absolute paths, or `NEW_ONLY`. Options that are not listed may
+        change.
 
     Raises
     ------
     UserError
-        It names each such option, and what the run has instead.
+        The message names each contradicting option and the run's own value.
     """
     spelled = {action.dest: action.option_strings[0] for action in parser._actions if action.option_strings}
     wrong = [

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether a box keeps protocol.md, tried over its line.
+"""Conformance test of a box against protocol.md, over the serial line.
 
-`cases.yaml` says what is tried; `script` reads it; `host` speaks to the box; `checks` judges what came; `waveforms` and
-`law` are the definitions it is judged by; `conversation`, `steps` and `damage` are what is sent; `run` carries the
-cases out and `command` is the executable.
+`cases.yaml` lists the test cases and `script` reads it; `host` communicates with the box; `checks` evaluates its
+answers; `waveforms` and `law` are the reference definitions; `conversation`, `steps` and `damage` generate what is
+sent; `run` executes the cases and `command` is the executable.
 """

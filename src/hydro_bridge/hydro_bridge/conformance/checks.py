@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The checks by the name that they have in `cases.yaml`.
+"""Registry of the checks by their names in `cases.yaml`.
 
-Each judges the states that came since the last step began, with the parameters that the case gives it: it returns a
-sentence that says what is wrong, or nothing.
+Each check evaluates the states received since the last step began, with the parameters given by the case. It returns
+a sentence about what is wrong, or an empty string.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hydro_bridge.conformance import command_checks, line_checks, motion_checks
 
 
 def _of(module: ModuleType) -> dict[str, Callable[..., str]]:
-    """The public functions that a module defines."""
+    """Return the public functions that a module defines."""
     return {
         name: function
         for name, function in getmembers(module, isfunction)
@@ -24,4 +24,4 @@ def _of(module: ModuleType) -> dict[str, Callable[..., str]]:
 
 
 CHECKS: dict[str, Callable[..., str]] = _of(command_checks) | _of(line_checks) | _of(motion_checks)
-"""By the name in `cases.yaml`."""
+"""Checks by their names in `cases.yaml`."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of what commands do to what is shown: flags, fields, taken or not, time-outs, refusals."""
+"""Checks of the box's response to commands: flags, fields, acceptance, time-outs, refusals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hydro_bridge.signals import Flag, flag_names
 
 
 def flags(host: Host, bench: Bench, has: Sequence[str] = (), lacks: Sequence[str] = ()) -> str:
-    """Flags that every settled state has, and that none has."""
+    """Check which flags are set in every settled state, and which in none."""
     wanted, unwanted = (sum(Flag[name] for name in names) for names in (has, lacks))
     for state in settled(host):
         if state.flags & wanted != wanted or state.flags & unwanted:
@@ -22,7 +22,7 @@ def flags(host: Host, bench: Bench, has: Sequence[str] = (), lacks: Sequence[str
 def field(
     host: Host, bench: Bench, name: str, equals: Sequence[str | float], tolerance: float = 1e-3, last: int = 0
 ) -> str:
-    """A field is the sum of numbers and of entries of HELLO, in every settled state or in the last ones."""
+    """Check that a field equals the sum of numbers and entries of HELLO, in every settled state or the last ones."""
     wanted = sum(getattr(box_info(host), each) if isinstance(each, str) else float(each) for each in equals)
     states = settled(host)[-last:]
     for state in states:
@@ -32,21 +32,21 @@ def field(
 
 
 def taken(host: Host, bench: Bench, yes: bool = True) -> str:
-    """Whether the last command that was sent was taken."""
+    """Check whether the last command sent was accepted."""
     sequence = host.sent[-1].sequence
     found = any(state.last_command == sequence for state in host.new_states)
     return "" if found == yes else f"command {sequence} was {'not ' if yes else ''}taken"
 
 
 def unchanged(host: Host, bench: Bench, name: str) -> str:
-    """A field is in each state what it was before the step."""
+    """Check that a field keeps the value from before the step in every state."""
     before = value(host.states[host.marked - 1], name)
     now = {value(state, name) for state in host.new_states}
     return "" if now <= {before} else f"{name} was {before:g}, and became {max(now):g}"
 
 
 def first_flag(host: Host, bench: Bench, flag: str, samples: tuple[int, int]) -> str:
-    """How many samples behind the last command that was taken a flag comes first."""
+    """Check how many samples after the last accepted command a flag first appears."""
     begin = host.confirmed(host.states[-1].last_command)
     states = host.states[begin:]
     found = next((n for n, state in enumerate(states) if state.flags & Flag[flag]), None)
@@ -56,7 +56,7 @@ def first_flag(host: Host, bench: Bench, flag: str, samples: tuple[int, int]) ->
 
 
 def late(host: Host, bench: Bench) -> str:
-    """While WATCHDOG is set: base gains, no correction, FILTER_STALE."""
+    """Check that the box runs base gains, no correction and FILTER_STALE while WATCHDOG is set."""
     info = box_info(host)
     for state in host.new_states:
         if not state.flags & Flag.WATCHDOG:
@@ -70,14 +70,14 @@ def late(host: Host, bench: Bench) -> str:
 
 
 def refused(host: Host, bench: Bench, values: int, references: int) -> str:
-    """How many values and references the box counted as refused in this step, per command that it took."""
+    """Check how many values and references the box counted as refused in this step, per accepted command."""
     before, after = host.states[host.marked - 1], host.states[-1]
     found = [((b or 0) - (a or 0)) for a, b in zip(before[5:7], after[5:7], strict=True)]
     return "" if found == [values, references] else f"it counted {found[0]} values and {found[1]} references"
 
 
 def idle(host: Host, bench: Bench, last: int = 0) -> str:
-    """What a box shows that is not armed: no current, and the reference rests on the force that it follows."""
+    """Check the state of a disarmed box: no current, and the reference equal to the followed force."""
     force = followed(host)
     for state in settled(host)[-last:]:
         if any(value(state, name) != 0.0 for name in ("valve_current", "nominal_valve_current")):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How a conversation with a box begins and ends, and when a command has arrived."""
+"""Start and end of a conversation with a box, and confirmation of its commands."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hydro_bridge.signals import Command
 ANSWER = 300
 """Samples within which a HELLO must be answered, and a command confirmed."""
 _APART = 1000
-"""By how much the numbers of a conversation are ahead of those of the one before."""
+"""Offset of a conversation's sequence numbers from those of the previous one."""
 
 
 def begin(host: Host) -> None:
@@ -31,7 +31,7 @@ def begin(host: Host) -> None:
         raise SilentError(f"the box answered no HELLO within {3 * ANSWER} samples")
     host.listen(2)
     host.version = min(VERSION, host.hello.version_max) if host.hello else 1
-    host.sequence = (host.states[-1].last_command + _APART) % 2**32  # no number of the conversation before
+    host.sequence = (host.states[-1].last_command + _APART) % 2**32  # not a number of the previous conversation
     host.command = Command()
     host.mark()
     host.send()
@@ -42,9 +42,9 @@ def begin(host: Host) -> None:
 
 
 def until_confirmed(host: Host, each: Callable[[], None] | None = None) -> int:
-    """Wait until the step's first command, or one behind it, is confirmed: how many samples later than at once."""
+    """Wait until the step's first command, or a later one, is confirmed; return the delay in samples."""
     first = host.sent[host.marked_sent]
-    for _ in range(ANSWER):  # a host that lags reads old samples first, a line may hold bytes
+    for _ in range(ANSWER):  # a lagging host reads old samples first, and the line may buffer bytes
         if (at := host.confirmed(first.sequence)) < len(host.states):
             return at - first.after
         host.listen(1, each)
@@ -52,6 +52,6 @@ def until_confirmed(host: Host, each: Callable[[], None] | None = None) -> int:
 
 
 def end(host: Host) -> None:
-    """Leave the box disarmed, whatever the case did."""
+    """Disarm the box, whatever the case did."""
     host.command = Command()
     host.listen(10, host.send)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames that no box may take, made from a COMMAND that it would."""
+"""Damaged frames that no box may accept, made from a valid COMMAND."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from zlib import crc32
 from cobs import cobs
 
 _TIME, _WAVEFORM, _VERSION, _TYPE = 8, 34, 0, 1
-"""Bytes of a body."""
+"""Byte offsets in a frame's body."""
 _CHANGED = {"waveform 4": (_WAVEFORM, 4), "version 9": (_VERSION, 9), "type 200": (_TYPE, 200)}
-"""What is written where; the types from 200 are free for experiments."""
+"""Offset and value of each change; the types from 200 are free for experiments."""
 
 
 def damaged(frame: bytes, how: str) -> bytes:
-    """The frame, damaged so: `bit flipped`, `truncated`, `too long`, `too short`, or one of `_CHANGED`.
+    """Return the frame damaged by `how`: `bit flipped`, `truncated`, `too long`, `too short`, or one of `_CHANGED`.
 
-    All but the first two have a check sum that holds. Raises KeyError if this is no way to damage a frame.
+    All but the first two have a valid check sum. Raises KeyError for an unknown kind of damage.
     """
     if how == "truncated":
         return frame[:-9] + b"\0"
@@ -37,7 +37,7 @@ def damaged(frame: bytes, how: str) -> bytes:
 
 
 def sealed(body: bytes) -> bytes:
-    """A frame around any body, with a check sum that holds."""
+    """Return a frame around any body, with a valid check sum."""
     return _wrapped(body, crc32(body))
 
 

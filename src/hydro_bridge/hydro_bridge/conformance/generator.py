@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The reference generator as protocol.md tells it, fed with the commands that a box took."""
+"""Reference generator by protocol.md, fed with the commands that a box accepted."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from hydro_bridge.signals import STATE_FIELDS, Flag, ReferenceSignal, Waveform
 
 _VALUE, _RATE = STATE_FIELDS.index("reference_force"), STATE_FIELDS.index("reference_force_rate")
 _ROUNDING = 1e-6
-"""s: whether a fade ends at its 300th or 301st sample is a matter of the clock's rounding."""
+"""s: rounding of the clock decides whether a fade ends at its 300th or 301st sample."""
 
 
 class Generator:
-    """What f_r and f_r' must be: `force` is the field of the force that the law follows, `fade` [s] its cross-fade."""
+    """Expected f_r and f_r': `force` is the field of the force that the law follows, `fade` [s] its cross-fade."""
 
     def __init__(self, force: str, fade: float) -> None:
         self.force = STATE_FIELDS.index(force)
@@ -25,7 +25,7 @@ class Generator:
         self.new: tuple[ReferenceSignal, float] = (ReferenceSignal(), 0.0)
 
     def point(self, state: State, wanted: ReferenceSignal, time: float) -> Point | None:
-        """At this sample; None while the box is not armed."""
+        """Return the expected point at this sample; None while the box is not armed."""
         if not state.flags & Flag.ARMED:
             self.armed = False
             return None
@@ -39,7 +39,7 @@ class Generator:
 
 
 def playable(signal: ReferenceSignal, force_range: float) -> bool:
-    """Whether a box that reaches so many N plays it."""
+    """Return whether a box with this force range [N] must accept the reference."""
     numbers = (signal.amplitude, signal.offset, signal.phase, signal.frequency)
     if not all(abs(number) < 3.4e38 for number in numbers):  # NaN, too
         return False
@@ -49,7 +49,7 @@ def playable(signal: ReferenceSignal, force_range: float) -> bool:
 
 
 def compare(host: Host, force: str, tolerance: float, rate_tolerance: float) -> str:
-    """Where the box's reference differs [N], [N/s]; nothing if it is right with either rounding of the fade's end."""
+    """Describe where the box's reference differs [N], [N/s]; empty if right with either rounding of the fade's end."""
     made = [Generator(force, FADE + rounding) for rounding in (-_ROUNDING, _ROUNDING)]
     found = [_compare(host, tolerance, rate_tolerance, generator) for generator in made]
     return "" if "" in found else found[0]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The host's end of the line in a conformance test: it sends what it is told, and keeps all that the box sends."""
+"""Host side of the line in a conformance test: sends the commands of a case and stores all answers of the box."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _CIRCLE = 1 << 32
 _PATIENCE = 1.0
 """s without a STATE after which a box counts as silent."""
 _LOOK = 0.005
-"""s that one look at the line waits at most."""
+"""s, longest wait of one read of the line."""
 PUNCTUAL = 0.015
-"""s from one look at the line to the next up to which this host is in time: whatever a box does, a look ends."""
+"""s, longest interval between two reads with which this host is in time: a read ends whatever the box does."""
 
 
 class Line(Protocol):
-    """What carries the bytes: a `serial.port.Port`, or a box that is run in step."""
+    """Byte transport: a `serial.port.Port`, or a box that is run in step."""
 
     def read(self, timeout: float) -> bytes:
-        """What has come; nothing after `timeout` seconds."""
+        """Return the bytes received; none after `timeout` seconds."""
 
     def write(self, frame: bytes) -> bool:
-        """Send bytes without waiting; False: dropped."""
+        """Send bytes without waiting; return False if they were dropped."""
 
 
 class SilentError(UserError):
@@ -37,17 +37,17 @@ class SilentError(UserError):
 
 
 class UnreadableError(UserError):
-    """Nothing that came since the port was opened is a frame."""
+    """Nothing received since the port was opened is a frame."""
 
 
 @dataclass(frozen=True)
 class Sent:
-    """A command, and when it went out."""
+    """A command and its time of sending."""
 
     sequence: int
     command: Command
     after: int
-    """Number of states that had come before."""
+    """Number of states received before."""
 
 
 @dataclass
@@ -57,9 +57,9 @@ class Host:
     Parameters
     ----------
     line
-        Where the bytes go.
+        Transport of the bytes.
     clock
-        Gives seconds; that of the line where it is run in step.
+        Returns seconds; the line's own clock where the box is run in step.
     """
 
     line: Line
@@ -75,29 +75,29 @@ class Host:
     command: Command = field(default_factory=Command)
     decoder: Decoder = field(default_factory=Decoder)
     marked: int = 0
-    """States that had come when the present step began."""
+    """Number of states received when the present step began."""
     marked_sent: int = 0
     greeted_at: int = 0
     lag: int = 0
-    """Samples from a command to the state that confirms it, beyond the least; measured as the conversation begins."""
+    """Samples from a command to its confirming state, beyond the minimum; measured when the conversation begins."""
     silence: float = 0.0
-    """s, longest time from one look at the line to the next: so long no command can have gone out."""
+    """s, longest time between two reads of the line, during which no command can have been sent."""
     looked: float | None = None
     notes: list[str] = field(default_factory=list)
-    """What a check that found nothing wrong could not look at."""
+    """Aspects that a passed check could not examine."""
 
     def mark(self) -> None:
-        """A step begins: checks look at what comes from here on."""
+        """Mark the beginning of a step: checks examine what is received from here on."""
         self.marked, self.marked_sent = len(self.states), len(self.sent)
 
     def forget(self) -> None:
-        """Forget what came before the conversation stood: it may be of the one before. The newest state stays."""
+        """Discard all but the newest state received before the conversation began: it may be of the previous one."""
         self.states, self.arrived = self.states[-1:], self.arrived[-1:]
         self.hellos, self.sent, self.silence = [], [], 0.0
         self.mark()
 
     def kept(self) -> Host:
-        """Copy of the conversation as it stands, to be judged when it is over: the box does not wait."""
+        """Return a copy of the conversation so far, evaluated once it is over: the box does not wait."""
         states, arrived, hellos, sent = list(self.states), list(self.arrived), list(self.hellos), list(self.sent)
         return replace(self, states=states, arrived=arrived, hellos=hellos, sent=sent, notes=[])
 
@@ -112,9 +112,9 @@ class Host:
         return self.sent[self.marked_sent :]
 
     def confirmed(self, sequence: int) -> int:
-        """Index of the first state that confirms this command or one sent behind it; the number of states if none.
+        """Return the index of the first state that confirms this command or a later one; the number of states if none.
 
-        Only equal numbers confirm: what is newest may be of the conversation before, and larger.
+        Only equal numbers confirm: the newest may be of the previous conversation, and larger.
         """
         first = next((n for n, each in enumerate(self.sent) if each.sequence == sequence), None)
         behind = {sequence} if first is None else {each.sequence for each in self.sent[first:]}
@@ -123,11 +123,11 @@ class Host:
                     len(self.states))  # fmt: skip
 
     def greet(self) -> None:
-        """Open a new conversation; the box's answer is kept when it comes."""
+        """Open a new conversation; the box's answer is stored when it arrives."""
         self.line.write(encode_hello(0, int(1e6 * self.clock())))
 
     def send(self, sequence: int | None = None, **changes: Any) -> None:
-        """Send the last command with changes; its sequence is the next one if none is given."""
+        """Send the last command with changes, under the next sequence number unless one is given."""
         self.command = changed(self.command, changes)
         self.sequence = (self.sequence + 1 if sequence is None else sequence) % _CIRCLE
         self.sent.append(Sent(self.sequence, self.command, len(self.states)))
@@ -138,14 +138,14 @@ class Host:
         self.line.write(data)
 
     def listen(self, samples: int, each: Callable[[], None] | None = None) -> None:
-        """Wait for so many states, and do something after each.
+        """Wait for a number of states, and call a function after each.
 
         Raises
         ------
         SilentError
-            None comes for a second.
+            No state arrives for a second.
         UnreadableError
-            None comes for a second, nor did any frame before.
+            No state arrives for a second, and no frame had arrived before.
         """
         wanted, last = len(self.states) + samples, self.clock()
         while len(self.states) < wanted:
@@ -185,7 +185,7 @@ _SHAPE = ("amplitude", "offset", "frequency", "phase")
 
 
 def changed(command: Command, changes: dict[str, Any]) -> Command:
-    """A command with changes by name; those of the reference stand beside the others, its waveform by its name."""
+    """Return a command with changes by name; those of the reference are in the same mapping, its waveform by name."""
     shape: dict[str, Any] = {name: float(changes[name]) for name in _SHAPE if name in changes}
     if "waveform" in changes:
         shape["waveform"] = Waveform[str(changes["waveform"]).upper()]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force law by protocol.md and physics.md, written anew: what u_nom must be for what a box measured."""
+"""Independent implementation of the force law of protocol.md and physics.md: u_nom for a box's measurements."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from math import sqrt
 from typing import Any
 
 FLOOR_SHARE = 0.1
-"""Smallest g that is believed, over that of the still bench."""
+"""Lower bound of g, relative to g of the bench at rest."""
 
 
 def _gain(bench: Mapping[str, Any], position: float, pressures: tuple[float, float], opening: float) -> float:
@@ -32,14 +32,14 @@ def _volumes(bench: Mapping[str, Any], position: float) -> tuple[float, float]:
 
 
 def floor(bench: Mapping[str, Any]) -> float:
-    """g_min [N/s/A]: of the still bench with p_a = alpha p_b and p_a + p_b = p_s, the spring relaxed."""
+    """Return g_min [N/s/A], from the bench at rest with p_a = alpha p_b, p_a + p_b = p_s and the spring relaxed."""
     alpha = bench["area_ratio"]
     pressure_b = bench["supply_pressure"] / (1.0 + alpha)
     return FLOOR_SHARE * _gain(bench, bench["spring_rest_position"], (alpha * pressure_b, pressure_b), 1.0)
 
 
 def nominal_current(bench: Mapping[str, Any], values: Mapping[str, float], integral: float, force: str) -> float:
-    """u_nom [A] of one STATE, by the names of its fields; `integral` is I [N/s], `force` the one that is followed."""
+    """Return u_nom [A] of one STATE, by field name; `integral` is I [N/s], `force` the name of the followed force."""
     position = min(max(values["piston_position"], 0.0), bench["stroke"])
     volume_a, volume_b = _volumes(bench, position)
     stiffness = bench["bulk_modulus"] * bench["piston_area"] ** 2 * (1 / volume_a + bench["area_ratio"] ** 2 / volume_b)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of the line and of what the box tells of itself: framing, clock, versions, HELLO, DETAILS."""
+"""Checks of the line and of the box's self-description: framing, clock, versions, HELLO, DETAILS."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hydro_bridge.signals import SAMPLE_PERIOD
 
 
 def undisturbed(host: Host, bench: Bench) -> str:
-    """No sample is missing, none comes twice, and every frame is whole."""
+    """Check that no sample is missing or repeated, and that every frame is complete."""
     steps = {(b.sequence - a.sequence) % 2**32 for a, b in pairwise(host.new_states)}
     counts = host.decoder.counts
     if steps != {1}:
@@ -21,7 +21,7 @@ def undisturbed(host: Host, bench: Bench) -> str:
 
 
 def clock(host: Host, bench: Bench, jitter: float = 200.0, share: float = 0.01) -> str:
-    """The box's clock: each step within `jitter` [us] of a period, and its pace within `share` of the host's."""
+    """Check the box's clock: each step within `jitter` [us] of a period, and its rate within `share` of the host's."""
     times = [state.time_us for state in host.new_states]
     steps = [b - a for a, b in pairwise(times)]
     if max(abs(step - 1e6 * SAMPLE_PERIOD) for step in steps) > jitter:
@@ -32,7 +32,7 @@ def clock(host: Host, bench: Bench, jitter: float = 200.0, share: float = 0.01) 
 
 
 def hello(host: Host, bench: Bench) -> str:
-    """HELLO is whole: a name, ordered limits that hold zero, 1 ms, a form of the integral."""
+    """Check that HELLO is complete: a name, ordered limits that include zero, 1 ms, a form of the integral."""
     info = box_info(host)
     if not info.name:
         return "it has no name"
@@ -46,7 +46,7 @@ def hello(host: Host, bench: Bench) -> str:
 
 
 def greeted(host: Host, bench: Bench, within: int, versions: tuple[int, int] | None = None) -> str:
-    """The last HELLO was answered within so many samples and the line's lag, by one with sequence 1 or more."""
+    """Check that the last HELLO was answered, with sequence 1 or more, within some samples plus the line's lag."""
     answers = [(n - host.greeted_at, each) for n, each in host.hellos if n >= host.greeted_at]
     if not answers or answers[0][0] > within + host.lag:
         return f"no HELLO came within {within + host.lag} samples"
@@ -56,7 +56,7 @@ def greeted(host: Host, bench: Bench, within: int, versions: tuple[int, int] | N
 
 
 def speaks(host: Host, bench: Bench, version: int) -> str:
-    """STATE and DETAILS are those of this version once the greeting was answered."""
+    """Check that STATE and DETAILS are of this version once the greeting is answered."""
     begin = next((n for n, _ in host.hellos if n >= host.greeted_at), host.greeted_at)
     found = {1 if state.refused is None else 2 for state in host.states[begin + 1 :]}
     if found != {version}:
@@ -65,7 +65,7 @@ def speaks(host: Host, bench: Bench, version: int) -> str:
 
 
 def details(host: Host, bench: Bench) -> str:
-    """DETAILS are whole: an epoch, times and ranges in order."""
+    """Check that DETAILS are complete: an epoch, times and ranges in order."""
     if host.details is None:
         return "none came"
     told = host.details.details
@@ -78,7 +78,7 @@ def details(host: Host, bench: Bench) -> str:
 
 
 def believes(host: Host, bench: Bench) -> str:
-    """What HELLO and DETAILS say agrees with the bench file."""
+    """Check that HELLO and DETAILS agree with the bench file."""
     assert bench is not None
     if not near(box_info(host).valve_current_max, bench["valve_current_max"]):
         return (

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checks of what an armed box does, and of what it measures: currents, force law, reference, rates, units."""
+"""Checks of an armed box's behaviour and measurements: currents, force law, reference, rates, units."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from hydro_bridge.conformance.readings import SINGLE, Bench, NotToldError, box_i
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_FIELDS, Flag, flag_names
 
 _CORRECTION_HOLD = 3500
-"""us for which the correction of a command acts."""
+"""us, duration for which the correction of a command acts."""
 
 
 def current(host: Host, bench: Bench) -> str:
-    """valve_current = clamp(nominal + delta_u), delta_u for 3.5 ms from where it was taken; SATURATED if clamped."""
+    """Check valve_current = clamp(nominal + delta_u), delta_u for 3.5 ms from acceptance; SATURATED if clamped."""
     limit, commands = box_info(host).valve_current_max, {each.sequence: each.command for each in host.sent}
     newest, since = None, 0
     for n, state in enumerate(host.states):
@@ -38,10 +38,10 @@ def current(host: Host, bench: Bench) -> str:
 
 
 def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) -> str:
-    """u_nom since arming is that of the force law for what the box measured, with the integral that it tells.
+    """Check u_nom since arming against the force law for the box's measurements and its form of the integral.
 
-    Where the integral stands is told by the current: at its limit, and K_i e has the current's sign. Whether the
-    correction came into it is what `current` checks.
+    The integral stands still while the current is at its limit and K_i e has the current's sign. Whether the current
+    includes the correction is checked by `current`.
     """
     assert bench is not None
     integral, armed, form, force = 0.0, False, box_info(host).integral, followed(host)
@@ -65,12 +65,12 @@ def law(host: Host, bench: Bench, tolerance: float = 2e-7, share: float = 1e-4) 
 
 
 def reference(host: Host, bench: Bench, tolerance: float = 0.01, rate_tolerance: float = 0.5) -> str:
-    """f_r and f_r' are those of the commands that were taken, by their definition, fades included."""
+    """Check f_r and f_r' against the definition of the accepted references, cross-fades included."""
     return generator.compare(host, followed(host), tolerance, rate_tolerance)
 
 
 def follows(host: Host, bench: Bench, by: float) -> str:
-    """The followed force went the way of the reference, by so many N at least: the signs are right."""
+    """Check that the followed force moved with the reference, by a least number of N: the signs are right."""
     states, force = settled(host), followed(host)
     moved = value(states[-1], force) - value(states[0], force)
     asked = value(states[-1], "reference_force") - value(states[0], force)
@@ -78,7 +78,7 @@ def follows(host: Host, bench: Bench, by: float) -> str:
 
 
 def rates(host: Host, bench: Bench) -> str:
-    """Rates are differences behind a first-order low-pass of the ages that DETAILS tell."""
+    """Check that rates are differences through a first-order low-pass with the lags given in DETAILS."""
     if host.details is None:
         raise NotToldError("no DETAILS came, which tell the ages of the rates")
     told = host.details.details
@@ -102,7 +102,7 @@ def rates(host: Host, bench: Bench) -> str:
 
 
 def units(host: Host, bench: Bench, force: float = 150.0) -> str:
-    """Readings are in Pa, m and N: within the bench, and f_h is that of the pressures."""
+    """Check that readings are in Pa, m and N: within the bench's ranges, with f_h equal to that of the pressures."""
     assert bench is not None
     for state in host.new_states:
         a, b, position = (value(state, name) for name in ("pressure_a", "pressure_b", "piston_position"))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What checks read of the states that came, and with what tolerance."""
+"""Access to the received states for the checks, and their tolerances."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Bench = Mapping[str, Any] | None
 
 
 class NotToldError(Exception):
-    """The box does not tell what a check needs, and may leave it open: the case is left out."""
+    """The box does not report a value that a check needs and that is optional: the case is skipped."""
 
 
 SINGLE = 1e-6
@@ -25,27 +25,27 @@ SINGLE = 1e-6
 
 
 def value(state: State, name: str) -> float:
-    """A float field of a state by its name."""
+    """Return a float field of a state by its name."""
     return state.values[STATE_FIELDS.index(name)]
 
 
 def box_info(host: Host) -> BoxInfo:
-    """What HELLO told."""
+    """Return the content of the box's HELLO."""
     assert host.hello is not None and host.hello.info is not None
     return host.hello.info
 
 
 def followed(host: Host) -> str:
-    """Field of the force that the box's law follows: what DETAILS tell, else the load force."""
+    """Return the field of the force that the box's law follows: as given in DETAILS, else the load force."""
     told = host.details.details.feedback if host.details else ""
     return f"{told or 'load'}_force"
 
 
 def settled(host: Host) -> Sequence[State]:
-    """States from the one that confirms the step's first command on."""
+    """Return the states from the one that confirms the step's first command on."""
     return host.states[host.confirmed(host.sent[host.marked_sent].sequence) :] if host.new_sent else host.new_states
 
 
 def near(one: float, other: float) -> bool:
-    """Whether two numbers agree as float32."""
+    """Return whether two numbers agree as float32."""
     return isclose(one, other, rel_tol=SINGLE, abs_tol=1e-12)

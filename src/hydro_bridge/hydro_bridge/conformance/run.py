@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Carries the cases out, one conversation each, and says what was found."""
+"""Execution of the cases, one conversation each, and their results."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ PASS, FAIL, LEFT_OUT, NOT_JUDGED = "pass", "FAIL", "left out", "not judged"
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a case."""
+    """Result of a case."""
 
     case: Case
     outcome: str
     """`PASS`, `FAIL`, `LEFT_OUT` or `NOT_JUDGED`."""
     found: str
-    """Why it did not pass, or what was not looked at."""
+    """Reason why it did not pass, or what was not examined."""
 
 
 def run(
@@ -34,12 +34,12 @@ def run(
     *,
     moving: bool,
 ) -> list[Result]:
-    """All results in order; each case begins with a conversation of its own, which disarms, and ends disarmed.
+    """Return all results in order; each case opens its own conversation, which disarms, and ends disarmed.
 
     Raises
     ------
     UnreadableError
-        No frame came before the first result: no case can be tried.
+        No frame arrived before the first result: no case can be run.
     """
     results: list[Result] = []
     for case in cases:
@@ -53,7 +53,7 @@ def run(
 
 
 def _judged(case: Case, make_host: Callable[[], Host], bench: Mapping[str, Any] | None, moving: bool) -> Result:
-    """A case that fails while this host was late is tried once more, and then not held against the box."""
+    """Run a case; a failure while this host was late is repeated once, and then not held against the box."""
     for _ in range(2):
         host = make_host()
         result = _one(case, host, bench, moving)
@@ -87,7 +87,7 @@ def _one(case: Case, host: Host, bench: Mapping[str, Any] | None, moving: bool) 
 def _verdict(
     case: Case, checked: list[tuple[Host, dict[str, Any]]], bench: Mapping[str, Any] | None, silent: str
 ) -> Result:
-    """Judge when the case is over: while this host computes, the box would hear no command."""
+    """Evaluate after the end of the case: while this host computes, the box would receive no command."""
     try:
         for host, words in checked:
             for name, parameters in words.items():

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cases as data: what is sent, and what must come. `cases.yaml` is read here, and refused where it makes no sense."""
+"""Test cases as data: commands sent and answers expected. Reads `cases.yaml` and rejects invalid content."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import yaml
 from hydro_bridge.errors import UserError
 
 VERBS = ("commands", "once", "wait", "greet", "garbage", "damaged", "check")
-"""What a step can be."""
+"""Kinds of steps."""
 
 
 @dataclass(frozen=True)
 class Step:
-    """One verb with its words."""
+    """One verb with its parameters."""
 
     verb: str
     words: Any
@@ -26,31 +26,31 @@ class Step:
 
 @dataclass(frozen=True)
 class Case:
-    """One thing that a box must do."""
+    """One requirement on a box."""
 
     id: str
     says: str
-    """What must hold, as one sentence."""
+    """The requirement, as one sentence."""
     moving: bool
-    """Whether it arms, or asks a box to arm: the piston may move."""
+    """Whether the case arms the box, or asks it to arm: the piston may move."""
     needs: str
-    """`bench` or `version 2`; empty: nothing."""
+    """Precondition, `bench` or `version 2`; empty: none."""
     steps: tuple[Step, ...]
 
 
 def shipped() -> tuple[Case, ...]:
-    """The cases that come with this package."""
+    """Return the cases shipped with this package."""
     text = resources.files("hydro_bridge.conformance").joinpath("cases.yaml").read_text(encoding="utf-8")
     return read(yaml.safe_load(text))
 
 
 def read(content: Any) -> tuple[Case, ...]:
-    """Cases of a file's content.
+    """Parse the cases from a file's content.
 
     Raises
     ------
     UserError
-        A case is not complete, a verb is unknown, or a case that is not marked as moving asks a box to arm.
+        A case is incomplete, a verb is unknown, or a case that is not marked as moving asks a box to arm.
     """
     cases = tuple(_case(entry) for entry in content)
     ids = [case.id for case in cases]

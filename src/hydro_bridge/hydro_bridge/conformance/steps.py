@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a step of a case sends, by its verb: commands, one of them, silence, a greeting, garbage, a damaged frame."""
+"""Transmission of a step, by its verb: commands, a single command, silence, a greeting, garbage, a damaged frame."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hydro_bridge.signals import Command
 
 
 def _commands(host: Host, words: dict[str, Any]) -> None:
-    """A command at once and behind every `every`-th sample, `times` of them each, for `samples`."""
+    """Send a command at once and after every `every`-th sample, `times` times each, for `samples`."""
     changes = _changes(host, words, "samples", "every", "times")
     every, times, seen = int(words.get("every", 1)), int(words.get("times", 1)), 0
 
@@ -35,7 +35,7 @@ def _commands(host: Host, words: dict[str, Any]) -> None:
 
 
 def _once(host: Host, words: dict[str, Any]) -> None:
-    """One command; `sequence` counts from the last one that was sent, 0 repeats it."""
+    """Send one command; `sequence` counts from the last one sent, 0 repeats it."""
     changes = _changes(host, words, "sequence", "samples", "goes_on")
     before, step = host.sequence, int(words.get("sequence", 1))
     host.mark()
@@ -43,7 +43,7 @@ def _once(host: Host, words: dict[str, Any]) -> None:
     samples = int(words.get("samples", 15))
     if step == 1 or words.get("goes_on"):
         until_confirmed(host)
-    else:  # nothing will confirm it: let it arrive
+    else:  # never confirmed: wait for it to arrive
         host.sequence = before
         samples += host.lag
     host.listen(samples)
@@ -54,7 +54,7 @@ def _wait(host: Host, words: int) -> None:
 
 
 def _greet(host: Host, words: dict[str, Any]) -> None:
-    """Greet as a host of the versions given; what is checked begins behind the answer, if one comes."""
+    """Greet as a host of the given versions; checks begin after the answer, if there is one."""
     low, high = words.get("versions", (1, VERSION))
     body = bytearray(cobs.decode(encode_hello(0, int(1e6 * host.clock()))[1:-1])[:-4])
     body[14:16] = bytes((low, high))
@@ -71,7 +71,7 @@ def _greet(host: Host, words: dict[str, Any]) -> None:
 
 
 def _garbage(host: Host, words: dict[str, Any]) -> None:
-    """Noise in front of a command behind every `every`-th sample, for so many samples; none of it is a frame."""
+    """Send noise, none of it a frame, before a command after every `every`-th sample, for a number of samples."""
     random, seen = Random(int(words["seed"])), 0
     host.command = changed(host.command, _changes(host, words, "samples", "every", "seed", "longest"))
     host.mark()
@@ -88,7 +88,7 @@ def _garbage(host: Host, words: dict[str, Any]) -> None:
 
 
 def _damaged(host: Host, words: dict[str, Any]) -> None:
-    """A command that would change the gains, damaged in a way that a box must notice."""
+    """Send a command that would change the gains, damaged in a way that a box must detect."""
     changes = {key: value for key, value in words.items() if key != "how"}
     frame = encode_command(host.sequence + 1, 0, changed(Command(), changes), host.version)
     host.mark()
@@ -97,7 +97,7 @@ def _damaged(host: Host, words: dict[str, Any]) -> None:
 
 
 def _changes(host: Host, words: dict[str, Any], *others: str) -> dict[str, Any]:
-    """The words that change a command; a number may be the name of one that DETAILS tell."""
+    """Return the words that change a command; a number may be given by the name of an entry of DETAILS."""
     changes = {key: value for key, value in words.items() if key not in others}
     for key, value in changes.items():
         if key != "waveform" and isinstance(value, str):

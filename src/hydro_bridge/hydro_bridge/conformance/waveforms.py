@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The references by their definition in protocol.md, written anew: shares no code with any box."""
+"""Independent implementation of the references defined in protocol.md; shares no code with any box."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Point = tuple[float, float]
 
 
 def shape(signal: ReferenceSignal, time: float) -> Point:
-    """A signal at `time` [s] after the box took it up."""
+    """Return a signal's point at `time` [s] after the box accepted it."""
     omega = 2.0 * pi * signal.frequency
     angle = omega * time + signal.phase
     if signal.waveform is Waveform.HOLD:
@@ -35,7 +35,7 @@ def shape(signal: ReferenceSignal, time: float) -> Point:
 
 
 def _smooth_step(angle: float) -> Point:
-    """From -1 to 1 in the eighth of a period behind angle 0, and back behind pi."""
+    """Return a step from -1 to 1 in the eighth of a period after angle 0, and back after pi."""
     turn = angle / (2.0 * pi) % 1.0
     side, inside = (1.0, turn) if turn < 0.5 else (-1.0, turn - 0.5)
     if inside >= 0.125:
@@ -44,7 +44,7 @@ def _smooth_step(angle: float) -> Point:
 
 
 def faded(old: Point, new: Point, time: float) -> Point:
-    """`time` [s] into a cross-fade."""
+    """Return the point at `time` [s] into a cross-fade."""
     z = time / FADE
     if z >= 1.0:
         return new

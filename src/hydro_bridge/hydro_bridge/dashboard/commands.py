@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which commands of a page are carried out: rules without ROS.
+"""Rules by which commands from a page are accepted or refused, without ROS.
 
 =========  ======================================  ==========================================
 command    needs                                   what it does
@@ -11,8 +11,9 @@ release    the token, the present epoch            the policy acts again
 end        the token, the present epoch            ends the run as Ctrl-C does
 =========  ======================================  ==========================================
 
-The epoch is the one that the page showed when its person pressed: behind a trip, a disarm or another holder it is
-another one, and the command does nothing. The token keeps out whoever can open the page but not read the terminal.
+The epoch is the one that the page showed when the button was pressed: after a trip, a disarm or a change of holder the
+plant has another one, and the command has no effect. The token keeps out those who can open the page but not read the
+terminal.
 """
 
 from __future__ import annotations
@@ -27,40 +28,40 @@ import msgspec
 _TEXT = Annotated[str, msgspec.Meta(max_length=100)]
 COMMANDS = ("disarm", "arm", "override", "release", "end")
 SIZE_MAX = 1000
-"""Bytes of a command."""
+"""Maximum size of a command, bytes."""
 
 
 class RefusedError(Exception):
-    """A command is not carried out; the message is one clear sentence."""
+    """A command is refused; the message is one clear sentence."""
 
 
 class PageCommand(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """What a page sends."""
+    """A command sent by a page."""
 
     command: _TEXT
     number: int = 0
-    """Of the page; the answer carries it."""
+    """Number given by the page and returned with the answer."""
     epoch: _TEXT = ""
-    """Of the session that the page showed, in decimal: as a number JavaScript would round it."""
+    """Epoch of the session that the page showed, in decimal: JavaScript would round it as a number."""
     token: _TEXT = ""
     kp: float = math.nan
-    """K_p in all [1/s], of an override."""
+    """Total K_p [1/s] of an override."""
     ki: float = math.nan
-    """K_i in all [1/s^2]."""
+    """Total K_i [1/s^2] of an override."""
     seconds: float = math.nan
-    """How long an override lasts [s]; 0: until told otherwise."""
+    """Duration of an override [s]; 0: until released."""
 
 
 _DECODER = msgspec.json.Decoder(PageCommand)
 
 
 def read(text: str | bytes) -> PageCommand:
-    """A command as it came.
+    """Parse a received command.
 
     Raises
     ------
     RefusedError
-        It is none.
+        The text is not a command.
     """
     try:
         command = _DECODER.decode(text)
@@ -72,24 +73,24 @@ def read(text: str | bytes) -> PageCommand:
 
 
 class Rules:
-    """What one run of the dashboard lets a page do.
+    """Access rules of one run of the dashboard.
 
     Parameters
     ----------
     token
-        That the terminal shows; drawn if there is none.
+        Token shown on the terminal; drawn at random if not given.
     """
 
     def __init__(self, token: str = "") -> None:
         self.token = token or secrets.token_urlsafe(9)
 
     def check(self, command: PageCommand, epoch: int) -> None:
-        """Let a command pass, or not; `epoch` is the plant's present one, 0 if no plant has said any.
+        """Accept or refuse a command; `epoch` is the plant's present one, 0 if no plant has announced one.
 
         Raises
         ------
         RefusedError
-            It does nothing.
+            The command is refused.
         """
         if command.command == "disarm":
             return

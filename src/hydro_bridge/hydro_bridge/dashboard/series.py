@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which numbers of a sample the page draws, with their units: serialized messages -> columns.
+"""Columns that the page plots, with their units, extracted from serialized messages.
 
-The page learns names and units from here, by `described`.
+`described` gives the page their names and units.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CORRECTION_TYPE = "hydro_msgs/msg/Correction"
 
 @dataclass(frozen=True)
 class Column:
-    """One series: a field of a message in the unit of the page."""
+    """One plotted series: a field of a message in the page's unit."""
 
     name: str
     field: str
@@ -48,36 +48,36 @@ CORRECTION_COLUMNS = (
     Column("with correction", "certificate_after", "1/s"),
 )
 STATE_EXTRA = (Column("error", "", "N"), Column("armed", ""), Column("tripped", ""))
-"""What follows from the state's fields: f_r - f_l; 1 or 0; 1 or 0."""
+"""Columns derived from the state's fields: f_r - f_l; 1 or 0; 1 or 0."""
 
 
 def described() -> list[list[dict[str, str]]]:
-    """Names and units of the columns of both series, states and corrections, for the page."""
+    """Return names and units of the columns of both series, states and corrections, for the page."""
     kinds = ((*STATE_COLUMNS, *STATE_EXTRA), CORRECTION_COLUMNS)
     return [[{"name": column.name, "unit": column.unit} for column in columns] for columns in kinds]
 
 
 class Decoder:
-    """Serialized messages of one type as a table, many at once.
+    """Vectorised decoder of serialized messages of one type into a table.
 
     Parameters
     ----------
     type_name
-        A message of numbers with a header.
+        Type of numbers only, with a header.
     """
 
     def __init__(self, type_name: str) -> None:
         self._layout: FixedLayout = fixed_layout(definition(type_name).text, type_name)
 
     def table(self, messages: Sequence[bytes]) -> npt.NDArray[np.void]:
-        """Records with `time` [s, header stamp] and the message's fields; messages of another length are left out."""
+        """Return records with `time` [s, header stamp] and the message's fields; skips messages of another length."""
         alike = [message for message in messages if len(message) == len(messages[-1])]
         rows = np.frombuffer(b"".join(alike), np.uint8).reshape(len(alike), -1)
         return self._layout.decode(rows, np.zeros(len(alike), np.int64))
 
 
 def state_values(table: npt.NDArray[np.void]) -> FloatArray:
-    """Columns STATE_COLUMNS, STATE_EXTRA of states, shape (n, 12)."""
+    """Return the columns STATE_COLUMNS, STATE_EXTRA of states, shape (n, 12)."""
     flags = table["flags"]
     extra = (
         table["reference_force"] - table["load_force"],
@@ -88,5 +88,5 @@ def state_values(table: npt.NDArray[np.void]) -> FloatArray:
 
 
 def correction_values(table: npt.NDArray[np.void]) -> FloatArray:
-    """Columns CORRECTION_COLUMNS of corrections, shape (n, 3)."""
+    """Return the columns CORRECTION_COLUMNS of corrections, shape (n, 3)."""
     return np.column_stack([table[column.field] * column.scale for column in CORRECTION_COLUMNS])

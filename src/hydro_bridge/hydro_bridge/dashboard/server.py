@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The page's web server: its files and one WebSocket per viewer, in a thread of its own.
+"""Web server of the live page: its files and one WebSocket per viewer, in a separate thread.
 
 ::
 
-    publish(frames, welcome) ──> viewer 1     frames: what all get now
-                             ──> viewer 2     welcome: what a newcomer gets first
+    publish(frames, welcome) ──> viewer 1     frames: sent to all viewers now
+                             ──> viewer 2     welcome: sent first to a new viewer
                              ─x─ viewer 3     has not read `BEHIND` bytes: gets no frames until it has
-    act(text) <── command, from any viewer    each answered by itself, so that a disarm waits for nothing
+    act(text) <── command, from any viewer    answered independently, so that a disarm waits for nothing
 
-Nothing that a viewer does holds `publish` up. Requests by a foreign page or a foreign name are refused: a page on the
-internet cannot reach the plant through its visitor's browser.
+No viewer can delay `publish`. Requests from a foreign page or under a foreign host name are refused, so that a page on
+the internet cannot reach the plant through its visitor's browser.
 """
 
 from __future__ import annotations
@@ -36,15 +36,15 @@ from hydro_bridge.errors import UserError
 from hydro_bridge.pages import environment
 
 PORT = 8765
-"""Where nobody names a port; where that is taken, any free one."""
+"""Default port; if it is taken, any free one."""
 VIEWERS = 16
-"""At most, at a time."""
+"""Maximum number of simultaneous viewers."""
 BEHIND = 256 * 1024
-"""Bytes that wait for a viewer before frames are dropped for it."""
+"""Bytes queued for a viewer beyond which frames for it are dropped."""
 ANSWER_WITHIN = 3.0
-"""s, of whoever carries out a command."""
+"""s, time-out of a command."""
 
-_PENDING = 20  # commands of one viewer that wait for their answers
+_PENDING = 20  # pending commands of one viewer
 _FILES = {
     "/page.css": ("page.css", "text/css; charset=utf-8"),
     "/page.js": ("page.js", "text/javascript; charset=utf-8"),
@@ -64,14 +64,14 @@ class PageServer:
     Parameters
     ----------
     act
-        Carries out a command as it came, and gives what the viewer is told; called in the server's thread.
+        Executes a received command and returns the answer for the viewer; called in the server's thread.
     host, port
-        To listen at; port None: `PORT`, or any free one.
+        Address to listen at; port None: `PORT`, or any free one.
 
     Raises
     ------
     UserError
-        Nobody can listen there.
+        The address cannot be listened at.
     """
 
     def __init__(self, act: Callable[[Message], Future[str]], host: str = "127.0.0.1", port: int | None = None) -> None:
@@ -94,16 +94,16 @@ class PageServer:
 
     @property
     def address(self) -> str:
-        """Of the page."""
+        """Address of the page."""
         return f"http://{f'[{self._host}]' if ':' in self._host else self._host}:{self.port}/"
 
     @property
     def viewers(self) -> int:
-        """How many look."""
+        """Number of viewers."""
         return len(self._viewers) + len(self._new)
 
     def publish(self, frames: Sequence[Message], welcome: Callable[[], Sequence[Message]]) -> None:
-        """Send `frames` to all viewers, and `welcome()` to new ones before; from any thread, and at once."""
+        """Send `frames` to all viewers, and first `welcome()` to new ones; thread-safe, returns at once."""
         with self._lock:
             new, self._new = self._new, set()
         if new or self._viewers:
@@ -111,7 +111,7 @@ class PageServer:
             self._loop.call_soon_threadsafe(self._send, new, first, frames)
 
     def close(self) -> None:
-        """End all connections and the thread."""
+        """Close all connections and end the thread."""
         with suppress(FutureTimeoutError):
             asyncio.run_coroutine_threadsafe(self._end(), self._loop).result(5.0)
         self._loop.call_soon_threadsafe(self._loop.stop)
@@ -138,7 +138,7 @@ class PageServer:
             await asyncio.wait_for(self._server.wait_closed(), 2.0)
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
-        """The page's files; None for its WebSocket, which the library goes on with."""
+        """Return the page's files; None for its WebSocket, which the library handles."""
         host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
         if not _own_name(host, self._host) or (origin is not None and urlsplit(origin).netloc != host):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "another page may not talk to this one\n")
@@ -169,7 +169,7 @@ class PageServer:
         tasks: set[asyncio.Task[None]] = set()
         try:
             async for text in viewer:
-                if len(tasks) >= _PENDING:  # reads no further meanwhile
+                if len(tasks) >= _PENDING:  # reading pauses meanwhile
                     await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
                 tasks.add(task := asyncio.create_task(self._command(viewer, text)))
                 task.add_done_callback(tasks.discard)
@@ -204,7 +204,7 @@ def _file(name: str) -> bytes:
 
 
 def _own_name(host: str, given: str) -> bool:
-    """Whether a request's Host is this machine by number or by its own name: a foreign name may lead anywhere."""
+    """Return whether a request's Host is this machine's number or own name: a foreign name may resolve anywhere."""
     name = urlsplit(f"//{host}").hostname or ""
     if name in ("localhost", given.lower(), gethostname().lower()):
         return True

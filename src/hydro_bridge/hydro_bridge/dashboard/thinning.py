@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Series thinned to what a screen shows: the least and the greatest value of each slot of 10 ms.
+"""Thinning of series to screen resolution: minimum and maximum of each 10 ms slot.
 
-A pulse of one sample stays visible, and memory is that of the ring::
+A pulse of one sample stays visible, and memory is bounded by the ring::
 
-    ring, shape (kept, columns, 2):   slot n stands in row n % kept;   [..., 0] least, [..., 1] greatest, NaN: no sample
-    n = floor(time / SLOT)            ... | closed | closed | open |    the open slot is still filled, and not yet shown
+    ring, shape (kept, columns, 2):   slot n is row n % kept;   [..., 0] minimum, [..., 1] maximum, NaN: no sample
+    n = floor(time / SLOT)            ... | closed | closed | open |    the open slot is still filling, not yet shown
 """
 
 from __future__ import annotations
@@ -17,24 +17,24 @@ import numpy.typing as npt
 from hydro_bridge.signals import FloatArray
 
 SLOT = 0.01
-"""s; 1000 of them are the 10 s of a page, about as many as a plot has pixels."""
+"""s; a page of 10 s has 1000 slots, about one per pixel of a plot."""
 KEPT = 6000
-"""Slots that are kept for a viewer who comes later: 60 s."""
+"""Slots kept for viewers that connect later: 60 s."""
 
 _AXES = 3
 
 
 @dataclass(frozen=True)
 class Slots:
-    """Closed slots, one after the other."""
+    """Consecutive closed slots."""
 
     first: int
     """Number of the first one: floor(time / SLOT)."""
     values: npt.NDArray[np.float32]
-    """Least and greatest value, shape (slots, columns, 2)."""
+    """Minimum and maximum, shape (slots, columns, 2)."""
 
     def encoded(self, series: int) -> bytes:
-        """For the page: u32 series, u32 columns, f64 first, then float32 values, all little endian."""
+        """Return the bytes for the page: u32 series, u32 columns, f64 first, float32 values, all little endian."""
         assert self.values.ndim == _AXES
         head = np.array([series, self.values.shape[1]], "<u4").tobytes() + np.array([self.first], "<f8").tobytes()
         return head + np.ascontiguousarray(self.values, "<f4").tobytes()
@@ -46,7 +46,7 @@ class Thinner:
     Parameters
     ----------
     columns
-        Numbers in a sample.
+        Number of values in a sample.
     kept
         Slots in the ring.
     """
@@ -56,17 +56,17 @@ class Thinner:
         self._begin = self._taken = self._open = 0
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
-        """Enter samples.
+        """Add samples.
 
-        Samples older than the open slot are left out; where time falls back by more than the ring, as behind a clock
-        that was set, the series begins anew.
+        Samples older than the open slot are skipped; if time falls back by more than the ring, as after the clock was
+        set, the series is restarted.
 
         Parameters
         ----------
         times
             s, shape (n,), not falling.
         values
-            Shape (n, columns). What is not finite counts as no sample.
+            Shape (n, columns). Non-finite values count as missing.
         """
         if not len(times):
             return
@@ -87,13 +87,13 @@ class Thinner:
         ring[place, :, 1] = np.fmax(ring[place, :, 1], np.fmax.reduceat(finite, starts, axis=0))
 
     def take(self) -> Slots:
-        """Slots that have closed since the last call."""
+        """Return the slots closed since the last call."""
         slots = self._between(self._taken, self._open)
         self._taken = self._open
         return slots
 
     def history(self) -> Slots:
-        """All slots that were taken and are still in the ring: what a new viewer gets before the next `take`."""
+        """Return all taken slots that are still in the ring, which a new viewer gets before the next `take`."""
         return self._between(max(self._begin, self._open - len(self._ring) + 1), self._taken)
 
     def _restart(self, slot: int) -> None:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the page is told in words and figures, besides the series: who commands, how the nodes are, how learning goes.
+"""Status of the graph for the page, besides the series: holder of the authority, state of the nodes, learning progress.
 
-All of it is bounded: the latest word of each node, and a curve of at most `CURVE` episodes.
+All of it is bounded: the latest status of each node, and a curve of at most `CURVE` episodes.
 """
 
 from __future__ import annotations
@@ -14,29 +14,29 @@ import msgspec
 from hydro_bridge.signals import CorrectionStatus, Flag
 
 CURVE = 1000
-"""Points of the learner's curve; of more, every second one stays."""
+"""Maximum number of points of the learning curve; beyond it every second one is dropped."""
 NODES = 32
-"""Nodes whose diagnostics are kept: those heard last."""
+"""Number of nodes whose diagnostics are kept: those heard last."""
 VALUES = 60
-"""Figures kept of each node."""
+"""Number of values kept of each node."""
 PHASES = ("waiting", "training", "evaluating", "paused", "finished")
 """TrainingStatus.phase in words."""
 DEAD_AFTER = 0.5
-"""s without a sample after which the plant counts as dead."""
+"""s without a sample after which the plant counts as lost."""
 
 
 def encoded(kind: str, content: Mapping[str, Any]) -> str:
-    """A message to the page; what is not finite becomes null."""
+    """Encode a message to the page; non-finite values become null."""
     return msgspec.json.encode({"kind": kind, **content}).decode()
 
 
 def flag_words(flags: int) -> list[str]:
-    """Flags that are set, as the page names them."""
+    """Return the page's names of the flags that are set."""
     return [str(flag.name).lower().replace("_", " ") for flag in Flag if flag & flags]
 
 
 class Curve:
-    """The learner's curve: what each finished episode came to."""
+    """Learning curve: results of the finished episodes."""
 
     def __init__(self) -> None:
         self.episodes: list[int] = []
@@ -45,9 +45,9 @@ class Curve:
         self._last = -1
 
     def add(self, episode: int, rmse: float, episode_return: float) -> None:
-        """Enter what a TrainingStatus says; `episode` is the one under way, the figures are those of the one before.
+        """Add a TrainingStatus; `episode` is the one in progress, the values are those of the one before.
 
-        An episode that falls back begins another run.
+        An episode number that falls back starts another run.
         """
         if episode < self._last:
             for series in (self.episodes, self.rmse, self.returns):
@@ -67,13 +67,13 @@ class Curve:
 
 
 class Nodes:
-    """The latest word of each node on /diagnostics."""
+    """Latest status of each node on /diagnostics."""
 
     def __init__(self) -> None:
         self._heard: dict[str, tuple[float, dict[str, Any]]] = {}
 
     def hear(self, name: str, level: int, message: str, values: Mapping[str, str], now: float) -> None:
-        """Enter a status; `now` [s] of any one clock."""
+        """Add a status; `now` [s] of any one clock."""
         kept = dict(list(values.items())[:VALUES])
         self._heard.pop(name, None)
         self._heard[name] = (now, {"name": name, "level": level, "message": message, "values": kept})
@@ -90,19 +90,19 @@ def _by_name(entry: tuple[float, dict[str, Any]]) -> str:
 
 
 class FilterCounts:
-    """What the filter decided, in words, over the last second or so."""
+    """Counts of the filter's decisions over about the last second, in words."""
 
     def __init__(self) -> None:
         self._counts = dict.fromkeys(CorrectionStatus, 0)
 
     def add(self, statuses: Mapping[int, int]) -> None:
-        """Enter how often each status came."""
+        """Add the counts of each status."""
         for status, count in statuses.items():
             if status in tuple(CorrectionStatus):
                 self._counts[CorrectionStatus(status)] += count
 
     def take(self) -> dict[str, int]:
-        """How often each came since the last call."""
+        """Return the counts of each status since the last call."""
         told = {status.name.lower(): count for status, count in self._counts.items() if count}
         self._counts = dict.fromkeys(CorrectionStatus, 0)
         return told

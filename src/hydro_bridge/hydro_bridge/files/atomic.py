@@ -10,15 +10,15 @@ from pathlib import Path
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write `content` to `path` atomically: it replaces the old file once it is on disk.
+    """Write `content` to `path` atomically: the old file is replaced once the new one is on disk.
 
-    What is no plain file (/dev/stdout, a pipe) is written through, as it is. A link stays, its file is replaced; a file
-    keeps its mode.
+    Anything but a regular file (/dev/stdout, a pipe) is written directly. A link is kept and its target replaced; a
+    file keeps its mode.
 
     Raises
     ------
     OSError
-        It cannot be written; what was there is as it was, and nothing is left beside it.
+        The file cannot be written; the previous one is unchanged, and no temporary file is left.
     """
     if path.absolute().parts[1] in ("dev", "proc") or (path.exists() and not path.is_file()):
         path.write_bytes(content)
@@ -36,14 +36,14 @@ def write_whole(path: Path, content: bytes) -> None:
     except OSError as error:
         with suppress(OSError):
             partial.unlink()
-        if error.filename is None:  # a full disk says only that it is full
+        if error.filename is None:  # the error of a full disk names no file
             error.filename = str(path)
         raise
     flush_folder(path.parent)
 
 
 def flush_folder(folder: Path) -> None:
-    """Flush a folder's entries to disk: until then a power failure can undo a rename."""
+    """Flush a folder's entries to disk; until then a power failure can undo a rename."""
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""bench.yaml as plain numbers, and the digest that names them: what box, model, metric and policy are compared by.
+"""bench.yaml as plain numbers, and its digest, by which box, model, metric and policy are matched.
 
-Names, units and ranges of the numbers are `model.bench`'s; a bridge only has to say which bench its box belongs to.
+Names, units and ranges of the numbers are defined in `model.bench`; a bridge only has to state its box's bench.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from hydro_bridge.errors import UserError
 
 _LISTS = ("effects", "closures")
 _ABOUT = "learned"
-"""What `learn` says of its file: no part of the bench."""
+"""Key under which `learn` describes its file; not part of the bench."""
 _UNSET: tuple[Any, ...] = (None, [], ())
 
 DIGITS = 12
-"""Of a digest: a mistaken pairing is not an attack."""
+"""Length of a digest: it detects mistaken pairings, not attacks."""
 
 
 def digest(bench: Mapping[str, Any]) -> str:
-    """SHA-256 of keys and values, its first 12 digits; what is not set counts as absent."""
+    """Return the first 12 digits of the SHA-256 of keys and values; unset values count as absent."""
     said = {key: value for key, value in bench.items() if value not in _UNSET and key != _ABOUT}
     numbers = {key: value if key in _LISTS else float(value) for key, value in said.items()}
     return hashlib.sha256(json.dumps(numbers, sort_keys=True).encode()).hexdigest()[:DIGITS]
 
 
 def read_numbers(path: str | Path) -> dict[str, Any]:
-    """Keys and numbers of a bench.yaml, its lists `effects` and `closures` as they stand there.
+    """Return keys and numbers of a bench.yaml, with its lists `effects` and `closures` unchanged.
 
     Raises
     ------
     UserError
-        It cannot be read, or is no mapping of keys to numbers.
+        The file cannot be read, or is not a mapping of keys to numbers.
     """
     try:
         content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
@@ -52,14 +52,14 @@ def read_numbers(path: str | Path) -> dict[str, Any]:
 
 
 def shipped() -> Path | None:
-    """The bench.yaml that hydro_sim installs, by the ament index; None where hydro_sim is not installed."""
+    """Return the bench.yaml installed by hydro_sim, by the ament index; None if hydro_sim is not installed."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)
     found = (Path(prefix, "share", "hydro_sim", "config", "bench.yaml") for prefix in prefixes if prefix)
     return next((path for path in found if path.is_file()), None)
 
 
 def _number(value: Any) -> float | None:
-    """YAML 1.1 as PyYAML reads it takes 1e9 for text."""
+    """Convert a number that PyYAML (YAML 1.1) reads as text, such as 1e9."""
     if isinstance(value, bool):
         raise ValueError(f"{value!r} is not a number")
     return None if value is None else float(value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings dataclasses as YAML: keys are strict, missing and unknown ones are told, with the nearest that is known."""
+"""Settings dataclasses as YAML, with strict keys: missing and unknown ones are reported, with the nearest known key."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 def read_yaml(path: str | Path) -> dict[str, Any]:
-    """Mapping that a YAML file holds.
+    """Return the mapping in a YAML file.
 
     Raises
     ------
@@ -68,20 +68,20 @@ def from_mapping(cls: type[T], data: object, where: str) -> T:
 
 
 def unknown_key(key: str, known: list[str], where: str) -> str:
-    """Sentence for a key that is not known, with the nearest one that is."""
+    """Return the sentence for an unknown key, with the nearest known one."""
     near = get_close_matches(key, known, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(known)}"
     return f"{where}.{key} is not a known setting; {hint}"
 
 
 def to_mapping(settings: Any) -> dict[str, Any]:
-    """Plain data of a settings dataclass, ready for YAML; None and empty entries are left out."""
+    """Return a settings dataclass as plain data for YAML, without None and empty entries."""
     result: dict[str, Any] = {}
     for field in dataclasses.fields(settings):
         value = getattr(settings, field.name)
         if isinstance(value, tuple) and all(map(dataclasses.is_dataclass, value)):
             items = [to_mapping(item) for item in value]
-            if items or field.default:  # no entries is what a default of none says anyway
+            if items or field.default:  # an empty entry equals the default
                 result[field.name] = items[0] if len(items) == 1 else items
         elif dataclasses.is_dataclass(value):
             result[field.name] = to_mapping(value)

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Validation of tensors read from policy, metric, model and agent files: present, of the right shape, finite.
 
-Whether files belong to one another is another question; this one is whether they are sound. Everything that is read as
-weights passes here before anything is done with it.
+Whether files belong together is checked elsewhere. All weights pass through here before they are used.
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ from typing import Any
 import numpy as np
 
 LARGEST = 1e30
-"""No number of ours is larger, in SI units or normalized; a larger one is a damaged file, and its square no number."""
+"""Largest valid number, in SI units or normalized; a larger one means a damaged file, and its square would overflow."""
 BOUNDS = ("low", "high")
-"""Tensors of these names may be infinite: no bound."""
+"""Names of tensors that may be infinite, which means unbounded."""
 
 
 class UnsoundError(ValueError):
-    """A file's numbers cannot be used; the message is one sentence about them, without the file's name."""
+    """A file's numbers are unusable; the message is one sentence about them, without the file's name."""
 
 
 def check_numbers(tensors: Mapping[str, Any]) -> None:
@@ -34,7 +33,7 @@ def check_numbers(tensors: Mapping[str, Any]) -> None:
 
 
 def check_shapes(tensors: Mapping[str, Any], shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise UnsoundError for the first tensor that is missing, or has another shape."""
+    """Raise UnsoundError for the first tensor that is missing or has the wrong shape."""
     for name, shape in shapes.items():
         if name not in tensors:
             raise UnsoundError(f"{name} is missing")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge's end of the serial line: state machine, latencies, clock synchronisation.
+"""Host side of the serial line: state machine, latencies, clock synchronisation.
 
 May import `serial` and `safety`; knows no ROS.
 """

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Clock synchronisation: box time to ROS time by way of the host's monotonic clock.
+"""Clock synchronisation from box time to ROS time, through the host's monotonic clock.
 
 ::
 
     box time ──BoxClock: slewed──> monotonic time ──HostClock: stepped when the host's clock is set──> ROS time
 
 A sample taken at box time b arrives at monotonic time a = b + offset + delay, and the delay is never negative. So the
-smallest a - b within a window is the best estimate of the offset, the quickest delivery's delay included; the window
-forgets, for the two clocks drift. The estimate is slewed and never stepped: stamps are strictly monotone and a
-sample's spacing stays the box's, until somebody sets the host's clock: then they follow at once.
+smallest a - b within a window is the best estimate of the offset, including the delay of the fastest delivery; the
+window is finite because the two clocks drift. The estimate is slewed and never stepped: stamps are strictly monotone
+and keep the box's sample spacing. Only when the host's clock is set do they step with it.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ class BoxClock:
     """Maps box time to the host's monotonic time."""
 
     window: float = 2.0
-    """s of samples in which the quickest delivery is looked for, [0.1, 60]; at 50 ppm of drift 2 s are worth 0.1 ms."""
+    """s, window for the fastest delivery, [0.1, 60]; at 50 ppm the clocks drift by 0.1 ms in 2 s."""
     slew: float = 0.05
-    """Share of the time passed by which the offset may change, (0, 0.5]: 5 % is 50 us a sample."""
+    """Maximum rate of change of the offset, (0, 0.5]: 5 % is 50 us per sample."""
     _quickest: deque[tuple[int, int]] = field(default_factory=deque)
-    """(box time [us], offset [ns]) with ascending offsets: the first is the smallest of the window."""
+    """(box time [us], offset [ns]) with ascending offsets; the first is the smallest of the window."""
     _offset: int = 0
     _last_us: int | None = None
 
     def reset(self) -> None:
-        """Forget the mapping: a new connection or a restarted box."""
+        """Discard the mapping, after a new connection or a restart of the box."""
         self._quickest.clear()
         self._last_us = None
 
     def stamp(self, box_us: int, arrival_ns: int) -> int:
-        """Monotonic time of a sample.
+        """Return the monotonic time of a sample.
 
         Parameters
         ----------
@@ -49,7 +49,7 @@ class BoxClock:
 
         Returns
         -------
-        Monotonic time at which it was taken, as far as can be told, ns, ascending.
+        Estimated monotonic time at which it was taken, ns, ascending.
         """
         best = self._best(box_us, arrival_ns - 1000 * box_us)
         if self._last_us is None:
@@ -61,7 +61,7 @@ class BoxClock:
         return 1000 * box_us + self._offset
 
     def _best(self, box_us: int, offset: int) -> int:
-        """Smallest offset within the window, this one included."""
+        """Return the smallest offset within the window, this one included."""
         queue = self._quickest
         while queue and queue[-1][1] >= offset:
             queue.pop()
@@ -72,9 +72,9 @@ class BoxClock:
 
 
 class HostClock:
-    """Maps the host's monotonic time to ROS time, and notices when somebody sets the host's clock.
+    """Maps the host's monotonic time to ROS time, and detects when the host's clock is set.
 
-    NTP slews both clocks alike, so that their difference is constant but for steps.
+    NTP slews both clocks alike, so that their difference changes only by steps.
 
     Parameters
     ----------
@@ -83,8 +83,8 @@ class HostClock:
     """
 
     STEP = 1_000_000
-    """ns by which the difference has to have changed: what reading two clocks one after the other leaves is less."""
-    _READING = 100_000  # ns that reading both may take; what takes longer was interrupted
+    """ns, change of the difference that counts as a step; the error of reading two clocks in turn is smaller."""
+    _READING = 100_000  # ns that reading both may take; a longer reading was interrupted
 
     def __init__(
         self, wall: Callable[[], int] = time.time_ns, monotonic: Callable[[], int] = time.monotonic_ns
@@ -96,7 +96,7 @@ class HostClock:
         self._offset = offset
 
     def look(self) -> int:
-        """Look at both clocks, once a sample or so: by how much the host's clock was set since, ns; mostly 0."""
+        """Read both clocks, about once per sample; return the step of the host's clock since, ns, mostly 0."""
         offset = self._read()
         step = 0 if offset is None else offset - self._offset
         if abs(step) < self.STEP:
@@ -105,16 +105,16 @@ class HostClock:
         return step
 
     def ros_time(self, monotonic_ns: int) -> int:
-        """ROS time [ns] of a moment of the monotonic clock [ns]."""
+        """Return the ROS time [ns] for a monotonic time [ns]."""
         return monotonic_ns + self._offset
 
     def _read(self) -> int | None:
-        """Wall time minus monotonic time, ns; None if this thread was interrupted between the two."""
+        """Return wall time minus monotonic time, ns; None if this thread was interrupted between the two readings."""
         before = self._monotonic()
         wall = self._wall()
         return wall - before if self._monotonic() - before <= self._READING else None
 
 
 def clock_step_message(step_ns: int) -> str:
-    """Sentence for the log on a step that `HostClock.look` has found."""
+    """Return the log sentence for a step found by `HostClock.look`."""
     return f"the host's clock was set by {1e-9 * step_ns:+.3f} s: the samples' stamps follow at once"

@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bridge's end of the serial line: the state machine of protocol.md, without ROS.
+"""Host side of the serial line: the state machine of protocol.md, without ROS.
 
-One thread runs `run`: it opens the port, negotiates, hands each new sample on and sees to it that a command follows
-each sample. Other threads tell the guard what is wanted (under `lock`) and may `send` at once. CLOSED -> OPEN ->
-CONNECTED.
+One thread runs `run`: it opens the port, negotiates, passes on each new sample and ensures that a command follows each
+sample. Other threads set the guard's inputs (under `lock`) and may `send` at once. CLOSED -> OPEN -> CONNECTED.
 """
 
 from __future__ import annotations
@@ -51,13 +50,13 @@ class LinkState(Enum):
 
 @dataclass
 class LinkReport:
-    """Statistics of a link since it was created; `LinkCounts` has those of the byte stream."""
+    """Statistics of a link since its creation; `LinkCounts` has those of the byte stream."""
 
     reconnects: int = 0
     """Connections after the first."""
     commands: int = 0
     heartbeats: int = 0
-    """Commands sent because no correction came in time."""
+    """Commands sent because no correction arrived in time."""
     times: LinkTimes = field(default_factory=LinkTimes)
 
 
@@ -78,7 +77,7 @@ class Link:
     warn
         Called with a sentence when something is wrong; `log` by default.
     on_box
-        Called in the thread of `run` at each connection with what the box says of itself.
+        Called in the thread of `run` at each connection with the box's self-description.
     """
 
     def __init__(
@@ -98,10 +97,10 @@ class Link:
         self.clock, self.host_clock = BoxClock(), HostClock()
         self.box: BoxInfo | None = None
         self.details: BoxDetails | None = None
-        """What the box says from version 2 on; None of a box of version 1."""
+        """The box's DETAILS, from version 2 on; None for a box of version 1."""
         self.version = VERSION_MIN
         self.refused: tuple[int | None, int | None] = (None, None)
-        """Values and references that the box refused since its power-on; None: a box of version 1 cannot tell."""
+        """Values and references that the box refused since its power-on; None: not reported by a box of version 1."""
         self.state = LinkState.CLOSED
         self.flags = Flag(0)
         self._wanted_limits = guard.settings
@@ -114,10 +113,10 @@ class Link:
         self._connected_before = False
         self._complaint = ""
         self._greeted: BoxInfo | None = None
-        """HELLO of a box of version 2, until its DETAILS come."""
+        """HELLO of a box of version 2, until its DETAILS arrive."""
 
     def run(self) -> None:
-        """Keep the line open until `stop`; the body of the serial thread."""
+        """Keep the line open until `stop`; body of the serial thread."""
         backoff = self.port.settings.backoff_first
         while not self._stopping.is_set():
             try:
@@ -140,7 +139,7 @@ class Link:
         self._stopping.set()
 
     def send(self, corrects: int | None = None) -> None:
-        """Send what the guard allows now; `corrects` is the sample whose correction has just come."""
+        """Send the command that the guard allows now; `corrects` is the sample whose correction has just arrived."""
         with self.lock:
             if corrects is not None:
                 self._corrected = True
@@ -153,12 +152,12 @@ class Link:
                 if not self.port.write(frame):
                     return
             except PortLostError:
-                return  # the reading thread notices too, and reopens
+                return  # the reading thread detects it as well, and reopens
             self.report.commands += 1
             self.report.times.command_sent(self._sequence, corrects, time.monotonic())
 
     def arm(self, arm: bool, timeout: float = 0.5) -> str:
-        """Arm or disarm, and wait for the box to confirm; why it did not, or nothing. Not for the thread of `run`."""
+        """Arm or disarm, await the box's confirmation and return why it failed, or nothing. Not for `run`'s thread."""
         with self.lock:
             if arm and self.state is not LinkState.CONNECTED:
                 return f"there is no box: the port is {self.state.value}"
@@ -219,18 +218,18 @@ class Link:
         stale = 0 if self.guard.correction_fresh(now) else Flag.FILTER_STALE
         self._note_flags(Flag(frame.flags | stale))
         self._on_state(frame, self._stamp(frame), int(self.flags))
-        if missed:  # no correction came for the sample before: the box hears from us all the same
+        if missed:  # no correction for the previous sample: a command is sent regardless
             self.report.heartbeats += 1
             self.send()
 
     def _note_refused(self, frame: State) -> None:
-        """Say once per connection that the box refuses references; what it counts is on /diagnostics."""
+        """Report once per connection that the box refuses references; its counts are on /diagnostics."""
         before, self.refused = self.refused, (frame.refused, frame.refused_references)
         if before[1] == 0 and (frame.refused_references or 0) > 0:
             self._warn("the box refused a reference: the one before stays in force")
 
     def _stamp(self, frame: State) -> int:
-        """ROS time [ns] at which the sample was taken."""
+        """Return the ROS time [ns] at which the sample was taken."""
         step = self.host_clock.look()
         if step:
             self._warn(clock_step_message(step))
@@ -248,7 +247,7 @@ class Link:
             self._restarted()
         if version == VERSION_MIN:
             self._connect(version, info, None)
-        elif frame.sequence != 0:  # what a box says at power-on has no DETAILS behind it
+        elif frame.sequence != 0:  # the HELLO at power-on is not followed by DETAILS
             if self._greeted is not None:
                 self._complain(NO_DETAILS)
             self._greeted = info
@@ -283,7 +282,7 @@ class Link:
                 self._news.notify_all()
 
     def _restarted(self) -> None:
-        """Disarm, and begin the conversation anew: the box may have forgotten the version, or be another one."""
+        """Disarm and restart the conversation: the box may have lost the version, or be another one."""
         self._warn("the box was restarted, by itself or by its power: it is disarmed until armed anew")
         with self.lock:
             self.guard.set_arm(False)
@@ -294,7 +293,7 @@ class Link:
 
     def _disconnect(self) -> None:
         with self.lock:
-            self.guard.set_arm(False)  # before anyone can see that the line is closed
+            self.guard.set_arm(False)  # before the closed line becomes visible
             self.state = LinkState.CLOSED
             self.port.close()
         with self._news:
@@ -314,7 +313,7 @@ class Link:
         self.refused = (None, None)
 
     def _complain(self, sentence: str) -> None:
-        """Say what is wrong once, not at every attempt."""
+        """Report a fault once, not at every attempt."""
         if sentence != self._complaint:
             self._complaint = sentence
             self._warn(sentence)

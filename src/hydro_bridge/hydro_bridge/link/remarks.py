@@ -17,7 +17,7 @@ MISSED = (
 
 
 def connection_remarks(wanted: GuardSettings, info: BoxInfo, details: BoxDetails | None) -> list[str]:
-    """Sentences for the log; none for a version 2 box that allows everything the guard is set to."""
+    """Return sentences for the log; none for a version 2 box that allows everything the guard is set to."""
     said = [] if details else [MISSED]
     allowed = narrowed(wanted, info)
     changed = [

@@ -8,23 +8,23 @@ from dataclasses import dataclass, field
 
 from hydro_bridge.process.latency import Latency
 
-_RECENT = 256  # samples and commands that are remembered
+_RECENT = 256  # number of samples and commands kept
 _WRAP = 0xFFFFFFFF
 
 
 @dataclass
 class LinkTimes:
-    """Two durations, measured at every sample. Times are seconds of one monotonic clock."""
+    """Two latencies, measured at every sample. Times are seconds of one monotonic clock."""
 
     turnaround: Latency = field(default_factory=Latency)
-    """State frame in to the command frame that corrects it out: publishing, the filter, and back."""
+    """From receiving a state frame to sending the command frame that corrects it: publishing, the filter, and back."""
     round_trip: Latency = field(default_factory=Latency)
-    """Command frame out to the first state frame in that confirms it; up to one sample of it is the box's own."""
+    """From sending a command frame to the first state frame that confirms it; up to one sample of it is the box's."""
     _arrived: dict[int, float] = field(default_factory=dict)
     _sent: deque[tuple[int, float]] = field(default_factory=lambda: deque(maxlen=_RECENT))
 
     def state_arrived(self, sequence: int, last_command: int, now: float) -> None:
-        """Note a sample, and the newest command that the box had when it was taken."""
+        """Record a sample, and the newest command that the box had received by then."""
         self._arrived[sequence] = now
         self._arrived.pop((sequence - _RECENT) & _WRAP, None)
         while self._sent and (last_command - self._sent[0][0]) & _WRAP < _RECENT:
@@ -33,13 +33,13 @@ class LinkTimes:
                 self.round_trip.add(now - at)
 
     def command_sent(self, sequence: int, corrects: int | None, now: float) -> None:
-        """Note a command, and the sample for whose correction it was sent at once."""
+        """Record a command, and the sample whose correction triggered it."""
         self._sent.append((sequence, now))
         arrived = self._arrived.get(corrects) if corrects is not None else None
         if arrived is not None:
             self.turnaround.add(now - arrived)
 
     def forget(self) -> None:
-        """Forget what is under way: sequence numbers begin anew."""
+        """Discard pending measurements: sequence numbers restart."""
         self._arrived.clear()
         self._sent.clear()

@@ -23,7 +23,7 @@ from hydro_msgs.srv import Claim
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Build the parser of the command line."""
     result = argparse.ArgumentParser(prog="arm", description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     result.add_argument("--off", action="store_true", help="disarm: the valve closes")
     result.add_argument("--for", dest="whom", default="", metavar="NODE", help="arm only if this node commands it")
@@ -55,12 +55,12 @@ def main() -> None:
 
 
 def ask(node: Node, *, arm: bool, timeout: float, whom: str = "") -> str:
-    """Ask the plant, and arm it only if `whom` commands it where one is named; what it says.
+    """Ask the plant to arm or disarm, and return its answer; if `whom` is named, arm only if that node commands it.
 
     Raises
     ------
     UserError
-        There is no plant, or none that answers within `timeout` [s], or it refuses.
+        There is no plant, it does not answer within `timeout` [s], or it refuses.
     """
     client = node.create_client(Claim, CLAIM_SERVICE)
     act = Claim.Request.ARM if arm else Claim.Request.DISARM

@@ -32,7 +32,7 @@ class BridgeSide(Link):
     """A link with its status for /diagnostics."""
 
     foreign = ""
-    """How the box differs from its bench file, if it does."""
+    """Differences between the box and its bench file, if any."""
 
     def status(self) -> Status:
         """See `hydro_bridge.nodes.plant_node.PlantSide`."""
@@ -77,7 +77,7 @@ class BridgeSide(Link):
 
 
 class BridgeNode(PlantNode):
-    """Plant node over a serial line; `bench` are the numbers of the bench file that belongs to the box, if known."""
+    """Plant node over a serial line; `bench` holds the numbers of the box's bench file, if known."""
 
     def __init__(self, settings: PortSettings, bench: Mapping[str, Any] | None = None, *, realtime: bool) -> None:
         super().__init__("bridge")
@@ -95,7 +95,7 @@ class BridgeNode(PlantNode):
         self._thread = threading.Thread(target=self.link.run, name="serial", daemon=True)
 
     def begin(self) -> None:
-        """Open the port and greet the box, which disarms one that is in use: not before all settings are right."""
+        """Open the port and greet the box, which disarms a box in use; call only once all settings are checked."""
         self._thread.start()
 
     def close(self) -> None:
@@ -108,7 +108,7 @@ class BridgeNode(PlantNode):
         self.publish_state(stamp_ns, sample.sequence, sample.values, flags)
 
     def _on_box(self, info: BoxInfo) -> None:
-        """At each connection: another box may be there now."""
+        """Handle a new connection, possibly to another box."""
         self.link.foreign = differences(info, self._bench, self.link.details)
         if self.link.foreign:
             self.get_logger().warning(
@@ -119,11 +119,11 @@ class BridgeNode(PlantNode):
 
 @dataclass(frozen=True, kw_only=True)
 class BridgeOptions:
-    """What the command line asks for."""
+    """Options of the command line."""
 
     port: PortSettings
     bench: Path | None
-    """bench.yaml that belongs to the box; None: none was given, and none is installed."""
+    """bench.yaml of the box; None: none was given, and none is installed."""
     realtime: bool
 
 
@@ -148,9 +148,9 @@ def arguments(own: Sequence[str]) -> BridgeOptions:
 
 
 def refuse_unusable_port(settings: PortSettings, patience: float = 2.0) -> None:
-    """End if the path is no serial port, or if another program has the port for `patience` [s].
+    """End the program if the path is not a serial port, or if another program keeps the port for `patience` [s].
 
-    A second bridge would answer /hydro/arm beside the first. A port that is not there may still come: the link waits.
+    A second bridge would answer /hydro/arm as well. A missing port may still appear: the link waits for it.
     """
     if (kind := no_port(settings.path)) is not None:
         raise UserError(f"{settings.path} is {kind}, not a serial port")

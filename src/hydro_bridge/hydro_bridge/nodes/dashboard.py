@@ -30,12 +30,12 @@ HOST = "127.0.0.1"
 
 
 class DashboardNode(Node):
-    """Moves what it hears to the page, and the page's commands to the plant; publishes nothing but its diagnostics.
+    """Passes messages of the graph to the page, and the page's commands to the plant; publishes only its diagnostics.
 
     Parameters
     ----------
     host, port
-        Where the page is served.
+        Address of the page.
     """
 
     def __init__(self, host: str, port: int | None) -> None:
@@ -53,7 +53,7 @@ class DashboardNode(Node):
         print(f"the live page: {self._server.address}#token={rules.token}", flush=True)
 
     def close(self) -> None:
-        """Leave the viewers."""
+        """Disconnect the viewers."""
         self._feed.close()
         self._server.close()
 
@@ -69,7 +69,7 @@ def _port(text: str) -> int:
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Build the parser of the command line."""
     result = argparse.ArgumentParser(
         prog="dashboard", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
     )

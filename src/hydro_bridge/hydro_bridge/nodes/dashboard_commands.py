@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Carries out a page's commands through the services that people use: /hydro/claim, /hydro/override, /hydro/end."""
+"""Execution of a page's commands through the public services /hydro/claim, /hydro/override and /hydro/end."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ _NO_RUN = "nobody commands the plant: there is no run here"
 
 
 class PageCommands:
-    """Asks, and tells the page what was answered.
+    """Calls the services and returns their answers to the page.
 
     Parameters
     ----------
     node
-        Asks on the page's behalf.
+        Calls the services on the page's behalf.
     rules
-        What is let through.
+        Decides which commands are accepted.
     epoch
-        The plant's present one; 0: none.
+        Returns the plant's present epoch; 0: none.
     holder
-        Who commands the plant; the one that a page's override is meant for.
+        Returns the holder of the authority, for whom a page's override is meant.
     """
 
     def __init__(self, node: Node, rules: Rules, epoch: Callable[[], int], holder: Callable[[], str]) -> None:
@@ -47,7 +47,7 @@ class PageCommands:
         self._end = node.create_client(Trigger, END_SERVICE)
 
     def act(self, text: str | bytes) -> Promise[str]:
-        """Carry out a command as it came, in the caller's thread; what the page is told comes later."""
+        """Execute a received command in the caller's thread; the answer for the page follows later."""
         told: Promise[str] = Promise()
         command = PageCommand(command="")
         try:
@@ -100,7 +100,7 @@ class PageCommands:
 
 
 def _settle(told: Promise[str], answer: str) -> None:
-    """The first answer counts: the plant's and the time-out's come in two threads."""
+    """Set the first answer only: the plant's and the time-out's arrive in two threads."""
     with suppress(InvalidStateError):
         told.set_result(answer)
 

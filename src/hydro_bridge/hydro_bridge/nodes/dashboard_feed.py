@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the dashboard hears, made into frames for the page, 20 times a second."""
+"""Conversion of received messages into frames for the page, 20 times a second."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ _SHOWN = (STATE, CORRECTION, GAINS, REFERENCE)
 
 
 class Feed:
-    """Hears the graph, and keeps what a page shows.
+    """Subscribes to the graph and keeps the data that a page shows.
 
     Parameters
     ----------
     node
-        Hears what is rare; `Samples` hears the rest.
+        Subscribes to the infrequent topics; `Samples` to the others.
     """
 
     def __init__(self, node: Node) -> None:
@@ -64,21 +64,21 @@ class Feed:
 
     @property
     def epoch(self) -> int:
-        """Of the plant's session; 0: no plant has said it."""
+        """Epoch of the plant's session; 0: not announced."""
         return int(self._authority.epoch)
 
     @property
     def holder(self) -> str:
-        """Name of who commands the plant; empty: nobody."""
+        """Name of the node that commands the plant; empty: none."""
         return str(self._authority.holder)
 
     def serve(self, server: PageServer) -> None:
-        """From now on give `server` its frames."""
+        """Start sending frames to `server`."""
         self._server = server
         self._node.create_timer(PERIOD, self._frame, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def counts(self) -> dict[str, object]:
-        """For /diagnostics."""
+        """Counts for /diagnostics."""
         return {"frames": self._frames, "samples": self._samples.count, "samples missed": self._samples.lost}
 
     def close(self) -> None:
@@ -104,7 +104,7 @@ class Feed:
         self._server.publish(frames, partial(self._welcome, now))
 
     def _welcome(self, now: float) -> list[str | bytes]:
-        """What a page needs first: names and units, the last minute, the words."""
+        """Return the initial content of a page: names and units, the last minute, the status texts."""
         hello = {"slot": SLOT, "series": series.described()}
         told: list[str | bytes] = [words.encoded("hello", hello)]
         for number, thinned in enumerate(self._samples.series):
@@ -144,7 +144,7 @@ class Feed:
         self._believe()
 
     def _believe(self) -> None:
-        """Of two plants none is believed; the last word counts once there is one again."""
+        """Ignore the authority's messages of two plants; the latest counts once there is only one again."""
         if self._words_heard.get_publisher_count() <= 1:
             self._authority = self._word
 

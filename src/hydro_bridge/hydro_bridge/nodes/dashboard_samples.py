@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Samples and corrections as the dashboard hears them: the series of its plots, and what is counted.
+"""Samples and corrections received by the dashboard: the series of its plots, and their counts.
 
-They wait serialized in the middleware's queue until the next frame takes them all: nothing of ours runs at 1 kHz.
-The queue is bounded and best-effort: whatever happens to this process, who publishes does not notice.
+They stay serialized in the middleware's queue until the next frame takes them all, so that no callback runs at 1 kHz.
+The queue is bounded and best-effort: this process cannot affect the publishers.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _NO_SERVICES = Parameter("start_type_description_service", value=False)
 
 
 class Samples:
-    """Takes what has come since the last frame, by a node of its own that is never spun."""
+    """Takes the messages received since the last frame, through a separate node that is never spun."""
 
     def __init__(self) -> None:
         self._listener = Node(
@@ -45,15 +45,15 @@ class Samples:
             Thinner(len(series.STATE_COLUMNS) + len(series.STATE_EXTRA)),
             Thinner(len(series.CORRECTION_COLUMNS)),
         )
-        """Of the samples and of the corrections."""
+        """Thinners of the samples and of the corrections."""
         self.decided = words.FilterCounts()
         self.taken_at = -inf
-        """s, monotonic: when the last sample was taken."""
+        """s, monotonic time at which the last sample was taken."""
         self.flags = 0
-        """Of the last sample."""
+        """Flags of the last sample."""
         self.count = 0
         self.lost = 0
-        """Samples that are missing in the sequence."""
+        """Samples missing in the sequence."""
 
     @property
     def contested(self) -> bool:
@@ -61,7 +61,7 @@ class Samples:
         return bool(self._states.get_publisher_count() > 1)
 
     def take(self, now: float) -> None:
-        """Take all that waits at `now` [s, monotonic]."""
+        """Take all queued messages at `now` [s, monotonic]."""
         self._take_states(now)
         self._take_corrections()
 
@@ -79,7 +79,7 @@ class Samples:
             return
         try:
             table = self._decode_states.table(messages)
-        except ValueError:  # another plant's version: no sample that we know
+        except ValueError:  # from a plant of another version: unknown layout
             return
         sequence = table["sequence"].astype(np.int64)
         gaps = np.diff(sequence, prepend=self._sequence if self._sequence >= 0 else sequence[0] - 1) - 1
@@ -101,7 +101,7 @@ class Samples:
 
 
 def _all(subscription: Subscription) -> list[bytes]:
-    """What waits, at most one queue of it."""
+    """Return the queued messages, at most one queue of them."""
     messages: list[bytes] = []
     with subscription.handle:
         while len(messages) < QUEUE and (taken := subscription.handle.take_message(subscription.msg_type, True)):
@@ -110,4 +110,4 @@ def _all(subscription: Subscription) -> list[bytes]:
 
 
 def _never(_: object) -> None:
-    """Nobody spins the node of the samples."""
+    """Callback that is never called: the node of the samples is not spun."""

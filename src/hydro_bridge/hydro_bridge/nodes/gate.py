@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Filters the commands that reach a plant: only the authority's, with its session's epoch, from a single publisher.
+"""Filter of the commands to a plant: only the holder's, with its session's epoch, from a single publisher.
 
 ::
 
-    /hydro/claim      take the authority, arm with it, give it back; disarm, for anybody, by name
-    /hydro/authority  who has it, and the epoch that commands must carry
-    /hydro/arm        disarms for anybody, at once; arms for nobody
+    /hydro/claim      take the authority, arm with it, give it back; disarming is open to any named caller
+    /hydro/authority  its holder, and the epoch that commands must carry
+    /hydro/arm        disarms at once for any caller; never arms
 
-Before a message can come its publisher is matched with the subscription: so a second publisher is known by the time its
-first message is here, and a topic with two is believed no more. What was armed is then disarmed.
+A publisher is matched with the subscription before its messages can arrive. A second publisher is therefore known by
+the time of its first message; commands on a topic with two are then ignored, and an armed plant is disarmed.
 """
 
 from __future__ import annotations
@@ -38,34 +38,34 @@ from hydro_bridge.signals import ReferenceSignal
 from hydro_msgs.srv import Claim
 
 BY_NAME = "nothing is armed by this service: arm by name, `ros2 run hydro_bridge arm`"
-_LOOK = 0.1  # s, between two looks at who publishes
+_LOOK = 0.1  # s between two checks of the publishers
 
 
 class Plant(Protocol):
-    """What is armed; see `hydro_bridge.nodes.plant_node.PlantSide`."""
+    """Plant that is armed and disarmed; see `hydro_bridge.nodes.plant_node.PlantSide`."""
 
     guard: CommandGuard
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
-        """Held while the guard is told or asked."""
+        """Lock held while the guard is used."""
 
     def send(self, corrects: int | None = None) -> None:
-        """A new command may go down now."""
+        """Send the guard's present command at once."""
 
     def arm(self, arm: bool) -> str:
-        """Arm or disarm; why it did not work, or nothing."""
+        """Arm or disarm; return why it failed, or nothing."""
 
 
 class Gate:
-    """The authority over one plant, on the graph.
+    """ROS interface of the authority over one plant.
 
     Parameters
     ----------
     node
-        The plant's.
+        Node of the plant.
     plant
-        What is armed and disarmed.
+        Plant that is armed and disarmed.
     tripped
         Whether the box has disarmed by itself.
     """
@@ -84,11 +84,11 @@ class Gate:
         node.create_timer(1.0, self._words.tell_refused, clock=self._clock)
 
     def listen(self, topic: str, subscription: Subscription) -> None:
-        """`subscription` is where commands of `topic` come from."""
+        """Register `subscription` as the source of the commands of `topic`."""
         self._heard[topic] = subscription
 
     def admits(self, topic: str, epoch: int) -> bool:
-        """Whether a command that has just come is to be taken; a second publisher of its topic ends the session."""
+        """Return whether to accept a received command; a second publisher of its topic ends the session."""
         if self._heard[topic].get_publisher_count() > 1:
             self.authority.refused[topic] += 1
             self._give_up(topic)
@@ -96,16 +96,16 @@ class Gate:
         self._follow()
         now = self._now()
         admitted = self.authority.admits(topic, epoch, now)
-        if admitted and topic != CORRECTION:  # the filter goes on without the holder
+        if admitted and topic != CORRECTION:  # the filter continues without the holder
             self.authority.hear(now)
         return admitted
 
     def crowd(self) -> str:
-        """Which topics have more than one publisher, in a sentence; empty if none has."""
+        """Return a sentence about the topics with more than one publisher; empty if there is none."""
         return publisher_conflicts(self._node, *COMMANDS, STATE, AUTHORITY)
 
     def values(self) -> dict[str, object]:
-        """For /diagnostics."""
+        """Values for /diagnostics."""
         refused = {f"refused {topic}": self.authority.refused[topic] for topic in COMMANDS}
         return {"authority": self.authority.holder or "nobody", **refused}
 
@@ -168,7 +168,7 @@ class Gate:
         return trouble
 
     def _begin_anew(self, *, succeeds: bool) -> None:
-        """Nobody inherits a reference, nor, from a holder that has fallen silent, an armed plant."""
+        """Reset the plant when its holder changes: no reference, and after a silent holder no armed plant, remains."""
         if succeeds and self._plant.guard.armed:
             self._plant.arm(False)
         with self._plant.lock:
@@ -179,7 +179,7 @@ class Gate:
         self._follow()
         before, self._crowd = self._crowd, self.crowd()
         if before and not self._crowd:
-            self._words.tell()  # whoever heard a false word on the authority hears the true one again
+            self._words.tell()  # corrects any false message about the authority
         if self._armed:
             if self._crowd:
                 self._give_up(STATE)
@@ -189,7 +189,7 @@ class Gate:
             self._words.tell()
 
     def _follow(self) -> None:
-        """The session ends with a disarm, whoever asked for it, and with a trip."""
+        """End the session on a disarm, whoever requested it, and on a trip."""
         before, self._armed = self._armed, self._plant.guard.armed and not self._tripped()
         if before and not self._armed:
             self.authority.end(self._now())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Announcements about authority: the holder on /hydro/authority, grants and refusals in the log."""
+"""Announcements about the authority: its holder on /hydro/authority, grants and refusals in the log."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hydro_bridge.safety.authority import Authority
 from hydro_msgs.msg import Authority as AuthorityMessage
 
 _NEWCOMERS = 50
-"""Corrections a second without the epoch that are not told: those of a filter that has not heard of it yet."""
+"""Corrections per second without the epoch that are not reported: those of a filter that has not received it yet."""
 
 
 class GateWords:
@@ -21,9 +21,9 @@ class GateWords:
     Parameters
     ----------
     node
-        The plant's.
+        Node of the plant.
     authority
-        What is told of.
+        Authority that is announced.
     """
 
     def __init__(self, node: Node, authority: Authority) -> None:
@@ -34,7 +34,7 @@ class GateWords:
         self._calls = node.get_logger().get_child(CALLS)
 
     def tell(self) -> None:
-        """Publish who commands, and the epoch that commands must carry now."""
+        """Publish the holder, and the epoch that commands must carry now."""
         authority = self._authority
         message = AuthorityMessage(holder=authority.holder, claim=authority.claim, epoch=authority.epoch)
         message.header.stamp = self._node.get_clock().now().to_msg()
@@ -42,10 +42,10 @@ class GateWords:
         self._last = ""
 
     def tell_refused(self) -> None:
-        """Log how many commands were refused since the last call, and who publishes these topics.
+        """Log how many commands were refused since the last call, and the publishers of these topics.
 
-        They are told again who commands: a word of a plant that was started anew is not believed while the one before,
-        killed, still stands in the graph, and the new one does not know of that.
+        The holder is announced again: messages of a restarted plant are ignored while its killed predecessor is still
+        in the graph, and the new plant cannot know that.
         """
         news = self._authority.refused - self._told
         if news:
@@ -65,7 +65,7 @@ class GateWords:
         self._node.get_logger().info(sentence)
 
     def called(self, who: str, answer: str) -> None:
-        """Log who asked for something and the answer, once until things change: some ask again and again."""
+        """Log a caller's request and the answer, once until either changes: some callers repeat their requests."""
         sentence = f"{who}: {answer}"
         if sentence != self._last:
             self._calls.info(sentence)

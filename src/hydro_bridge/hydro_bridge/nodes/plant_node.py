@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ROS interface of every plant: the bridge's serial line and the simulation stand behind the same node.
+"""ROS interface of every plant: the bridge's serial line and the simulation use the same node.
 
 ::
 
@@ -7,8 +7,8 @@
     /hydro/claim, /hydro/arm ─────────────────────────> gate     ├─ PlantSide (a serial line, a simulation)
     /hydro/state, /hydro/box <────── publish_state, publish_box ──┘
 
-Whose commands are taken is the gate's to say. Where two nodes publish one of these topics nothing is armed, it is an
-ERROR, and what was armed already is disarmed.
+The gate decides whose commands are accepted. While two nodes publish one of these topics the status is ERROR, nothing
+can be armed, and an armed plant is disarmed.
 """
 
 from __future__ import annotations
@@ -49,26 +49,26 @@ from hydro_msgs.msg import BenchState, BoxInfo, Correction, Gains, ReferenceSign
 
 
 class PlantSide(Protocol):
-    """The plant behind a plant node; it runs in its own thread."""
+    """Plant behind a plant node; it runs in its own thread."""
 
     guard: CommandGuard
 
     @property
     def lock(self) -> AbstractContextManager[Any]:
-        """Held while the guard is told or asked."""
+        """Lock held while the guard is used."""
 
     def send(self, corrects: int | None = None) -> None:
-        """A new command may go down now; `corrects` is the sample whose correction has just come."""
+        """Send the guard's present command; `corrects` is the sample whose correction has just arrived."""
 
     def arm(self, arm: bool) -> str:
-        """Arm or disarm, and wait for the box to confirm; why it did not, or nothing."""
+        """Arm or disarm and wait for the box's confirmation; return why it failed, or nothing."""
 
     def status(self) -> Status:
-        """How it is doing, for /diagnostics."""
+        """Status for /diagnostics."""
 
 
 class PlantNode(Node):
-    """Publishes /hydro/state and /hydro/box, takes gains, corrections, reference and arming.
+    """Publishes /hydro/state and /hydro/box; receives gains, corrections, reference and arming.
 
     Call `connect` once the plant's side exists; nothing is subscribed before.
     """
@@ -81,7 +81,7 @@ class PlantNode(Node):
         self._flags, self._tripped = 0, False
 
     def connect(self, side: PlantSide, clock: Callable[[], float] = time.monotonic) -> None:
-        """Take commands for `side`, and report on it; `clock` is the guard's [s]."""
+        """Accept commands for `side`, and report its status; `clock` is the guard's [s]."""
         self.side, self._now = side, clock
         limits = side.guard.settings
         self.get_logger().info(
@@ -93,21 +93,21 @@ class PlantNode(Node):
         correction = self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
         reference = self.create_subscription(ReferenceSignal, REFERENCE, self._on_reference, REFERENCE_QOS)
         for topic, heard in ((GAINS, gains), (CORRECTION, correction), (REFERENCE, reference)):
-            self.gate.listen(topic, heard)  # nothing is called before the node is spun
+            self.gate.listen(topic, heard)  # no callback runs before the node is spun
         self.create_timer(0.1, self._tell_events, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.diagnostics = DiagnosticsPublisher(self, self._status)
 
     def publish_state(self, stamp_ns: int, sequence: int, values: Sequence[float], flags: int) -> None:
-        """Publish one sample; `values` in STATE_FIELDS order. Called from one thread only, the plant's."""
+        """Publish one sample; `values` in STATE_FIELDS order. Call from the plant's thread only."""
         self._flags = flags
         self._publisher.publish(self._state.fill(stamp_ns, sequence, values, flags))
 
     def publish_box(self, box: KnownBox) -> None:
-        """Say which box this is and what it believes: at the start, and anew when another may have come."""
+        """Publish the box's identity and assumed bench: at the start, and whenever it may be another box."""
         self._box_publisher.publish(box_to_message(box, self.get_clock().now().to_msg()))
 
     def gained(self) -> None:
-        """Called when gains have been taken."""
+        """Hook, called when gains have been accepted."""
 
     def _on_gains(self, message: Gains) -> None:
         if not self.gate.admits(GAINS, message.epoch):

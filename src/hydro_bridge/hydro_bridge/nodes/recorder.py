@@ -36,20 +36,20 @@ from hydro_bridge.ros import (
     warn_of_duplicate_nodes,
 )
 
-_QUEUE = 2000  # messages per topic that wait while the disk is slow: 2 s of samples
-_PRIORITY = 5  # of SCHED_FIFO: below all that acts. The middleware hands over some 0.5 s of samples, then drops them
+_QUEUE = 2000  # queued messages per topic while the disk is slow: 2 s of samples
+_PRIORITY = 5  # of SCHED_FIFO, below all control nodes. The middleware buffers some 0.5 s of samples, then drops them
 
 
 class RecorderNode(Node):
-    """Subscribes to serialized messages and writes them as they are, until the disk refuses.
+    """Subscribes to serialized messages and writes them unchanged, until writing fails.
 
-    What cannot be written ends the recording, in one sentence, with `failed` set and `done` done: not as a bad command
-    line does, for those who wait for the recorder tell the two by its exit status.
+    A write error ends the recording with one sentence, `failed` set and `done` completed. The exit status differs from
+    that of a wrong command line, by which the processes that wait for the recorder tell the two apart.
     """
 
     def __init__(self, make_run: Callable[[], RecordingRun], topics: Sequence[str], *, realtime: bool) -> None:
         super().__init__("recorder")
-        scheduling = request_realtime(realtime=realtime, priority=_PRIORITY)  # before samples come in
+        scheduling = request_realtime(realtime=realtime, priority=_PRIORITY)  # before samples arrive
         self._run = make_run()
         self.failed = False
         self.done: Future = Future()
@@ -66,7 +66,7 @@ class RecorderNode(Node):
         self.get_logger().info(f"recording into {self._run.writer.folder}; {scheduling}")
 
     def close(self) -> None:
-        """Finish the recording; one that failed stays as it is, readable like that of a killed recorder."""
+        """Finish the recording; a failed one is left unfinished, readable like that of a killed recorder."""
         self._write(self._run.writer.close)
         self.get_logger().info(self._run.summary())
 
@@ -105,7 +105,7 @@ class RecorderNode(Node):
             self.done.set_result(None)
 
     def _look_for_unknown(self) -> None:
-        """Subscribe to topics outside our graph once somebody publishes them and says their type."""
+        """Subscribe to topics outside the hydro graph once a publisher announces their type."""
         for topic in list(self._unknown):
             publishers = self.get_publishers_info_by_topic(topic)
             if publishers:
@@ -150,7 +150,7 @@ def main() -> None:
     if options.repair:
         print(f"{options.repair}: kept {repair(options.repair)} messages", file=sys.stderr)
         return
-    for topic in options.topics:  # before a folder is made
+    for topic in options.topics:  # before a folder is created
         try:
             validate_full_topic_name(topic)
         except InvalidTopicNameException as error:

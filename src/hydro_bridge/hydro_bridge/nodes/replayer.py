@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording as a plant of the graph: it publishes what was recorded, and cannot be armed.
+"""Replay of a recording in place of a plant: it publishes the recorded messages, and cannot be armed.
 
 ros2 run hydro_bridge replayer BAG [--speed 1.0] [--loop] [--ros-args ...]
 """
@@ -36,7 +36,7 @@ from hydro_msgs.srv import Claim
 
 
 class ReplayerNode(Node):
-    """Publishes a recording in a thread of its own, and ends with it."""
+    """Publishes a recording in a separate thread, and ends with it."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
@@ -115,7 +115,7 @@ def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
     options = _parser().parse_args(own)
-    read_bag(options.bag, topics=())  # says at once if there is nothing to read
+    read_bag(options.bag, topics=())  # fails at once if there is nothing to read
     nodes: list[ReplayerNode] = []
 
     def make() -> ReplayerNode:

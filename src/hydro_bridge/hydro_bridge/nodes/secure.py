@@ -21,7 +21,7 @@ from hydro_bridge.ros.topics import CLAIM_SERVICE, CLOCK, END_SERVICE, GRAPH, OV
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Build the parser of the command line."""
     result = argparse.ArgumentParser(
         prog="secure", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -32,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def rights_table() -> Table:
-    """Who may do what with the graph's own topics and services."""
+    """Return the rights of the executables on the graph's own topics and services."""
     table = Table(
         {
             "name": "topic or service",
@@ -48,7 +48,7 @@ def rights_table() -> Table:
 
 
 def _who(does: str, name: str) -> str:
-    """The executables of which a node does that."""
+    """Return the executables of which a node has that right."""
     found = [who for who, nodes in RIGHTS.items() if any(name in getattr(rights, does) for rights in nodes.values())]
     return " ".join(found)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Templates of a package, with the shell that all pages share: `{% extends "shell.html" %}`."""
+"""Template environment of a package, with the shell shared by all pages: `{% extends "shell.html" %}`."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
 
 def environment(package: str, folder: str = "templates") -> Environment:
-    """Templates in `folder` of a package, and the shared ones beside them.
+    """Return the environment with the templates in `folder` of a package and the shared ones.
 
-    Text is escaped unless it is marked safe; a name that is not given is an error, not an empty place.
+    Text is escaped unless it is marked safe; an undefined name is an error, not empty text.
 
     Parameters
     ----------
     package
         Import name, for instance ``hydro_diagnosis``.
     folder
-        With ``.html`` templates.
+        Folder with ``.html`` templates.
     """
     return Environment(
         loader=ChoiceLoader([PackageLoader(package, folder), PackageLoader("hydro_bridge", "pages/templates")]),
@@ -31,5 +31,5 @@ def environment(package: str, folder: str = "templates") -> Environment:
 
 
 def data_uri(file: Path) -> str:
-    """A PNG picture as text for an `img`; raises OSError."""
+    """Return a PNG picture as text for an `img`; raises OSError."""
     return f"data:image/png;base64,{base64.b64encode(file.read_bytes()).decode()}"

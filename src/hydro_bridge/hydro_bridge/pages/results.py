@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A page of results: facts on the run, then sections with a sentence, a table, a picture."""
+"""Results page: facts about the run, then sections of a sentence, a table and a picture."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ class Tabular(Protocol):
 
     @property
     def columns(self) -> Mapping[str, str]:
-        """Key of each column and what it means, with its unit."""
+        """Key and meaning, with unit, of each column."""
 
     @property
     def rows(self) -> Sequence[Mapping[str, Any]]:
-        """A value for each key."""
+        """Rows with a value for each key."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """One heading and what stands below it; what is not given is left out."""
+    """Section of a page: heading and content; entries that are not given are omitted."""
 
     heading: str
     text: str = ""
     table: Tabular | None = None
     picture: Path | None = None
-    """A PNG; left out if it is not there."""
+    """PNG file; omitted if it does not exist."""
 
 
 def results_page(title: str, about: Mapping[str, Any], sections: Sequence[Section]) -> str:
-    """The page, self-contained.
+    """Return the page, self-contained.
 
     Parameters
     ----------
     title
-        Its heading.
+        Heading of the page.
     about
-        Facts on the run by name: plant, seed, filter, version of the code.
+        Facts about the run by name: plant, seed, filter, version of the code.
     sections
-        In this order.
+        Sections in order.
 
     Raises
     ------

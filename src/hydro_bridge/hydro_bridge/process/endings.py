@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Termination by signals: SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal or ssh session was closed).
 
-All three mean the same: disarm, write what is to be kept, end the companions, leave with status 128 + number. Before
-anything has begun (imports) `leaves_at_once`; from then on each raises `Ended`, a KeyboardInterrupt, or is taken by
-whoever spins; what puts things in order at the end is `undisturbed`.
+All three mean the same: disarm, save, end the companions, exit with status 128 + number. During imports
+`leaves_at_once` applies; after that each signal raises `Ended`, a KeyboardInterrupt, or is handled by the spinning
+executor. Clean-up runs `undisturbed`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from typing import Any
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _INSIST_AFTER = 0.05  # s
 Handlers = Mapping[int, Any]
-"""What answered each signal, as `signal.signal` gives it."""
+"""Handler of each signal, as returned by `signal.signal`."""
 
 
 class Ended(KeyboardInterrupt):
@@ -36,7 +36,7 @@ class Ended(KeyboardInterrupt):
 def answer(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Handlers:
     """Install `handler` for the three signals and return the previous handlers for `restore`; main thread only.
 
-    A SIGHUP that is ignored stays so: whoever started us with nohup wants us to outlive the terminal.
+    An ignored SIGHUP stays ignored: a program started with nohup is to outlive the terminal.
     """
     if threading.current_thread() is not threading.main_thread():
         return {}
@@ -76,7 +76,8 @@ def leave(number: int, _: FrameType | None = None) -> None:
 def raised() -> Iterator[None]:
     """Context in which each of the signals raises `Ended`.
 
-    Where Python cannot raise (finalizers, the compiler's callbacks into Python) it drops an exception: it comes again.
+    Where Python cannot raise (finalizers, the compiler's callbacks into Python) it drops the exception, which is
+    then raised again.
     """
     global _program
     _program = os.getpid()
@@ -124,7 +125,7 @@ def let_go_of_terminal() -> None:
 
 
 def complain(sentence: str) -> None:
-    """Print to standard error why the program ends, if it can still be written to."""
+    """Print the reason why the program ends to standard error, if that is still writable."""
     with suppress(OSError, ValueError):
         print(f"error: {sentence}", file=sys.stderr, flush=True)
 

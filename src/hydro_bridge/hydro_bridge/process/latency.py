@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Percentiles of a duration measured a thousand times a second."""
+"""Percentiles of durations measured a thousand times a second."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Latency:
     count: int = 0
     longest: float = 0.0
     """s."""
-    _bins: array[int] = field(default_factory=lambda: array("q", bytes(8 * _BINS)))  # numpy reads it where it lies
+    _bins: array[int] = field(default_factory=lambda: array("q", bytes(8 * _BINS)))  # numpy reads it in place
 
     def add(self, seconds: float) -> None:
         """Count one duration."""
@@ -27,7 +27,7 @@ class Latency:
         self._bins[min(_BINS - 1, max(0, int(seconds * 1e6)))] += 1
 
     def percentile(self, percent: float) -> float:
-        """Duration [s] that `percent` of all do not exceed, to 1 us; NaN if there is none."""
+        """Return the duration [s] that `percent` of all do not exceed, to 1 us; NaN without data."""
         return self._percentiles(percent)[0]
 
     def _percentiles(self, *percents: float) -> list[float]:
@@ -38,7 +38,7 @@ class Latency:
         return [self.longest if place >= _BINS - 1 else (int(place) + 1) * 1e-6 for place in places]
 
     def sentence(self) -> str:
-        """Percentiles in ms, for people."""
+        """Return the percentiles in ms as text."""
         if not self.count:
             return "none"
         named = (50.0, 99.0, 99.9)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A limit on uninterrupted run time, so that a SCHED_FIFO process cannot hang the machine.
 
-A real-time thread that spins leaves its core to nobody, not even to the shell that would end it. RLIMIT_RTTIME counts
-the CPU time of a real-time thread since it last slept. At `RUN_MAX` the kernel sends SIGXCPU: the process becomes an
-ordinary one and ends in order (`RanTooLong`). What is beyond Python's reach then, a compiled loop, is killed at
+A busy-looping real-time thread blocks its core for all others, including the shell that would end it. RLIMIT_RTTIME
+counts the CPU time of a real-time thread since it last slept. At `RUN_MAX` the kernel sends SIGXCPU: the process drops
+to ordinary scheduling and ends cleanly (`RanTooLong`). A compiled loop, which Python cannot interrupt, is killed at
 `KILLED_AT`; the box trips 200 ms after its last command.
 """
 
@@ -19,19 +19,19 @@ from types import FrameType
 from hydro_bridge.process.endings import Ended
 
 RUN_MAX = 1.0
-"""s of CPU on end, a hundred times what any of our processes needs."""
+"""s of uninterrupted CPU time, a hundred times what any of our processes needs."""
 KILLED_AT = 3.0
 """s."""
 
 
 class RanTooLong(Ended):
-    """A real-time process ran too long without blocking: something in it spins."""
+    """A real-time process ran too long without blocking: a busy loop."""
 
 
 def limit_run() -> None:
-    """Limit how long this process, and all that it starts, may run on end by SCHED_FIFO or SCHED_RR.
+    """Limit the uninterrupted run time of this process and its children under SCHED_FIFO or SCHED_RR.
 
-    Without effect on ordinary scheduling. The signal is answered where this is called in the main thread.
+    No effect under ordinary scheduling. The signal is handled if this is called in the main thread.
     """
     _, hard = resource.getrlimit(resource.RLIMIT_RTTIME)
     most = round(1e6 * KILLED_AT) if hard == resource.RLIM_INFINITY else min(hard, round(1e6 * KILLED_AT))
@@ -41,7 +41,7 @@ def limit_run() -> None:
 
 
 def drop_realtime() -> None:
-    """Leave SCHED_FIFO: what comes now (plots, files) shall hold up nobody."""
+    """Leave SCHED_FIFO before work that must not delay others (plots, files)."""
     with suppress(OSError):
         for thread in os.listdir("/proc/self/task"):
             os.sched_setscheduler(int(thread), os.SCHED_OTHER | os.SCHED_RESET_ON_FORK, os.sched_param(0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The start of all executables, before slow imports.
+"""Start-up of all executables, before slow imports.
 
 In a package's setup.py:  "trainer = hydro_bridge.process.start:main_of.hydro_policy.nodes.trainer"
 """
@@ -24,8 +24,8 @@ class MainOf:
         return MainOf(f"{self._module}.{name}".lstrip("."))
 
     def __call__(self) -> int | None:
-        """Answer signals from now on, import the module, and run its `main`, which answers them in its own way."""
-        endings.answer(endings.leave)  # importing takes seconds, and a traceback tells nobody anything
+        """Install the signal handlers, import the module and run its `main`, which installs its own."""
+        endings.answer(endings.leave)  # importing takes seconds, and a traceback would not help the user
         if trouble := middleware.missing_middleware():
             endings.complain(trouble)
             return 2
@@ -33,7 +33,7 @@ class MainOf:
         try:
             status: int | None = main()
         finally:
-            endings.answer(signal.SIG_DFL)  # all is in order, and Python taking itself down is not to be interrupted
+            endings.answer(signal.SIG_DFL)  # clean-up is complete, and Python's shutdown is not to be interrupted
         return status
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shared by all nodes: topics, messages <-> plain types, parameters, diagnostics, spinning, companion processes."""
+"""Utilities of all nodes: topics, message conversion, parameters, diagnostics, spinning, companion processes."""
 
 from __future__ import annotations
 

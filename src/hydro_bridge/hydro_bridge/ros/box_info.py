@@ -15,5 +15,5 @@ from hydro_msgs.msg import BoxInfo
 
 
 def listen_to_box(node: Node, on_box: Callable[[KnownBox], None]) -> Subscription:
-    """Call `on_box` with the box's description: as soon as the plant node is found, and whenever it changes."""
+    """Call `on_box` with the box's description as soon as the plant node is discovered, and at each change."""
     return node.create_subscription(BoxInfo, BOX, lambda message: on_box(box_from_message(message)), BOX_QOS)

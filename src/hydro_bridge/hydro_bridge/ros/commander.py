@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Commanding a plant: a node requests the authority, keeps it, and publishes gains and references under it.
+"""Command of a plant: a node requests the authority, keeps it, and publishes gains and references under it.
 
-Nothing is published, not even a publisher is there, before the plant has given the authority; nor after it is lost.
+Without the authority nothing is published, and not even a publisher exists.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from hydro_msgs.msg import Authority, Gains
 from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 from hydro_msgs.srv import Claim
 
-_AGAIN = 0.5  # s between two requests; the plant gives the authority to others after 3 s of silence
-_ANSWER_WITHIN = 3.0  # s; a plant that has gone does not answer any more
+_AGAIN = 0.5  # s between two requests; the plant may give the authority to others after 3 s of silence
+_ANSWER_WITHIN = 3.0  # s; a plant that has ended no longer answers
 
 
 class Commander:
-    """A node's authority over the plant that runs. Everything happens in the thread that spins the node.
+    """A node's authority over the running plant. Use it only in the thread that spins the node.
 
     Parameters
     ----------
     node
-        Who commands; its name is the holder's.
+        The commanding node, whose name is the holder's.
     changed
-        Called when the authority has come (with an empty sentence) or has been lost (with the reason).
+        Called when the authority has been granted (with an empty sentence) or lost (with the reason).
     end
-        Ends the run, as Ctrl-C does; anybody may ask for it by /hydro/end while this node commands. None: nobody may.
+        Ends the run, as Ctrl-C does; anybody may call it by /hydro/end while this node commands. None: nobody may.
     """
 
     def __init__(
@@ -57,8 +57,8 @@ class Commander:
         self._node, self._changed, self._end = node, changed, end
         self._end_service: Service | None = None
         self._claims = node.create_client(Claim, CLAIM_SERVICE)
-        self._said = Authority()  # the plant's last word on who commands
-        self._claim = self._epoch = self._known = 0  # the last: the epoch when the plant was asked last
+        self._said = Authority()  # the plant's last message about the authority
+        self._claim = self._epoch = self._known = 0  # the last: the epoch at the last request
         self._answer: Future | None = None
         self._asked, self._refusal = -inf, ""
         self._reference: ReferenceSignal | None = None
@@ -74,16 +74,16 @@ class Commander:
 
     @property
     def epoch(self) -> int:
-        """Of the session, if this node commands the plant; else 0."""
+        """Epoch of the session if this node commands the plant, else 0."""
         return self._epoch
 
     @property
     def refusal(self) -> str:
-        """Why the plant did not give the authority when it was asked last; empty: it has, or has not answered yet."""
+        """Reason of the plant's last refusal of the authority; empty: granted, or not answered yet."""
         return self._refusal
 
     def seek(self, now: float) -> None:
-        """Take the authority, or keep it; call some times a second, `now` by the monotonic clock [s]."""
+        """Take or keep the authority; call several times a second, `now` by the monotonic clock [s]."""
         waiting = self._answer is not None and not self._answer.done() and now < self._asked + _ANSWER_WITHIN
         if waiting or now < self._asked + _AGAIN or not self._claims.service_is_ready():
             return
@@ -92,7 +92,7 @@ class Commander:
         self._answer.add_done_callback(self._on_taken)
 
     def gains(self, delta_kp: float, delta_ki: float, step: int = 0) -> Gains:
-        """Publish gains [1/s], [1/s^2] if this node may; the message, with its stamp."""
+        """Publish gains [1/s], [1/s^2] if this node may; returns the message with its stamp."""
         message = self._gains
         message.header.stamp = self._node.get_clock().now().to_msg()
         message.delta_kp, message.delta_ki, message.step, message.epoch = delta_kp, delta_ki, step, self._epoch
@@ -101,24 +101,24 @@ class Commander:
         return message
 
     def reference(self, signal: ReferenceSignal) -> None:
-        """Publish the force to track; before the authority is there, as soon as it comes."""
+        """Publish the force to track; without the authority, as soon as it is granted."""
         self._reference = signal
         if self._reference_publisher is not None:
             self._reference_publisher.publish(reference_to_message(signal, self._epoch))
 
     def arm(self, arm: bool) -> Future | None:
-        """Ask for arming or disarming if this node may and the plant is there; the plant's answer."""
+        """Request arming or disarming if this node may and the plant is present; returns the plant's answer."""
         if not (self.held and self._claims.service_is_ready()):
             return None
         return self._ask(Claim.Request.ARM if arm else Claim.Request.DISARM)
 
     def give(self, heir: str = "") -> Future | None:
-        """Give the authority back, which disarms; the plant's answer, or None if there is nothing to give.
+        """Return the authority, which disarms; returns the plant's answer, or None without the authority.
 
         Parameters
         ----------
         heir
-            Name of the node that alone may have it next, for 10 s; empty: whoever asks first.
+            Name of the only node that may take it next, for 10 s; empty: the first to ask.
         """
         if not (self.held and self._claims.service_is_ready()):
             return None
@@ -140,9 +140,9 @@ class Commander:
                 self._lose(response.message)
         elif response.claim != self._claim:
             self._claim, self._epoch = response.claim, response.epoch
-            self._on_authority(self._said)  # its word on this claim may have come before its answer
+            self._on_authority(self._said)  # the message about this claim may arrive before its answer
             self._begin()
-        elif self._epoch == self._known:  # not told of another meanwhile; a word of the plant's may have been lost
+        elif self._epoch == self._known:  # no other holder was announced meanwhile; a message may have been lost
             self._epoch = response.epoch
 
     def _begin(self) -> None:
@@ -178,7 +178,7 @@ class Commander:
 
     def _on_authority(self, message: Authority) -> None:
         if self._words.get_publisher_count() > 1:
-            return  # the plant says it again when it is alone
+            return  # the plant repeats it once it is alone
         self._said = message
         if self._claim and message.claim == self._claim:
             self._epoch = message.epoch

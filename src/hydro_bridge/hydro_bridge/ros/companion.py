@@ -20,11 +20,11 @@ from typing import IO
 
 _LIBC = ctypes.CDLL(None, use_errno=True)
 _PR_SET_PDEATHSIG = 1
-_ENCLAVE_OVERRIDE = "ROS_SECURITY_ENCLAVE_OVERRIDE"  # whose keys this process has; a companion has its own
+_ENCLAVE_OVERRIDE = "ROS_SECURITY_ENCLAVE_OVERRIDE"  # names this process' keys; a companion has its own
 
 
 class CompanionError(Exception):
-    """A companion cannot be started; the message is one clear sentence."""
+    """A companion process cannot be started; the message is one clear sentence."""
 
 
 def executable_path(package: str, executable: str) -> Path:
@@ -37,9 +37,9 @@ def executable_path(package: str, executable: str) -> Path:
 
 
 class Companion:
-    """One process, started by making this object; use as context manager, or call `stop`.
+    """One process, started on construction; use as context manager, or call `stop`.
 
-    Make it in a thread that lives as long as the companion shall: the kernel ties the two together by thread.
+    Construct it in a thread that outlives the companion: the kernel ties the companion to this thread.
 
     Parameters
     ----------
@@ -48,10 +48,10 @@ class Companion:
     arguments
         The rest of its command line.
     name
-        In front of each line of its output; the executable's by default.
+        Prefix of each line of its output; the executable's name by default.
     output
-        Where its output goes; standard error by default, so that a progress bar or a table on standard output stays
-        whole.
+        Destination of its output; standard error by default, so that a progress bar or a table on standard output
+        stays intact.
     """
 
     def __init__(
@@ -88,20 +88,20 @@ class Companion:
 
     @property
     def last_words(self) -> str:
-        """Its last line of output; of one that has ended, all was read."""
+        """Its last line of output; once it has ended, all output has been read."""
         if not self.running:
             self._echo.join(1.0)
         return self._last_line
 
     def stop(self, timeout: float = 5.0) -> int:
-        """End the process group, by SIGINT and after `timeout` s by SIGKILL; the exit status, negative for a signal."""
+        """End the process group by SIGINT, after `timeout` s by SIGKILL; returns its status, negative for a signal."""
         if self.running:
             self._signal(signal.SIGINT)
             try:
                 self.process.wait(timeout)
             except subprocess.TimeoutExpired:
                 self._output.write(f"[{self.name}] did not end within {timeout:g} s: killed\n")
-        self._signal(signal.SIGKILL)  # whoever of its group is left
+        self._signal(signal.SIGKILL)  # the rest of its process group
         status = self.process.wait()
         self._echo.join(1.0)
         return status
@@ -127,10 +127,10 @@ class Companion:
 
 
 def _die_with(parent: int) -> None:
-    """In the child, before it becomes the executable: die when the parent dies, even if it just did."""
+    """Make the child, before exec, die with its parent, even if that has just died."""
     signal.signal(
         signal.SIGTERM, signal.SIG_DFL
-    )  # the parent's handler would only take note, and be gone a moment later
+    )  # the parent's handler would only record the signal, and vanish at exec
     _LIBC.prctl(_PR_SET_PDEATHSIG, signal.SIGTERM, 0, 0, 0)
     if os.getppid() != parent:
         os._exit(1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A node's status, once a second on /diagnostics."""
+"""Status of a node, published once a second on /diagnostics."""
 
 from __future__ import annotations
 

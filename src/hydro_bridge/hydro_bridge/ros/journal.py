@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Log messages for recordings and tools only: on /rosout, not on the terminal, which shows them already."""
+"""Log messages for recordings and tools: on /rosout only, since the terminal already shows them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from rclpy.node import Node
 from hydro_bridge.ros.topics import LOG, LOG_QOS
 
 CALLS = "calls"
-"""Last part of the name under which calls of services are told: who asked, what, and the answer."""
+"""Last part of the logger name of service calls: caller, request and answer."""
 
 
 class Journal:
@@ -18,7 +18,7 @@ class Journal:
     Parameters
     ----------
     node
-        Whose words they are.
+        Source of the messages.
     """
 
     def __init__(self, node: Node) -> None:
@@ -30,7 +30,7 @@ class Journal:
         self._publish(self._node.get_name(), sentence, Log.WARN if warning else Log.INFO)
 
     def call(self, sentence: str) -> None:
-        """Add who called, what for, and what was answered."""
+        """Add a service call: caller, request and answer."""
         self._publish(f"{self._node.get_name()}.{CALLS}", sentence, Log.INFO)
 
     def _publish(self, name: str, sentence: str, level: int | bytes) -> None:

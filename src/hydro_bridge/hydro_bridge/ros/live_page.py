@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The live page of a run: a dashboard that starts and ends with it; its address is printed on the terminal.
+"""Live page of a run: a dashboard that starts and ends with it; its address is printed on the terminal.
 
-HYDRO_DASHBOARD=off, or --no-dashboard, and none is started: so in tests and CI.
+HYDRO_DASHBOARD=off or --no-dashboard disables it, as in tests and CI.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _ADDRESS = "the live page: "
 
 
 def page_wanted() -> bool:
-    """Whether this environment has a page where nobody says anything else."""
+    """Return whether this environment starts a page by default."""
     return os.environ.get(VARIABLE, "") != "off"
 
 
@@ -42,18 +42,18 @@ def add_page_option(parser: argparse._ActionsContainer) -> None:
 def start_page(
     stack: ExitStack, node: Node, *, wanted: bool, keep: Callable[[str], object] = lambda line: None
 ) -> None:
-    """Start a dashboard that `stack` ends, unless the graph has one; call it before anything is armed.
+    """Start a dashboard that `stack` ends, unless the graph already has one; call before arming.
 
-    A page that does not come up, or dies, hinders nothing.
+    A page that fails to start, or ends, does not affect the run.
 
     Parameters
     ----------
     node
-        Of whoever starts it.
+        Node of the caller.
     wanted
-        False: none.
+        False: no page.
     keep
-        Takes each line that it says but its address, which is for the terminal alone: the token is in it.
+        Takes each line of its output except its address, which contains the token and goes to the terminal only.
     """
     if not wanted or NAME in node.get_node_names():
         return

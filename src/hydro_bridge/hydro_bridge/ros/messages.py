@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages <-> plain types. Message objects are reused, because conversions run a thousand times a second."""
+"""Conversion between messages and plain types. Message objects are reused, since conversions run at 1 kHz."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from hydro_msgs.msg import ReferenceSignal as ReferenceMessage
 
 
 class StateMessage:
-    """One BenchState message, filled anew for each sample.
+    """A reusable BenchState message, refilled for each sample.
 
-    Filling and publishing costs some 5 us; a new message object for each sample costs half as much again.
+    Filling and publishing takes some 5 us; a new message object for each sample would take half as much again.
     """
 
     def __init__(self) -> None:
@@ -38,17 +38,17 @@ class StateMessage:
 
 
 def state_from_message(message: BenchState) -> tuple[float, ...]:
-    """Floats of a BenchState in STATE_FIELDS order, shape (14,)."""
+    """Return the floats of a BenchState in STATE_FIELDS order, shape (14,)."""
     return tuple(getattr(message, name) for name in STATE_FIELDS)
 
 
 def seconds(stamp: Any) -> float:
-    """Seconds of a builtin_interfaces/Time."""
+    """Return a builtin_interfaces/Time in seconds."""
     return float(stamp.sec + 1e-9 * stamp.nanosec)
 
 
 def reference_from_message(message: ReferenceMessage) -> ReferenceSignal | None:
-    """Plain reference; None for an unknown waveform."""
+    """Return the plain reference; None for an unknown waveform."""
     if message.waveform not in tuple(Waveform):
         return None
     return ReferenceSignal(
@@ -61,7 +61,7 @@ def reference_from_message(message: ReferenceMessage) -> ReferenceSignal | None:
 
 
 def reference_to_message(signal: ReferenceSignal, epoch: int = 0) -> ReferenceMessage:
-    """Message of a plain reference; `epoch` is that of the session."""
+    """Return the message of a plain reference; `epoch` is that of the session."""
     return ReferenceMessage(
         waveform=int(signal.waveform),
         amplitude=float(signal.amplitude),
@@ -76,7 +76,7 @@ _NUMBERS = tuple(entry.name for entry in fields(BoxInfo) if isinstance(entry.def
 
 
 def box_to_message(box: KnownBox, stamp: Any) -> BoxMessage:
-    """Message that describes a box; `stamp` is a builtin_interfaces/Time."""
+    """Return the message that describes a box; `stamp` is a builtin_interfaces/Time."""
     numbers = {name: float(getattr(box.info, name)) for name in _NUMBERS}
     texts = {name: getattr(box, name) for name in ("plant", "bench_digest", "bench", "integral")}
     message = BoxMessage(firmware=box.info.name, **texts, **numbers)
@@ -85,7 +85,7 @@ def box_to_message(box: KnownBox, stamp: Any) -> BoxMessage:
 
 
 def box_from_message(message: BoxMessage) -> KnownBox:
-    """A box's description from its message."""
+    """Return a box's description from its message."""
     numbers = {name: getattr(message, name) for name in _NUMBERS}
     info = BoxInfo(name=message.firmware, integral=message.integral, **numbers)
     texts = {name: getattr(message, name) for name in ("plant", "bench_digest", "bench")}

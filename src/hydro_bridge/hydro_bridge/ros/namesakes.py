@@ -10,7 +10,7 @@ _PERIOD = 1.0  # s
 
 
 def warn_of_duplicate_nodes(node: Node, sentence: str) -> None:
-    """Warn with `sentence`, once, as soon as another node of this one's name is in the graph."""
+    """Warn with `sentence`, once, as soon as another node of the same name is in the graph."""
 
     def look() -> None:
         if node.get_node_names().count(node.get_name()) > 1:

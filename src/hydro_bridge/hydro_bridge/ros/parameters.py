@@ -17,20 +17,20 @@ T = TypeVar("T")
 
 
 def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
-    """Declare a read-only parameter for each field, and return the settings with what the user set.
+    """Declare a read-only parameter for each field, and return the settings with the user's values.
 
     Parameters
     ----------
     settings
-        Instance of a settings dataclass: its values are the defaults. Fields that are no numbers, strings or flags
-        are left out.
+        Instance of a settings dataclass: its values are the defaults. Fields other than numbers, strings and flags
+        are skipped.
     prefix
-        Put in front of each name, for instance ``guard.``.
+        Prefix of each name, for instance ``guard.``.
 
     Raises
     ------
     SettingsError
-        A value is of the wrong kind or out of its range.
+        A value has the wrong type or is out of range.
     """
     chosen: dict[str, Any] = {}
     for field in fields(settings):  # type: ignore[arg-type]
@@ -48,14 +48,14 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
 
 
 def refuse_unknown_parameters(node: Node) -> None:
-    """Raise for parameters that were set but not declared; ROS ignores them, and with them a misspelt limit.
+    """Raise for parameters that were set but not declared; ROS would ignore them, even a misspelt limit.
 
     Raises
     ------
     SettingsError
         The user set a parameter, by name or in a file, that this node does not have.
     """
-    for name in node._parameter_overrides:  # rclpy has no public way to what the user set
+    for name in node._parameter_overrides:  # rclpy has no public access to the user's values
         if not node.has_parameter(name):
             close = get_close_matches(name, node.get_parameters_by_prefix(""), 1)
             hint = f"; is {close[0]} meant?" if close else ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Detection of several publishers on a topic that allows one: two trainers' gains would alternate unnoticed."""
+"""Detection of several publishers on a topic that allows one: the gains of two trainers would alternate unnoticed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hydro_bridge.ros.diagnostics import Level, Status
 
 
 def publisher_conflicts(node: Node, *topics: str) -> str:
-    """A sentence about each topic that more than one publishes; empty if there is none."""
+    """Return a sentence about each topic with more than one publisher; empty if there is none."""
     crowded = []
     for topic in topics:
         if node.count_publishers(topic) > 1:
@@ -19,7 +19,7 @@ def publisher_conflicts(node: Node, *topics: str) -> str:
 
 
 def with_publisher_conflicts(status: Status, trouble: str) -> Status:
-    """The status, made an ERROR that says so if there is `trouble`."""
+    """Return the status, turned into an ERROR that reports `trouble` if there is any."""
     if not trouble:
         return status
     return Status(level=Level.ERROR, message=f"{trouble}; {status.message}", values=status.values)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the recorder of a folder receives samples, from its status on /diagnostics."""
+"""Supervision of a recorder: whether it receives samples, from its status on /diagnostics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_bridge.ros.topics import DIAGNOSTICS, DIAGNOSTICS_QOS, STATE
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 
 WITHIN = 60.0
-"""s that a recorder is waited for once samples come: on a busy machine it takes some to find them."""
+"""s, wait for a recorder once samples arrive: on a busy machine discovery takes some time."""
 
 
 class RecorderWatch:
@@ -24,22 +24,22 @@ class RecorderWatch:
     Parameters
     ----------
     node
-        Hears on its behalf.
+        Node that subscribes to /diagnostics.
     folder
-        Of the recording, as the recorder was told it.
+        Folder of the recording, as passed to the recorder.
     recorder
         Its process.
     """
 
     def __init__(self, node: Node, folder: Path, recorder: Companion) -> None:
         self.since = inf
-        """When it first said that it has samples, s of the monotonic clock."""
+        """Time of its first report of samples, s of the monotonic clock."""
         self._folder, self._recorder = str(folder), recorder
         node.create_subscription(DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, DIAGNOSTICS_QOS)
 
     @property
     def requirement(self) -> Requirement:
-        """That it records: nothing moves before. What ends later is told, and hinders nothing."""
+        """Requirement that it records before anything moves. A later end is reported, and does not stop the run."""
         return Requirement(
             name="the recorder",
             ready=self._ready,

@@ -9,24 +9,24 @@ import os
 from hydro_bridge.process.realtime import limit_run
 
 PRIORITY = 20
-"""Of SCHED_FIFO, [1, 99]: above all ordinary processes, below the kernel's own threads."""
+"""Priority under SCHED_FIFO, [1, 99]: above all ordinary processes, below the kernel's own threads."""
 
 
 def request_realtime(*, realtime: bool, priority: int = PRIORITY, inherited: bool = True) -> str:
-    """Freeze the garbage collector and, if asked, switch to SCHED_FIFO; returns a sentence with the outcome.
+    """Freeze the garbage collector and, if requested, switch to SCHED_FIFO; returns a sentence with the outcome.
 
-    Call it after everything long-lived is made: the collector no longer walks it. Without the right to SCHED_FIFO
-    (CAP_SYS_NICE, or rtprio in limits.conf) the process stays an ordinary one. One that runs on end by it is ended
-    (`hydro_bridge.process.realtime`).
+    Call it after all long-lived objects are created, which the collector then skips. Without permission for SCHED_FIFO
+    (CAP_SYS_NICE, or rtprio in limits.conf) the process keeps ordinary scheduling. A process that never blocks under it
+    is ended (`hydro_bridge.process.realtime`).
 
     Parameters
     ----------
     realtime
-        Ask for SCHED_FIFO.
+        Request SCHED_FIFO.
     priority
-        Of SCHED_FIFO.
+        Priority under SCHED_FIFO.
     inherited
-        False: processes and threads that are started later are ordinary ones (SCHED_RESET_ON_FORK).
+        False: processes and threads started later use ordinary scheduling (SCHED_RESET_ON_FORK).
     """
     gc.collect()
     gc.freeze()
@@ -35,7 +35,7 @@ def request_realtime(*, realtime: bool, priority: int = PRIORITY, inherited: boo
     limit_run()
     policy = os.SCHED_FIFO if inherited else os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
     try:
-        for thread in os.listdir("/proc/self/task"):  # those of the middleware too
+        for thread in os.listdir("/proc/self/task"):  # the middleware's threads as well
             os.sched_setscheduler(int(thread), policy, os.sched_param(priority))
     except OSError as error:
         return f"ordinary scheduling, SCHED_FIFO was refused: {error.strerror}"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Running a node until a signal or shutdown."""
+"""Execution of a node until a signal or shutdown."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SLICE = 0.2
 
 
 def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], list[str]]:
-    """Split a command line into a node's own arguments and those behind `--ros-args` (up to `--`, if there is one)."""
+    """Split a command line into a node's own arguments and those after `--ros-args` (up to `--`, if there is one)."""
     rest = list(sys.argv[1:] if arguments is None else arguments)
     if "--ros-args" not in rest:
         return rest, []
@@ -38,7 +38,7 @@ def ros_arguments(arguments: Sequence[str] | None = None) -> tuple[list[str], li
 def start_ros(ros: Sequence[str] = ()) -> None:
     """Start ROS without its signal handlers; ours leave time to disarm.
 
-    See `network` for how far it reaches, `keys.enclave` for the keys it takes where security is on.
+    See `network` for the discovery range, `keys.enclave` for the keys used if security is enabled.
 
     Raises
     ------
@@ -67,11 +67,11 @@ def spin(node: Node, until: Future | None = None) -> bool:
     Parameters
     ----------
     until
-        Return as soon as this is done, too.
+        Return as soon as this future is done, too.
 
     Returns
     -------
-    Whether a signal ended it.
+    Whether a signal ended the spinning.
     """
     executor = EventsExecutor()
     executor.add_node(node)
@@ -93,7 +93,7 @@ def spin(node: Node, until: Future | None = None) -> bool:
         try:
             executor.remove_node(node)
             executor.shutdown()
-        finally:  # last: a second signal is not to leave the node with an executor that has gone
+        finally:  # last: a second signal must not leave the node with a deleted executor
             endings.restore(before)
     return bool(ended)
 
@@ -104,10 +104,10 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
     Parameters
     ----------
     make
-        Makes the node. If it has a method `begin`, that is called once its parameters are known to be right: what
-        reaches a plant starts there. If it has a `done`, a future, it ends once that is done: never by a shutdown in a
-        callback, for the next one would find no context. If it has a method `close`, that is called while the context
-        is still valid.
+        Creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that reaches
+        a plant starts there. If it has a future `done`, spinning ends once that is done; never shut down in a callback,
+        since the next one would find no context. Its method `close`, if any, is called while the context is still
+        valid.
     ros
         Arguments from `--ros-args` on.
     """
@@ -127,4 +127,4 @@ def run_node(make: Callable[[], Node], ros: Sequence[str] = ()) -> None:
 
 
 def _nothing() -> None:
-    """For a node that has nothing to begin, or to close."""
+    """Do nothing, for a node without `begin` or `close`."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names, types and quality of service of the graph's topics: publishers and subscribers both take them from here."""
+"""Names, types and quality of service of the graph's topics, shared by publishers and subscribers."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ TRAINING = "/hydro/training"
 POLICY = "/hydro/policy"
 DIAGNOSTICS = "/diagnostics"
 LOG = "/rosout"
-"""ROS's own: what every node logs, and what was asked of it (`hydro_bridge.ros.journal`)."""
+"""ROS's own topic: log messages of every node, and its service calls (`hydro_bridge.ros.journal`)."""
 CLOCK = "/clock"
-"""ROS's own, of a simulation off real time; not in GRAPH, for nobody records it."""
+"""ROS's own topic, from a simulation off real time; not in GRAPH, since it is not recorded."""
 ARM_SERVICE = "/hydro/arm"
 CLAIM_SERVICE = "/hydro/claim"
 OVERRIDE_SERVICE = "/hydro/override"
@@ -49,7 +49,7 @@ def _qos(depth: int, *, reliable: bool, latched: bool = False) -> QoSProfile:
 
 
 STATE_QOS = _qos(200, reliable=False)
-"""An old sample is worth nothing: never resent. 200 ms of samples wait for a reader that was held up."""
+"""Best effort, since an old sample has no value; the queue holds 200 ms of samples for a delayed reader."""
 CORRECTION_QOS = _qos(50, reliable=False)
 GAINS_QOS = _qos(10, reliable=True)
 BOX_QOS = _qos(1, reliable=True, latched=True)
@@ -59,7 +59,7 @@ TRAINING_QOS = _qos(10, reliable=True)
 POLICY_QOS = _qos(100, reliable=True)
 DIAGNOSTICS_QOS = _qos(10, reliable=True)
 LOG_QOS = _qos(1000, reliable=True, latched=True)
-"""As ROS offers its log."""
+"""Quality of service of ROS's own log."""
 
 GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
     STATE: (BenchState, STATE_QOS),
@@ -76,4 +76,4 @@ GRAPH: dict[str, tuple[type[Any], QoSProfile]] = {
 """Type and quality of service of every topic."""
 
 COMMANDS = (GAINS, REFERENCE, CORRECTION)
-"""Topics by which a plant is commanded: one publisher each, or nothing is armed."""
+"""Topics that command a plant: one publisher each, or nothing is armed."""

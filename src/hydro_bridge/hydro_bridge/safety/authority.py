@@ -3,13 +3,13 @@
 
 ::
 
-    take    a holder claims the plant, and keeps it by asking again or by commands: after `LEASE` of silence another
-            may have it
-    epoch   drawn anew when the plant is disarmed or trips, and for each new holder: commands of before are refused
-    give    the holder gives it back, or hands it over: then nobody but the heir may take it for `KEPT`
+    take    a holder claims the plant, and keeps it by repeated claims or commands: after `LEASE` of silence another
+            node may take it
+    epoch   redrawn when the plant is disarmed or trips, and for each new holder: earlier commands are refused
+    give    the holder returns it, or hands it over: then only the heir may take it for `KEPT`
 
-The epoch of the next arming is handed out before it, so that the reference can be there when the plant is armed. It
-tells old and foreign commands from present ones. It is no secret: whoever can read the graph can copy it.
+The epoch of the next arming is issued in advance, so that the reference can be set before the plant is armed. It
+distinguishes current commands from old and foreign ones. It is not a secret: any reader of the graph can copy it.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from collections.abc import Callable
 from math import inf
 
 LEASE = 3.0
-"""s without a word of the holder after which another may have the authority."""
+"""s of the holder's silence after which another node may take the authority."""
 
 KEPT = 10.0
-"""s for which a plant that was handed over is kept for its heir."""
+"""s for which a plant that was handed over is reserved for its heir."""
 
-_LATE = 0.5  # s in which commands of the epoch before are on their way, and no stranger's
+_LATE = 0.5  # s in which commands of the previous epoch count as late, not as foreign
 
 
 def _draw() -> int:
@@ -38,24 +38,24 @@ class Authority:
     Parameters
     ----------
     draw
-        Gives numbers that are not 0 and do not come again.
+        Returns non-zero numbers that do not repeat.
     """
 
     def __init__(self, draw: Callable[[], int] = _draw) -> None:
         self._draw = draw
         self.holder = ""
-        """Who may command; empty: nobody."""
+        """Name of the node that may command; empty: none."""
         self.claim = 0
-        """Number of the holder's claim; 0: nobody's."""
+        """Number of the holder's claim; 0: none."""
         self.epoch = draw()
-        """What commands must carry."""
+        """Epoch that commands must carry."""
         self.refused: Counter[str] = Counter()
-        """How many commands were refused, by topic."""
+        """Number of refused commands by topic."""
         self._heard, self._before, self._ended = -inf, 0, -inf
         self._heir, self._kept_until = "", -inf
 
     def take(self, name: str, claim: int, now: float) -> str:
-        """Give it to `name`, or let the holder of `claim` keep it; why not, or nothing."""
+        """Give it to `name`, or renew it for the holder of `claim`; returns the reason of a refusal, or nothing."""
         kept = bool(self.claim) and claim == self.claim
         if self.holder and not kept and now - self._heard <= LEASE:
             return f"{self.holder} commands this plant: end it, or wait until it gives the authority back"
@@ -69,7 +69,7 @@ class Authority:
         return ""
 
     def give(self, claim: int, now: float, heir: str = "") -> bool:
-        """Take it back from the holder of `claim`, and keep it for `heir` if one is named; whether that one had it."""
+        """Take it back from the holder of `claim`, reserve it for `heir` if named; return whether `claim` held it."""
         if not self.claim or claim != self.claim:
             return False
         self.holder, self.claim = "", 0
@@ -78,20 +78,20 @@ class Authority:
         return True
 
     def lapse(self, now: float) -> bool:
-        """Take it back from a holder that has been silent for `LEASE`; whether one was. Not while it is armed."""
+        """Take it back from a holder silent for `LEASE`, and return whether one was. Not while the plant is armed."""
         return now - self._heard > LEASE and self.give(self.claim, now)
 
     def hear(self, now: float) -> None:
-        """The holder has commanded: it is not silent."""
+        """Record a command of the holder, which ends its silence."""
         self._heard = now
 
     def end(self, now: float) -> None:
-        """The session ends: what carries its epoch is refused from now on."""
+        """End the session: commands with its epoch are refused from now on."""
         self._before, self._ended = self.epoch, now
         self.epoch = self._draw()
 
     def admits(self, topic: str, epoch: int, now: float) -> bool:
-        """Whether a command is of this session; others are counted, unless they are late ones of the session before."""
+        """Return whether a command is of this session; counts others, except late ones of the previous session."""
         if epoch == self.epoch:
             return True
         if not (epoch == self._before and now - self._ended <= _LATE):

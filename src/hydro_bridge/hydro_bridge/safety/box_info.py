@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Description of a box: its own HELLO and DETAILS, and the bench file of its force law. Published on /hydro/box."""
+"""Description of a box, published on /hydro/box: its HELLO and DETAILS, and the bench file of its force law."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ _FLOAT32 = 1e-6  # relative: HELLO carries float32
 
 @dataclass(frozen=True, kw_only=True)
 class KnownBox:
-    """One box."""
+    """Description of one box."""
 
     info: BoxInfo
     plant: str = ""
-    """Node that knows it: bridge or sim."""
+    """Node that describes it: bridge or sim."""
     bench_digest: str = ""
-    """Of the numbers that its force law believes; empty: not known."""
+    """Digest of the numbers assumed by its force law; empty: unknown."""
     bench: str = ""
-    """These numbers as bench.yaml; empty: not known."""
+    """These numbers as bench.yaml; empty: unknown."""
 
     @property
     def integral(self) -> str:
-        """Form of the law's integral, `bumpless` or `paper`; empty: the box does not tell."""
+        """Form of the law's integral, `bumpless` or `paper`; empty: not reported."""
         return self.info.integral
 
     @property
@@ -48,7 +48,7 @@ class KnownBox:
 
 
 def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
-    """Requirement that the plant's node has described its box; it does so once, latched, before the first sample."""
+    """Requirement that the plant's node has described its box, once and latched, before the first sample."""
     hint = "its node says it on /hydro/box"
     return Requirement(name="what the box says of itself", ready=ready, hint=hint, within=5.0, missing=NO_BOX)
 
@@ -56,10 +56,10 @@ def box_info_requirement(ready: Callable[[], bool]) -> Requirement:
 def known_box(
     info: BoxInfo, bench: Mapping[str, Any] | None, plant: str, details: BoxDetails | None = None
 ) -> KnownBox:
-    """Describe a box by its own reports and its bench file; where the two differ, the box's values are used.
+    """Describe a box by its own reports and its bench file; where they differ, the box's values are used.
 
-    So the digest is that of the file only if the box does not contradict it. A box of version 2 gives its own digest;
-    where the file has another, its numbers are not known.
+    The digest is therefore that of the file only if the box does not contradict it. A box of version 2 reports its own
+    digest; if the file has another, its numbers are unknown.
     """
     believed = details.bench_digest if details else ""
     if bench is None or (believed and believed != bench_file.digest(bench)):
@@ -72,7 +72,7 @@ def known_box(
 
 
 def differences(info: BoxInfo, bench: Mapping[str, Any] | None, details: BoxDetails | None = None) -> str:
-    """Differences between a box, its bench file and the expectation here, with both values; empty if none."""
+    """Return differences between a box, its bench file and the expectation here, with both values; empty if none."""
     found = []
     believed = details.bench_digest if details else ""
     if believed and bench is not None and believed != bench_file.digest(bench):

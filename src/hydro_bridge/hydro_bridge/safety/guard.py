@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command guard: every command to a box is assembled here, finite, clamped and fresh.
+"""Command guard: assembles every command to a box, finite, clamped and fresh.
 
-The guard believes nobody. A value that is not finite is dropped, one out of range is clamped, an old one is replaced
-by the safe one (base gains, no correction); each is counted, and each change is told once in a sentence
-(`take_events`). On the word of a filter whose model is not this bench's (MISMATCH) no correction passes, and gains
-within the narrow range alone. If nobody chooses gains any more it gives the plant up: reference 0 N, disarmed. Source:
+The guard trusts no sender. A non-finite value is dropped, one out of range is clamped, a stale one is replaced by the
+safe value (base gains, no correction); each case is counted, and each change is reported once in a sentence
+(`take_events`). If the filter reports that its model is not this bench's (MISMATCH), no correction passes, and only
+gains within the narrow range. If no gains arrive any more it gives the plant up: reference 0 N, disarmed. Source:
 failure table of failures.md.
 """
 
@@ -21,18 +21,18 @@ __all__ = ["DECIDED", "CommandGuard", "GuardCounts", "GuardSettings", "narrowed"
 DECIDED = frozenset(
     {CorrectionStatus.PASS, CorrectionStatus.MODIFIED, CorrectionStatus.RELAXED, CorrectionStatus.INFEASIBLE}
 )
-"""Statuses with which the filter did decide. NAN and STALE say that it could not, BYPASSED that it was told not to;
-MISMATCH that nothing should rest on it."""
+"""Statuses of a decision by the filter. NAN and STALE mean that it could not decide, BYPASSED that it was told not to,
+MISMATCH that nothing may rely on it."""
 
 _KEPT = 256
-"""Samples whose nominal current is kept: more than `correction_age_max` can be."""
+"""Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
 
 MISMATCHED = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
 
 
 @dataclass(kw_only=True)
 class GuardCounts:
-    """How often the guard intervened."""
+    """Counts of the guard's interventions."""
 
     commands: int = 0
     not_finite: int = 0
@@ -40,83 +40,83 @@ class GuardCounts:
     undecided: int = 0
     """Corrections with status NAN, STALE or BYPASSED."""
     outdated: int = 0
-    """Corrections of a sample that was too old when they came, or of one that never was."""
+    """Corrections of a sample that was too old when they arrived, or that never existed."""
     repeated: int = 0
-    """Corrections of a sample that was answered already, or of one before it."""
+    """Corrections of a sample that was already answered, or of an earlier one."""
     mismatched: int = 0
     """Corrections with status MISMATCH: the filter's model is not this bench's."""
     narrowed: int = 0
-    """Commands whose gains were narrowed for that."""
+    """Commands whose gains were narrowed for this reason."""
     references_refused: int = 0
     stale_correction: int = 0
     """Commands for which the correction was stale."""
     stale_gains: int = 0
     """Commands for which the gains were stale."""
     given_up: int = 0
-    """How often the plant was disarmed from here, see `CommandGuard.give_up`."""
+    """Disarmings by the guard, see `CommandGuard.give_up`."""
 
 
 @dataclass(kw_only=True)
 class CommandGuard:
-    """Collects gains, correction, reference and arming; `command` returns what may be sent now.
+    """Collects gains, correction, reference and arming; `command` returns the command that may be sent now.
 
-    Times are seconds of any one monotonic clock. Nothing here is locked: use it from one thread or under one lock.
+    Times are seconds of any one monotonic clock. Not thread-safe: use it from one thread or under one lock.
     """
 
     settings: GuardSettings = field(default_factory=GuardSettings)
     counts: GuardCounts = field(default_factory=GuardCounts)
     valve_current_max: float = inf
-    """A, of the box: no correction asks for more, as no certificate does."""
+    """A, valve limit of the box: no correction demands more, since no certificate does."""
     _gains: tuple[float, float] = (0.0, 0.0)
     _gains_at: float = -inf
     _delta_u: float = 0.0
     _corrects: int = 0
     _correction_at: float = -inf
     _mismatched: bool = False
-    """Whether the filter's last word was MISMATCH; only a decision takes it back."""
+    """Whether the filter's last status was MISMATCH; only a decision clears it."""
     _newest: int | None = None
     _answered_last: int | None = None
-    """The sample that was corrected last, as far as samples are told of."""
+    """Sample that was corrected last, if samples are announced (`note_sample`)."""
     _nominal: dict[int, tuple[int, float]] = field(default_factory=dict)
     """The last samples and their nominal currents [A], by sequence modulo `_KEPT`."""
     _reference: ReferenceSignal = field(default_factory=ReferenceSignal)
     _arm: bool = False
     _gained: bool = False
-    """Whether gains came since the arming: from then on somebody is expected to be there."""
+    """Whether gains arrived since the arming: from then on they are expected to continue."""
     _given_up: str = ""
     _troubles: set[str] = field(default_factory=set)
     _events: list[str] = field(default_factory=list)
 
     @property
     def armed(self) -> bool:
-        """What the last `set_arm` asked for."""
+        """Whether the last `set_arm` requested arming."""
         return self._arm
 
     @property
     def reference(self) -> ReferenceSignal:
-        """The reference that goes down."""
+        """Reference that is sent to the box."""
         return self._reference
 
     @property
     def given_up(self) -> str:
-        """Why the plant was last disarmed from here; empty once it was armed anew."""
+        """Reason why the guard last disarmed the plant; empty once it is armed again."""
         return self._given_up
 
     def set_arm(self, arm: bool) -> None:
-        """Ask for arming or disarming; a lost connection calls this with False."""
+        """Request arming or disarming; a lost connection calls this with False."""
         if arm and not self._arm:
             self._gained, self._given_up = False, ""
         self._arm = bool(arm)
 
     def give_up(self, reason: str) -> None:
-        """Disarm, with base gains and a reference of 0 N, until somebody arms on purpose; `reason` is told."""
+        """Disarm, with base gains and a reference of 0 N, until armed on purpose; `reason` is reported."""
         self._arm, self._gains, self._reference = False, (0.0, 0.0), ReferenceSignal()
         self._given_up = f"{reason}; reference 0 N, disarmed until it is armed anew"
         self.counts.given_up += 1
         self._events.append(self._given_up)
 
     def set_gains(self, delta_kp: float, delta_ki: float, now: float) -> None:
-        """Take new gain changes [1/s], [1/s^2]; not finite: dropped, and the last ones age on."""
+        """Set new gain changes [1/s], [1/s^2]; non-finite ones are dropped, and the last ones keep ageing."""
         good = isfinite(delta_kp) and isfinite(delta_ki)
         self._tell("gains", not good, "gains are not finite: dropped, the ones before hold", "gains are finite again")
         if not good:
@@ -130,7 +130,7 @@ class CommandGuard:
         self._gains_at, self._gained = now, True
 
     def set_correction(self, delta_u: float, status: int, sequence: int, now: float) -> None:
-        """Take the filter's correction [A] for sample `sequence`; without a decision in it, the last one ages on."""
+        """Set the filter's correction [A] for sample `sequence`; without a decision, the last one keeps ageing."""
         if status == CorrectionStatus.MISMATCH:
             self._take_mismatch(sequence, now)
         elif not isfinite(delta_u):
@@ -143,14 +143,14 @@ class CommandGuard:
             self._correction_at, self._mismatched = now, False
 
     def _take_mismatch(self, sequence: int, now: float) -> None:
-        """Nothing rests on the filter from now on; that it answers keeps the narrow gains in force."""
+        """Stop relying on the filter; its answers only keep the narrow gains in force."""
         self.counts.mismatched += 1
         self._mismatched, self._delta_u = True, 0.0
         if self._fits(sequence):
             self._corrects, self._correction_at = sequence & 0xFFFFFFFF, now
 
     def _fits(self, sequence: int) -> bool:
-        """Whether a correction is of a young sample that is not answered yet; others are counted."""
+        """Return whether a correction is of a recent sample that is not answered yet; counts others."""
         if self._newest is None:
             return True
         if (self._newest - sequence) & 0xFFFFFFFF > self._samples_back:
@@ -163,17 +163,17 @@ class CommandGuard:
         return True
 
     def _admissible(self, sequence: int) -> tuple[float, float]:
-        """Corrections [A] of a sample that a certificate can ask for: they leave the valve within its current."""
+        """Return the range of corrections [A] of a sample that keep the valve within its current limit."""
         limit, valve = self.settings.delta_u_max, self.valve_current_max
         known, nominal = self._nominal.get(sequence % _KEPT, (sequence, 0.0))
-        if known != sequence or abs(nominal) > valve:  # saturated: back to the valve's limit is much of the correction
+        if known != sequence or abs(nominal) > valve:  # saturated: much of it only returns to the limit
             return -limit, limit
         return max(-limit, -valve - nominal), min(limit, valve - nominal)
 
     def note_sample(self, sequence: int | None, nominal: float = 0.0) -> None:
-        """Say which sample is the newest, and its nominal current [A]; None for a new start.
+        """Announce the newest sample and its nominal current [A]; None for a restart.
 
-        Without it corrections age by their arrival alone.
+        Without it corrections age by their arrival time only.
         """
         self._newest = sequence
         if sequence is None:
@@ -187,7 +187,7 @@ class CommandGuard:
         return round(self.settings.correction_age_max / SAMPLE_PERIOD)
 
     def set_reference(self, signal: ReferenceSignal) -> bool:
-        """Take a new reference; out of range or not finite: refused, the last one stays, and False comes back."""
+        """Set a new reference; one out of range or not finite is refused: returns False, and the last one stays."""
         reason = reference_fault(signal, self.settings)
         if reason:
             self.counts.references_refused += 1
@@ -197,31 +197,31 @@ class CommandGuard:
         return True
 
     def correction_fresh(self, now: float) -> bool:
-        """Whether the filter decided within `correction_age_max`, and its model is this bench's."""
+        """Return whether the filter decided within `correction_age_max`, and its model is this bench's."""
         return self._answered(now) and not self._mismatched
 
     def _answered(self, now: float) -> bool:
         return now - self._correction_at <= self.settings.correction_age_max
 
     def _acts(self, now: float) -> bool:
-        """Whether the correction is young enough to act: it was decided for one sample, and is an impulse if held."""
+        """Return whether the correction is recent enough to act: decided for one sample, it is an impulse if held."""
         held = min(self.settings.correction_hold, self.settings.correction_age_max)
         behind = 0 if self._newest is None else (self._newest - self._corrects) & 0xFFFFFFFF
         return now - self._correction_at <= held and behind < round(held / SAMPLE_PERIOD)
 
     def gains_fresh(self, now: float) -> bool:
-        """Whether gains came within `gains_age_max`."""
+        """Return whether gains arrived within `gains_age_max`."""
         return now - self._gains_at <= self.settings.gains_age_max
 
     def command(self, now: float) -> Command:
-        """What may go down at time `now`."""
+        """Return the command that may be sent at time `now`."""
         if self._arm and self._gained and now - self._gains_at > self.settings.abandoned_after:
             self.give_up(f"no gains for {self.settings.abandoned_after:g} s, whoever chose them is gone")
         answered, gained = self._answered(now), self.gains_fresh(now)
         self.counts.commands += 1
         self.counts.stale_correction += not answered
         self.counts.stale_gains += not gained
-        if self._correction_at > -inf:  # before its first correction the filter is merely not up yet
+        if self._correction_at > -inf:  # before its first correction the filter is merely not running yet
             self._tell("stale correction", not answered, self._stale_sentence(), "corrections are fresh again")
         if self._gains_at > -inf:
             self._tell("stale gains", not gained, "gains are stale: base gains", "gains are fresh again")
@@ -240,7 +240,7 @@ class CommandGuard:
         )
 
     def take_events(self) -> list[str]:
-        """Sentences for the log since the last call, each once, in the order in which they first came up."""
+        """Return the log sentences since the last call, each once, in order of first occurrence."""
         events, self._events = list(dict.fromkeys(self._events)), []
         return events
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The guard's settings, and which references they allow."""
+"""Settings of the guard, and the check of references against them."""
 
 from __future__ import annotations
 
@@ -49,12 +49,12 @@ class GuardSettings:
 
 
 NARROW = GuardSettings()
-"""Its ranges of delta_kp and delta_ki are what every bench of this kind bears by itself: the paper's, K_p 15 to 90 and
-K_i 5 to 15 on base gains of 15 and 5. They hold, however wide a guard was opened, where the filter says MISMATCH."""
+"""Ranges of delta_kp and delta_ki that every bench of this kind tolerates without a filter: the paper's, K_p 15 to 90
+and K_i 5 to 15 on base gains of 15 and 5. They apply, however wide the guard is set, while the filter says MISMATCH."""
 
 
 def within_narrow(gains: tuple[float, float]) -> tuple[float, float]:
-    """Changes of K_p [1/s] and K_i [1/s^2], clamped to `NARROW`."""
+    """Return changes of K_p [1/s] and K_i [1/s^2], clamped to `NARROW`."""
     return (
         min(max(gains[0], NARROW.delta_kp_min), NARROW.delta_kp_max),
         min(max(gains[1], NARROW.delta_ki_min), NARROW.delta_ki_max),
@@ -62,7 +62,7 @@ def within_narrow(gains: tuple[float, float]) -> tuple[float, float]:
 
 
 def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
-    """The tighter of the settings' and the box's limits."""
+    """Return the settings narrowed to the box's limits."""
     return replace(
         wanted,
         delta_kp_min=max(wanted.delta_kp_min, box.delta_kp_min),
@@ -74,12 +74,12 @@ def narrowed(wanted: GuardSettings, box: BoxInfo) -> GuardSettings:
 
 
 def reference_fault(signal: ReferenceSignal, limits: GuardSettings) -> str:
-    """Why a reference is rejected, as given or as the float32 that a box receives; empty if it is accepted."""
+    """Return why a reference is rejected, as given or as the float32 that a box receives; empty if accepted."""
     return _unfit(signal, limits) or _unfit(_on_the_line(signal), limits)
 
 
 def _unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
-    """Why a reference may not go down; empty if it may."""
+    """Return why a reference may not be sent; empty if it may."""
     if signal.waveform not in tuple(Waveform):
         return f"unknown waveform {signal.waveform}"
     if not all(map(isfinite, (signal.amplitude, signal.offset, signal.frequency, signal.phase))):
@@ -92,7 +92,7 @@ def _unfit(signal: ReferenceSignal, limits: GuardSettings) -> str:
 
 
 def _on_the_line(signal: ReferenceSignal) -> ReferenceSignal:
-    """What a box gets of a finite reference, float32: in it the smallest numbers are 0 and the largest infinite."""
+    """Return a finite reference as the float32 that a box receives, where tiny numbers are 0 and huge ones infinite."""
     numbers = (signal.amplitude, signal.offset, signal.frequency, signal.phase)
     if any(abs(number) > _LINE_MAX for number in numbers):
         return replace(signal, phase=inf)
@@ -101,5 +101,5 @@ def _on_the_line(signal: ReferenceSignal) -> ReferenceSignal:
 
 
 def with_frequency(signal: ReferenceSignal) -> ReferenceSignal:
-    """The reference with a frequency that every box accepts, for a HOLD, which has none."""
+    """Return the reference with a frequency that every box accepts, for a HOLD, which has none."""
     return replace(signal, frequency=ReferenceSignal().frequency) if signal.waveform == Waveform.HOLD else signal

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Requirements before arming: each is awaited, reported, and given up after a timeout. No ROS.
+"""Requirements before arming: each is awaited, reported, and given up after a time-out. No ROS.
 
 ::
 
-    requirements   the plant, the filter, the recorder, the learner ...   in the order in which one needs the other
-    look           some twenty times a second: what is missing; for how long it has been waited for
-    after 8 s      says what is waited for, why it may take its time, and how long it is given
-    after `within` the wait ends: in `NotReadyError`, or without it, which is said
+    requirements   the plant, the filter, the recorder, the learner ...   in order of their dependence
+    look           some twenty times a second: what is missing, and for how long
+    after 8 s      reports what is awaited, why it may take long, and the time allowed
+    after `within` the wait ends: in `NotReadyError`, or with a report that the run continues without it
 
-The time of a requirement runs while nothing before it is missing: a recorder without a plant has nothing to record.
+A requirement's time runs while no earlier one is missing: a recorder without a plant has nothing to record.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 HINT_AFTER = 8.0
-"""s of waiting after which it is said."""
+"""s of waiting after which it is reported."""
 
 
 class NotReadyError(Exception):
@@ -26,20 +26,20 @@ class NotReadyError(Exception):
 
 @dataclass(frozen=True, kw_only=True)
 class Requirement:
-    """A requirement for arming."""
+    """Requirement for arming."""
 
     name: str
     """As in "waiting for the learner"."""
     ready: Callable[[], bool]
-    """Whether it is there. May raise `NotReadyError`: it never will be."""
+    """Whether it is met; raises `NotReadyError` if it never will be."""
     hint: str
-    """Why it may take its time, or what to do about it."""
+    """Why it may take long, or what to do about it."""
     within: float
-    """s that it is waited for."""
+    """s allowed for it."""
     missing: str
-    """What is said when it did not come within that time."""
+    """Sentence reported if it is not met within that time."""
     essential: bool = True
-    """Whether nothing goes without it; else one goes on, and `missing` says how."""
+    """Whether the run cannot continue without it; otherwise it continues as `missing` describes."""
 
 
 class Readiness:
@@ -48,36 +48,36 @@ class Readiness:
     Parameters
     ----------
     requirements
-        In order; names are unique.
+        Requirements in order; names are unique.
     say
         Takes a sentence.
     """
 
     def __init__(self, requirements: Sequence[Requirement], say: Callable[[str], None]) -> None:
         self._requirements, self._say = tuple(requirements), say
-        self._missing = self._requirements  # nobody has looked yet
+        self._missing = self._requirements  # not checked yet
         self._since: dict[str, float] = {}  # when the wait for it began, s
-        self._told: set[str] = set()  # waits that were told
-        self._forgone: set[str] = set()  # given up, until they come after all
+        self._told: set[str] = set()  # waits already reported
+        self._forgone: set[str] = set()  # given up, unless met later
 
     @property
     def complete(self) -> bool:
-        """Whether nothing was missing at the last look."""
+        """Whether nothing was missing at the last check."""
         return not self._missing
 
     @property
     def awaited(self) -> str:
-        """For people: `the filter and the learner`; empty if nothing is missing."""
+        """Text such as `the filter and the learner`; empty if nothing is missing."""
         names = [requirement.name for requirement in self._missing]
         return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
     def look(self, now: float) -> None:
-        """See what is there; `now` by any one clock [s].
+        """Check all requirements; `now` by any one clock [s].
 
         Raises
         ------
         NotReadyError
-            Something essential did not come within its time, or never will.
+            An essential requirement was not met within its time, or never will be.
         """
         missing = [requirement for requirement in self._requirements if not requirement.ready()]
         absent = {requirement.name for requirement in missing}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial line to the box: frames and their bytes, the stream decoder, the port.
+"""Serial line to the box: frames and their bytes, the stream decoder, the port.
 
 May import `signals`; knows no ROS.
 """

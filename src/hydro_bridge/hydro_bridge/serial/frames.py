@@ -10,9 +10,9 @@ from typing import NamedTuple
 from hydro_bridge.signals import Command
 
 VERSION_MIN = 1
-"""Lowest version spoken here."""
+"""Lowest supported protocol version."""
 VERSION = 2
-"""Highest version spoken here."""
+"""Highest supported protocol version."""
 
 
 class FrameType(IntEnum):
@@ -26,19 +26,19 @@ class FrameType(IntEnum):
 
 
 class MalformedError(ValueError):
-    """A frame whose check sum holds but whose content does not follow the byte tables."""
+    """A frame with a valid check sum whose content does not follow the byte tables."""
 
 
 class CheckSumError(MalformedError):
-    """The CRC-32 does not hold."""
+    """The CRC-32 does not match."""
 
 
 class UnknownFrameError(MalformedError):
-    """An unknown frame type of this protocol version: skipped, so that newer boxes may add some."""
+    """An unknown frame type of this protocol version: skipped, so that newer boxes may add types."""
 
 
 class WrongVersionError(MalformedError):
-    """A frame of another version; `version` says which."""
+    """A frame of another version, given by `version`."""
 
     def __init__(self, version: int) -> None:
         super().__init__(f"frame of version {version}, here {VERSION_MIN} to {VERSION} are spoken")
@@ -46,7 +46,7 @@ class WrongVersionError(MalformedError):
 
 
 INTEGRAL_FORMS = ("", "paper", "bumpless")
-"""Forms of the force law's integral by their number in HELLO: not told, K_i int e dt, int K_i e dt."""
+"""Forms of the force law's integral by their number in HELLO: not reported, K_i int e dt, int K_i e dt."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,11 +74,11 @@ class BoxInfo:
     sample_period: float = 1e-3
     """s."""
     integral: str = ""
-    """Form of the force law's integral, one of `INTEGRAL_FORMS`; empty: the box does not tell."""
+    """Form of the force law's integral, one of `INTEGRAL_FORMS`; empty: not reported."""
 
 
 FEEDBACKS = ("", "load", "hydraulic")
-"""Forces that a law can follow, by their number in DETAILS; empty: not told."""
+"""Forces that a law can follow, by their number in DETAILS; empty: not reported."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,9 +86,9 @@ class BoxDetails:
     """A box's DETAILS, from protocol version 2 on; 0 or empty: not reported."""
 
     epoch: int = 0
-    """Of its power-on, [1, 2^32 - 1]: another one means that the box was restarted."""
+    """Number of its power-on, [1, 2^32 - 1]: a change means that the box was restarted."""
     bench_digest: str = ""
-    """Digest of the bench file that its force law believes, 12 hexadecimal digits."""
+    """Digest of the bench file used by its force law, 12 hexadecimal digits."""
     feedback: str = ""
     """Force that its law follows, one of `FEEDBACKS`."""
     load_force_limit: float = 0.0
@@ -126,7 +126,7 @@ class Hello(NamedTuple):
 class State(NamedTuple):
     """One sample: `values` in STATE_FIELDS order, flags, and the sequence number of the box's latest command.
 
-    From version 2 on also how many values, and how many references, the box refused since its power-on.
+    From version 2 on also the numbers of values and of references that the box refused since its power-on.
     """
 
     sequence: int
@@ -147,7 +147,7 @@ class Details(NamedTuple):
 
 
 class CommandFrame(NamedTuple):
-    """One command as the box receives it."""
+    """A command as the box receives it."""
 
     sequence: int
     time_us: int

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The serial port: exclusive, low latency, non-blocking writes, may be unplugged and plugged again."""
+"""Serial port: exclusive, low latency, non-blocking writes, may be unplugged and plugged in again."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class Port:
             taken = getattr(error, "errno", None) in _TAKEN
             raise (PortTakenError if taken else PortLostError)(_reason(path, error)) from None
         self.low_latency = False
-        # Pseudo-terminals and most drivers have no such mode, and each says so in its own way.
+        # Pseudo-terminals and most drivers lack this mode, and each reports it differently.
         with contextlib.suppress(Exception):
             self._serial.set_low_latency_mode(True)
             self.low_latency = True
@@ -82,12 +82,12 @@ class Port:
                 port.close()
 
     def read(self, timeout: float) -> bytes:
-        """Whatever is there, as soon as it is there; nothing after `timeout` seconds.
+        """Return the available bytes as soon as there are any; none after `timeout` seconds.
 
         Raises
         ------
         PortLostError
-            The port is closed, gone, or says that it is ready and has no data: that is how an unplugged one looks.
+            The port is closed, gone, or ready without data, which is how an unplugged one appears.
         """
         try:
             descriptor = self._descriptor()
@@ -103,7 +103,7 @@ class Port:
         return data
 
     def write(self, frame: bytes) -> bool:
-        """Write a frame without waiting; False if the line was full and the frame was dropped. Raises PortLostError."""
+        """Write a frame without waiting; returns False if the full line dropped it. Raises PortLostError."""
         data = self._unwritten + frame
         try:
             written = os.write(self._descriptor(), data)
@@ -125,7 +125,7 @@ class Port:
 
 
 def no_port(path: str) -> str | None:
-    """What `path` is instead of a serial port; None if it is one, is absent, or cannot be determined."""
+    """Return what `path` is instead of a serial port; None if it is one, is absent, or cannot be determined."""
     try:
         mode = os.stat(path).st_mode
     except OSError:
@@ -139,7 +139,7 @@ def _is_terminal(path: str) -> bool:
     try:
         descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
     except OSError:
-        return True  # taken, or not ours to open: opening it in earnest says why
+        return True  # taken, or no permission: the actual opening gives the reason
     try:
         return os.isatty(descriptor)
     finally:

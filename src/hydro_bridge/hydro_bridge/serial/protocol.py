@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Frames of the serial line: bytes <-> values. protocol.md has the byte tables and the reasons.
+"""Encoding and decoding of frames of the serial line; byte tables and rationale in protocol.md.
 
 A frame on the wire, all little endian::
 
     0x00 | COBS( version u8 | type u8 | sequence u32 | time_us u64 | payload | CRC-32 u32 ) | 0x00
 
-The delimiter stands on both sides: a frame after garbage is then read whole, and nothing is lost by resynchronising.
+Delimiters on both sides let a frame after garbage be read completely: resynchronising loses nothing.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ __all__ = [
 HANDSHAKE = 0
 """Version byte of HELLO frames: their layout is the same in all versions, so that any two ends can negotiate."""
 MAX_ENCODED = 160
-"""bytes between two delimiters, at most; more is noise."""
+"""Maximum number of bytes between two delimiters; more is noise."""
 
 _HEADER = Struct("<BBIQ")
 _STATE = Struct(f"<BBIQ{len(STATE_FIELDS)}fII")
@@ -86,7 +86,7 @@ def encode_state(
     last_command: int,
     refused: tuple[int, int] | None = None,
 ) -> bytes:
-    """Frame of one sample: version 2 if it counts refusals, else version 1.
+    """Encode one sample: version 2 if it counts refusals, else version 1.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def encode_state(
     last_command
         Sequence of the newest command received, 0 before the first; the host measures the round trip with it.
     refused
-        Values, and references, that the box refused since its power-on.
+        Numbers of values and of references that the box refused since its power-on.
     """
     head = (VERSION_MIN if refused is None else 2, FrameType.STATE, sequence & 0xFFFFFFFF, time_us)
     layout, tail = (_STATE, ()) if refused is None else (_STATE_2, tuple(count & 0xFFFFFFFF for count in refused))
@@ -112,7 +112,7 @@ def encode_state(
 
 
 def encode_command(sequence: int, time_us: int, command: Command, version: int = VERSION_MIN) -> bytes:
-    """Frame of one command; `time_us` is the host's clock, `version` the one negotiated."""
+    """Encode one command; `time_us` is the host's clock, `version` the one negotiated."""
     reference = command.reference
     bits = _ARM * command.arm | _FILTER_FRESH * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
@@ -125,7 +125,7 @@ def encode_command(sequence: int, time_us: int, command: Command, version: int =
 
 
 def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None) -> bytes:
-    """Frame that opens a connection; a box gives its `info`, the host none."""
+    """Encode the frame that opens a connection; a box gives its `info`, the host none."""
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
     who = (VERSION_MIN, VERSION, info is not None, INTEGRAL_FORMS.index(integral))
     head = (HANDSHAKE, FrameType.HELLO, sequence & 0xFFFFFFFF, time_us, *who)
@@ -133,19 +133,19 @@ def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None) -> by
 
 
 def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
-    """Frame that follows each HELLO of a box in version 2."""
+    """Encode the frame that follows each HELLO of a box in version 2."""
     epoch, digest, feedback, *numbers = astuple(details)
     who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACKS.index(feedback), 0, 0, 0)
     return _wrap(_DETAILS.pack(2, FrameType.DETAILS, sequence & 0xFFFFFFFF, time_us, *who, *numbers))
 
 
 def decode(encoded: bytes) -> Frame:
-    """Frame between two delimiters.
+    """Decode the frame between two delimiters.
 
     Raises
     ------
     MalformedError
-        Broken COBS, length or content; `CheckSumError`, `UnknownFrameError` and `WrongVersionError` are kinds of it.
+        Broken COBS, length or content; `CheckSumError`, `UnknownFrameError` and `WrongVersionError` are subclasses.
         Nothing else is ever raised.
     """
     try:
@@ -169,12 +169,12 @@ def decode(encoded: bytes) -> Frame:
 
 
 def negotiate(hello: Hello) -> int:
-    """The highest protocol version that both ends speak.
+    """Return the highest protocol version that both ends support.
 
     Raises
     ------
     WrongVersionError
-        There is none; the message says what each end speaks.
+        There is none; the message names the versions of each end.
     """
     if hello.version_min <= VERSION and hello.version_max >= VERSION_MIN:
         return min(VERSION, hello.version_max)
@@ -187,7 +187,7 @@ def _wrap(body: bytes) -> bytes:
 
 
 def _single(value: float) -> float:
-    """Nearest float that fits into float32."""
+    """Return the nearest float that fits into float32."""
     return copysign(inf, value) if abs(value) > 3.4028234e38 else value
 
 

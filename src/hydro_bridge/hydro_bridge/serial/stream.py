@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stream decoder: bytes to frames. Damage never raises; it is counted.
+"""Stream decoder from bytes to frames. Damaged bytes are counted and never raise.
 
-`Decoder` cuts the stream at the delimiters and checks each piece; `SequenceTracker` tells new samples from repeated
+`Decoder` cuts the stream at the delimiters and checks each piece; `SequenceTracker` separates new samples from repeated
 and late ones.
 """
 
@@ -30,17 +30,17 @@ class LinkCounts:
     frames: int = 0
     """Accepted frames of all types."""
     crc_errors: int = 0
-    """Pieces between delimiters whose check sum does not hold."""
+    """Pieces between delimiters with a wrong check sum."""
     malformed: int = 0
-    """Pieces that are no frame for another reason: broken COBS, overlong, wrong length or content."""
+    """Pieces that are not frames for another reason: broken COBS, overlong, wrong length or content."""
     resyncs: int = 0
     """Times that a good frame followed bad pieces."""
     unknown: int = 0
-    """Whole frames of a type not known here."""
+    """Valid frames of an unknown type."""
     wrong_version: int = 0
-    """Whole frames of another protocol version."""
+    """Valid frames of another protocol version."""
     lost: int = 0
-    """Sequence numbers never delivered onward, late ones included."""
+    """Sequence numbers never delivered, late ones included."""
     duplicates: int = 0
     reordered: int = 0
     """Frames that came after a later one; not delivered."""
@@ -60,7 +60,7 @@ class Decoder:
     _in_sync: bool = True
 
     def feed(self, data: bytes) -> list[Frame]:
-        """Whole frames that end within `data`, in order; chunk borders may fall anywhere."""
+        """Return the frames that end within `data`, in order; chunk borders may fall anywhere."""
         self.counts.bytes += len(data)
         *pieces, self._pending = (self._pending + data).split(b"\0")
         if self._overlong and pieces:
@@ -78,7 +78,7 @@ class Decoder:
         return frames
 
     def reset(self) -> None:
-        """Forget the piece under way (the port was reopened); counts stay."""
+        """Discard the partial piece (the port was reopened); counts are kept."""
         self._pending, self._overlong, self._in_sync = b"", False, True
 
     def _check(self, piece: bytes) -> Frame | None:
@@ -120,7 +120,7 @@ class SequenceTracker:
     """Bit n: newest - n was received."""
 
     def accept(self, sequence: int) -> bool:
-        """Whether to deliver the frame with this sequence number; counts it in any case."""
+        """Count the frame with this sequence number and return whether to deliver it."""
         if self._newest is None:
             self._newest, self._seen = sequence, 1
             return True
@@ -137,7 +137,7 @@ class SequenceTracker:
         return True
 
     def reset(self) -> None:
-        """Take the next number as the first (a new connection); counts stay."""
+        """Treat the next number as the first (a new connection); counts are kept."""
         self._newest = None
 
     def _old(self, behind: int) -> bool:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where a diagnosis found that a recording and the model differ: the windows of its report.json, as marks."""
+"""Windows of a diagnosis' report.json in which recording and model differ, as marks."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ _SAME = 1e-3  # s between two stamps of one sample
 
 
 def report_beside(bag: Path) -> Path | None:
-    """The report that lies in the same folder as a recording, if there is one."""
+    """Return the report in the same folder as a recording, if there is one."""
     report = bag.absolute().parent / REPORT
     return report if report.is_file() else None
 
 
 @dataclass(frozen=True, kw_only=True)
 class Findings:
-    """What a report says of each recording it is on."""
+    """Findings of a report for each of its recordings."""
 
     report: Path
     marks: dict[str, list[Mark]]
-    """By the recording's name: where each window begins, in s from its first sample."""
+    """Start of each window by the recording's name, in s from its first sample."""
     begins: list[tuple[str, float | None]]
-    """Name, and the stamp [s] of the first sample, where it is a bag; empty in reports of former versions."""
+    """Name and stamp [s] of the first sample of each bag; empty in reports without stamps."""
 
     def of(self, bag: Path, begin: float) -> list[Mark]:
-        """Those of the recording whose first sample is stamped `begin`; where the report has no stamps, by its name.
+        """Return those of the recording whose first sample is stamped `begin`; by its name if the report has no stamps.
 
-        Of several that begin alike the name decides. A name that two recordings share has none: whose they are is open.
+        Among several with the same start the name decides. A name shared by two recordings is ambiguous and has none.
         """
         named = [name for name in self.marks if Path(name).name in (bag.name, bag.stem)]
         if self.begins:
@@ -45,12 +45,12 @@ class Findings:
 
 
 def read_findings(report: Path) -> Findings:
-    """What report.json of a diagnosis says.
+    """Read report.json of a diagnosis.
 
     Raises
     ------
     RecordingError
-        The file cannot be read, or is no report of a diagnosis.
+        The file cannot be read, or is not the report of a diagnosis.
     """
     try:
         content = json.loads(report.read_text(encoding="utf-8"))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A series of unknown length in bounded memory: least and greatest value of each slot; slots grow with the recording.
+"""Thinning of a series of unknown length in bounded memory: minimum and maximum per slot; slots grow with the series.
 
 ::
 
-    slots of 10 ms   | 0 | 1 | 2 | 3 | ... | limit - 1 |     full, and another sample comes:
-    slots of 20 ms   |   0   |   1   | ... |           |     two and two are merged; and so on
+    slots of 10 ms   | 0 | 1 | 2 | 3 | ... | limit - 1 |     full, and another sample arrives:
+    slots of 20 ms   |   0   |   1   | ... |           |     pairs are merged; and so on
 
 A pulse of one sample stays visible at every length.
 """
@@ -18,9 +18,9 @@ from hydro_bridge.dashboard.thinning import SLOT
 from hydro_bridge.signals import FloatArray
 
 LIMIT = 2**16
-"""Slots: 655 s at 10 ms; an hour has 5.6 times that, and slots of 80 ms."""
+"""Number of slots: 655 s at 10 ms; an hour is 5.6 times that, in slots of 80 ms."""
 JUMP = 3600.0
-"""s between two samples from which on the later one's stamp is not believed."""
+"""s between two samples beyond which the later one's stamp is rejected."""
 
 
 class GrowingThinner:
@@ -29,11 +29,11 @@ class GrowingThinner:
     Parameters
     ----------
     columns
-        Numbers in a sample.
+        Number of values in a sample.
     begin
-        s, of the first slot.
+        Start of the first slot, s.
     limit
-        Slots that are kept, even.
+        Number of slots kept, even.
     """
 
     def __init__(self, columns: int, begin: float, limit: int = LIMIT) -> None:
@@ -43,22 +43,22 @@ class GrowingThinner:
         self.slot = SLOT
         """s."""
         self.left_out = 0
-        """Samples from before the begin, or more than `JUMP` later than all before."""
+        """Samples before `begin`, or more than `JUMP` after all previous ones."""
 
     @property
     def end(self) -> float:
-        """s of the latest sample, on the clock of the samples."""
+        """Time of the latest sample, s, on the clock of the samples."""
         return self._last
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
-        """Enter samples.
+        """Add samples.
 
         Parameters
         ----------
         times
             s, shape (n,).
         values
-            Shape (n, columns). What is not finite counts as no sample.
+            Shape (n, columns). Non-finite values count as missing.
         """
         good = (times >= self._begin) & (times < self._last + JUMP)
         self.left_out += int(len(times) - np.count_nonzero(good))
@@ -77,7 +77,7 @@ class GrowingThinner:
         self._end = max(self._end, int(rows[-1]) + 1)
 
     def values(self, slot: float) -> npt.NDArray[np.float32]:
-        """Least and greatest in slots of `slot` s, or of this series' own if longer, shape (slots, columns, 2)."""
+        """Return minimum and maximum in slots of `slot` s, or this series' own if longer, shape (slots, columns, 2)."""
         while self.slot < slot:
             self._merge()
         return self._table[: self._end]

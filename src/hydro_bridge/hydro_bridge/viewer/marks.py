@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What happened in a recording, a sentence each: from the flags of its samples, and from what its nodes said.
+"""Events of a recording as marks of one sentence, from the flags of its samples and the messages of its nodes.
 
 ===========  ==========================================================================================
 kind         from
 ===========  ==========================================================================================
-armed        flag ARMED of /hydro/state, which comes or goes
-trip         flag TRIPPED, with the flags that came along
+armed        flag ARMED of /hydro/state, set or cleared
+trip         flag TRIPPED, with the accompanying flags
 watchdog     flag WATCHDOG: no commands for 50 ms
-authority    /hydro/authority: another holder
-episode      /hydro/training: the next episode, and what the last one came to
+authority    /hydro/authority: change of holder
+episode      /hydro/training: start of the next episode, and result of the last one
 examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
-weights      /hydro/policy: other weights act than before (`viewer.weights`)
+weights      /hydro/policy: change of the acting weights (`viewer.weights`)
 rollback     "rollbacks" in the trainer's diagnostics
-override     "override" in the trainer's diagnostics: gains held by hand, to within their 0.5 s
-call         /rosout, names that end in `calls`: who asked to arm, disarm or override, and the answer
+override     "override" in the trainer's diagnostics: gains held by a person, to within 0.5 s
+call         /rosout, names that end in `calls`: requests to arm, disarm or override, and the answers
 log          /rosout: warnings and errors of all nodes
 window       report.json of a diagnosis: where the recording and the model differ (`viewer.findings`)
 ===========  ==========================================================================================
@@ -34,17 +34,17 @@ from hydro_bridge.signals import Flag, StateArray
 from hydro_bridge.viewer.weights import WeightChanges
 
 MARKS = 20_000
-"""At most; what comes later is counted, not kept."""
+"""Maximum number of marks; later ones are counted, not kept."""
 
 CALLS = "calls"
-"""As `hydro_bridge.ros.journal` names them."""
+"""Name of call messages, as in `hydro_bridge.ros.journal`."""
 _TRAINERS = ("trainer", "evaluate")
 _WARN = 30
 
 
 @dataclass(frozen=True)
 class Mark:
-    """One thing that happened."""
+    """One event."""
 
     time: float
     """s, on the clock of the samples."""
@@ -53,7 +53,7 @@ class Mark:
 
 
 class Marks:
-    """Collects marks in the order in which a recording is read."""
+    """Collects marks while a recording is read in order."""
 
     def __init__(self) -> None:
         self.dropped = 0
@@ -66,11 +66,11 @@ class Marks:
         self._weights = WeightChanges()
 
     def sorted(self) -> list[Mark]:
-        """All of them, by time."""
+        """Return all marks by time."""
         return sorted(self._marks, key=lambda mark: mark.time)
 
     def states(self, states: StateArray) -> None:
-        """Enter `STATE_DTYPE` records: what their flags tell."""
+        """Add the marks of `STATE_DTYPE` records, from their flags."""
         if not len(states):
             return
         flags = states["flags"].astype(np.int64)
@@ -82,13 +82,13 @@ class Marks:
         self._flags = int(flags[-1])
 
     def authority(self, time: float, holder: str) -> None:
-        """Enter who may command from `time` on; empty: nobody."""
+        """Add the holder of the authority from `time` on; empty: none."""
         if holder != self._holder:
             self._add(time, "authority", f"commanded by {holder or 'nobody'}")
         self._holder = holder
 
     def training(self, message: Mapping[str, Any]) -> None:
-        """Enter a TrainingStatus by its fields, with `time` [s]."""
+        """Add the fields of a TrainingStatus, with `time` [s]."""
         time, phase, episode = float(message["time"]), int(message["phase"]), int(message["episode"])
         if phase != self._phase and self._phase >= 0:
             self._phased(time, self._phase, phase)
@@ -101,12 +101,12 @@ class Marks:
         self._phase, self._episode, self._learner = phase, episode, bool(message["learner_alive"])
 
     def steps(self, steps: npt.NDArray[np.void]) -> None:
-        """Enter PolicyStep records, with `time` [s]: which weights acted."""
+        """Add the changes of weights in PolicyStep records, with `time` [s]."""
         for time, text in self._weights.add(steps):
             self._add(time, "weights", text)
 
     def diagnostics(self, time: float, name: str, values: Mapping[str, str]) -> None:
-        """Enter a status of the node `name`."""
+        """Add a status of the node `name`."""
         if name not in _TRAINERS:
             return
         for key, kind in (("rollbacks", "rollback"), ("override", "override"), ("examination", "examination")):
@@ -118,7 +118,7 @@ class Marks:
                 self._add(time, kind, _SENTENCES[kind](now))
 
     def log(self, time: float, level: int, name: str, sentence: str) -> None:
-        """Enter a word of /rosout by its level, as rcl_interfaces/Log counts them."""
+        """Add a message of /rosout by its level, as numbered in rcl_interfaces/Log."""
         node, _, last = name.rpartition(".")
         if last == CALLS:
             self._add(time, "call", f"{node} was asked: {sentence}")
@@ -126,7 +126,7 @@ class Marks:
             self._add(time, "log", f"{name}: {sentence}")
 
     def add(self, mark: Mark) -> None:
-        """Enter what is a mark already."""
+        """Add a finished mark."""
         self._add(mark.time, mark.kind, mark.text)
 
     def _change(self, time: float, before: int, now: int) -> None:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One self-contained HTML file of a recording: the live page's plots, styles and scripts, with the series inside.
+"""Self-contained HTML page of a recording: the live page's plots, styles and scripts, with embedded series.
 
-The series travel as gzip of float32 in base64, which the browser unpacks. The modules import each other by an import
-map of `data:` addresses, so that they are the live page's own files, unchanged. Nothing is loaded from elsewhere.
+The series are float32, gzipped, in base64, and unpacked by the browser. The modules import each other through an import
+map of `data:` addresses, so that they are the live page's own files, unchanged. No external resource is loaded.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _POLICY = "default-src 'none'; script-src 'unsafe-inline' data:; style-src 'unsa
 
 
 def rendered(recorded: Recorded) -> str:
-    """The page as HTML."""
+    """Return the page as HTML."""
     imports = {f"./{name}": _module(f"dashboard/page/{name}") for name in ("plots.js", "series.js")}
     styles = ("dashboard/page/uPlot.min.css", "dashboard/page/page.css", "viewer/page/view.css")
     return environment("hydro_bridge", "viewer/page").get_template("view.html").render(
@@ -58,7 +58,7 @@ def _facts(recorded: Recorded) -> dict[str, str]:
 
 
 def _about(recorded: Recorded) -> dict[str, Any]:
-    """What the script needs as JSON; what is not finite becomes null."""
+    """Return the script's data as JSON; non-finite values become null."""
     marks = [{"time": round(mark.time, 3), "kind": mark.kind, "text": mark.text} for mark in recorded.marks]
     about = {
         "seconds": recorded.seconds,

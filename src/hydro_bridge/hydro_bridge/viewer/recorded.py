@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A recording as a page shows it, read once, block by block: memory is that of the slots and marks."""
+"""Content of a recording's page, read once, block by block: memory is bounded by the slots and marks."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ TOLD_BY = {
     DIAGNOSTICS_TOPIC: "rollbacks and overrides",
     LOG_TOPIC: "who asked to arm, disarm or override, and what the nodes warned of,",
 }
-"""What is not to be seen of a recording without a topic."""
+"""What the page lacks if a topic was not recorded."""
 
 _NEEDED = {
     STATE_TOPIC: frozenset[str](),  # `as_states` says what is missing
@@ -48,7 +48,7 @@ _OBJECTS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Recorded:
-    """What a page shows of a recording."""
+    """Content of a recording's page."""
 
     path: Path
     begin: float
@@ -57,24 +57,24 @@ class Recorded:
     slot: float
     """s."""
     values: tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]
-    """States and corrections: least and greatest, shape (slots, columns, 2)."""
+    """States and corrections: minimum and maximum, shape (slots, columns, 2)."""
     marks: list[Mark]
     curve: dict[str, Any]
-    """Learner's curve, as the live page draws it."""
+    """Learning curve, as drawn by the live page."""
     messages: dict[str, int]
-    """How many of each topic."""
+    """Number of messages by topic."""
     metadata: dict[str, str]
     attachments: list[str]
     notes: list[str]
-    """What the reader had to put up with, and what the recording lacks."""
+    """Irregularities that the reader tolerated, and missing topics."""
 
 
 @dataclass
 class _Reading:
-    """What has been read so far."""
+    """Content read so far."""
 
     span: tuple[float, float]
-    """s from the first sample: what the user wants."""
+    """Requested part, s from the first sample."""
     begin: float = 0.0
     """s, of the first sample."""
     states: GrowingThinner | None = None
@@ -86,14 +86,14 @@ class _Reading:
     """Topics whose messages are of another version or type."""
 
     def within(self, table: Table) -> Table:
-        """The part of the span that the user wants, which counts from the first sample."""
+        """Return the requested part, which counts from the first sample."""
         if self.states is None:
             return table[:0]
         since = table["time"] - self.begin
         return table[(since >= self.span[0]) & (since <= self.span[1])]
 
     def take_states(self, table: Table) -> None:
-        """Enter samples; the first one is the begin of everything."""
+        """Add samples; all times count from the first one."""
         if self.states is None and len(table):
             self.begin = float(table["time"][0])
             first = self.begin + self.span[0]
@@ -105,19 +105,19 @@ class _Reading:
             self.marks.states(table)
 
     def take_corrections(self, table: Table) -> None:
-        """Enter corrections."""
+        """Add corrections."""
         table = self.within(table)
         if self.corrections is not None and len(table):
             self.corrections.add(table["time"], series.correction_values(table))
 
     def take_training(self, table: Table) -> None:
-        """Enter what the trainer was doing."""
+        """Add the trainer's status."""
         for row in self.within(table):
             self.marks.training({name: row[name] for name in row.dtype.names})
             self.curve.add(int(row["episode"]), float(row["force_rmse"]), float(row["episode_return"]))
 
     def take_object(self, topic: str, time: float, message: Any) -> None:
-        """Enter a word of the authority, of diagnostics or of the log."""
+        """Add a message about the authority, of the diagnostics or of the log."""
         if topic == LOG_TOPIC:
             self.marks.log(time, int(message.level), message.name, message.msg)
             return
@@ -136,14 +136,14 @@ def read_recorded(path: Path | str, span: tuple[float, float] = (0.0, inf), repo
     path
         A rosbag2 folder or an .mcap file.
     span
-        s from the first sample: the part to show, which a page shows the finer the shorter it is.
+        Part to show, s from the first sample; a shorter part is shown in finer detail.
     report
-        report.json of a diagnosis, whose windows are marked.
+        report.json of a diagnosis whose windows are marked.
 
     Raises
     ------
     RecordingError
-        Nothing there, damaged, or no samples of a bench in it, or none within the span; or no report.
+        The recording is missing, damaged, or has no bench samples at all or within the span; or the report is invalid.
     """
     found = None if report is None else read_findings(report)
     source = BagSource(Path(path))
@@ -214,7 +214,7 @@ def _finished(source: BagSource, reading: _Reading, messages: dict[str, int]) ->
 
 
 def within(marks: list[Mark], begin: float, seconds: float) -> list[Mark]:
-    """Marks of a part of `seconds` s from `begin` on, which starts with who commanded then; times from its begin."""
+    """Return the marks of a part of `seconds` s from `begin` on, first the holder then; times count from `begin`."""
     held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
     shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
     return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]

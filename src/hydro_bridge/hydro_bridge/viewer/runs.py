@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""runs/index.html: one front page for all runs in a folder, with their pictures and pages."""
+"""Index page runs/index.html of all runs in a folder, with their pictures and pages."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from hydro_bridge.pages import environment
 
 INDEX = "index.html"
 MARK = "<!-- hydro: a front page of runs -->"
-"""Of a page that may be written anew."""
+"""Marker of a page that may be overwritten."""
 FOLDER = "runs"
-"""Name of the folder whose front page commands bring up to date by themselves."""
+"""Name of the folder whose index page commands update automatically."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunEntry:
-    """What the front page says of one run; addresses are relative to the folder of all runs."""
+    """Entry of one run on the index page; addresses are relative to the folder of all runs."""
 
     name: str
     kind: str
@@ -36,27 +36,27 @@ class RunEntry:
     pages: tuple[str, ...]
     pictures: tuple[str, ...]
     recordings: tuple[str, ...]
-    """Those that have no page yet."""
+    """Recordings without a page."""
 
     @property
     def when(self) -> str:
-        """Of the last change, in words."""
+        """Time of the last change, as text."""
         return datetime.fromtimestamp(self.changed, timezone.utc).strftime("%Y-%m-%d %H:%M UTC")
 
 
 def list_runs(folder: Path) -> list[RunEntry]:
-    """Runs in a folder, the newest first; what is no run is left out."""
+    """Return the runs in a folder, newest first; other entries are skipped."""
     entries = (_readable(folder, run) for run in folder.iterdir() if not run.name.startswith("."))
     return sorted(filter(None, entries), key=lambda entry: -entry.changed)
 
 
 def write_index(folder: Path) -> Path:
-    """Write the front page of a folder of runs; its place.
+    """Write the index page of a folder of runs, and return its path.
 
     Raises
     ------
     OSError
-        The folder cannot be read, or the page not be written, for one: there is another one of that name.
+        The folder cannot be read, or the page cannot be written, for instance because a foreign file has its name.
     """
     index, here = folder / INDEX, folder.resolve()
     if index.is_file() and MARK not in index.read_text(encoding="utf-8", errors="replace"):
@@ -69,9 +69,9 @@ def write_index(folder: Path) -> Path:
 
 
 def refresh_index(run: Path) -> None:
-    """Bring the front page above a run that ended up to date, if its folder is called `FOLDER`; fails in silence.
+    """Update the index page above a finished run, if its folder is called `FOLDER`; fails silently.
 
-    A run never ends otherwise for the sake of a page.
+    A page never changes the outcome of a run.
     """
     folder = run.absolute().parent
     if folder.name == FOLDER:
@@ -82,7 +82,7 @@ def refresh_index(run: Path) -> None:
 def _readable(folder: Path, run: Path) -> RunEntry | None:
     try:
         return _entry(folder, run) if run.is_dir() else None
-    except OSError:  # it may not be entered, or was taken away meanwhile
+    except OSError:  # no permission, or removed meanwhile
         return None
 
 
@@ -139,5 +139,5 @@ _KINDS = {
     "recording": "metadata.yaml",
     "unfinished": "bag/metadata.yaml",
 }
-"""By which file of its folder a kind of run is known; the first one counts."""
+"""Files that identify the kind of a run; the first match counts."""
 _SUMMARIES: dict[str, Callable[[Path], str]] = {"training": _training, "diagnosis": _diagnosis}

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which of a policy's changes of weights are worth a mark: a learner changes them some fifty times a second.
+"""Selection of the weight changes to mark, since a learner changes a policy's weights some fifty times a second.
 
-Marked are the first weights, and others that act after a second or more without a change: where learning begins, and
-where it goes on behind an examination, a stop or a pause. Each mark says how often they changed since the one before.
+Marked are the first weights, and changes after a second or more without one: where learning begins, and where it
+continues after an examination, a stop or a pause. Each mark gives the number of changes since the previous mark.
 """
 
 from __future__ import annotations
@@ -15,19 +15,19 @@ STILL = 1.0
 
 
 def digest_of(weights: int) -> str:
-    """`PolicyStep.weights` as the trainer's diagnostics write it: 12 hex digits."""
+    """Return `PolicyStep.weights` as in the trainer's diagnostics: 12 hex digits."""
     return f"{weights:012x}"
 
 
 class WeightChanges:
-    """Follows the weights that acted, in the order in which a recording is read."""
+    """Tracks the acting weights while a recording is read in order."""
 
     def __init__(self) -> None:
         self._weights: int | None = None
         self._changed, self._count = 0.0, 0
 
     def add(self, steps: npt.NDArray[np.void]) -> list[tuple[float, str]]:
-        """Enter PolicyStep records, with `time` [s] and `weights`: what to mark, by time [s] and sentence."""
+        """Add PolicyStep records, with `time` [s] and `weights`; returns the marks by time [s] and sentence."""
         if not len(steps):
             return []
         times, weights = steps["time"], steps["weights"]

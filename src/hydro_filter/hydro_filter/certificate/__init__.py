@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction certificate, continuous (eq. cont_require_6) and sampled, and the QP for the smallest correction.
+"""Contraction certificate, continuous (eq. cont_require_6) and sampled, and the QP for the smallest correction.
 
 May import `model` and `metric`.
 """

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The certificate of eq. cont_require_6 along the force error, as a constraint a du <= b on the correction.
+"""Certificate of eq. cont_require_6 along the force error, as a constraint a du <= b on the correction.
 
     M_c = v' (M' + sym(M (A + B K)) + 2 lambda M) v          holds if M_c <= 0
     a   = 2 v' M B                                           M_c with du is a du - b
@@ -9,12 +9,12 @@ on normalized states, with v a displacement from the reference along the load fo
 
     v = [0, 0, -e, 0, 0, 0, 0, 0] / 300 N        e = f_r - f_l
 
-**Erratum.** The paper prints +e. M_c does not care, a does: du enters the displacement x - x_r with +B (eq.
-cont_require_8), and the load force's part of x - x_r is f_l - f_r = -e. With the printed sign the correction pushes
-the force away from its reference; a test closes the loop with both.
+**Erratum.** The paper prints +e. M_c does not depend on this sign, but a does: du enters the displacement x - x_r with
++B (eq. cont_require_8), and the load force's part of x - x_r is f_l - f_r = -e. With the printed sign the correction
+pushes the force away from its reference; a test closes the loop with both.
 
-Near e = 0 the half-line vanishes with v. Errors within the load cell's noise are none: e passes a smooth dead zone,
-zero up to `noise_floor` and untouched from twice that.
+Near e = 0 the half-line vanishes with v. Errors within the load cell's noise are ignored: e passes a smooth dead zone,
+zero up to `noise_floor` and unchanged from twice that.
 """
 
 from __future__ import annotations
@@ -54,23 +54,23 @@ class Certificate:
     dynamics: Dynamics
     controller: Controller
     scale: FloatArray
-    """What each state is divided by, shape (8,); `state_scale`."""
+    """Scale of each state, shape (8,); `state_scale`."""
     current_max: float
-    """u_max [A], above 0: the model is linearized at the current that the valve passes, sat(u_nom)."""
+    """u_max [A], above 0: the model is linearized at the valve's actual current, sat(u_nom)."""
     contraction_rate: float = 0.1
     """lambda [1/s], [0, 50]; the paper's 0.1."""
     noise_floor: float = 1.8
-    """N, errors up to it are none, [0, 100]; three standard deviations of the load cell."""
+    """N, errors up to it are ignored, [0, 100]; three standard deviations of the load cell."""
 
     def displacement(self, sample: Sample) -> FloatArray:
-        """v on normalized states, shape (8,)."""
+        """Return v on normalized states, shape (8,)."""
         v = np.zeros(STATES)
         error = dead_zone(sample.reference_force - sample.state[LOAD_FORCE], self.noise_floor)
         v[LOAD_FORCE] = -error / self.scale[LOAD_FORCE]
         return v
 
     def evaluate(self, sample: Sample, v: FloatArray | None = None) -> HalfLine:
-        """a and b at a sample, along `v` (normalized, shape (8,); default: `displacement`)."""
+        """Return a and b at a sample, along `v` (normalized, shape (8,); default: `displacement`)."""
         v = self.displacement(sample) if v is None else v
         current = min(max(sample.nominal_current, -self.current_max), self.current_max)
         linear = self.dynamics.linearize(sample.state, current)
@@ -85,7 +85,7 @@ class Certificate:
 
 @njit(cache=True)
 def dead_zone(error, floor):
-    """error [N], made zero up to `floor` and untouched from twice the floor, with a continuous slope in between."""
+    """Return the error [N], zero up to `floor` and unchanged from twice the floor, with a continuous slope between."""
     size = abs(error)
     if size >= 2.0 * floor or not size > 0.0:  # NaN stays NaN
         return error
@@ -97,7 +97,7 @@ def dead_zone(error, floor):
 
 @njit(cache=True)
 def half_line(metric, metric_rate, state_matrix, input_vector, gradient, scale, v, contraction_rate):
-    """a and b: M, M' on normalized states, A, B, K in SI units, v normalized."""
+    """Return a and b; M, M' on normalized states, A, B, K in SI units, v normalized."""
     moved = scale * v  # v in SI units
     feedback = 0.0
     for i in range(STATES):

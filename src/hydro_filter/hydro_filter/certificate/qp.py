@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The smallest correction that satisfies the certificate: min |du| so that a du <= b, low <= du <= high.
+"""Smallest correction that satisfies the certificate: min |du| such that a du <= b, low <= du <= high.
 
-`closed_form` is the answer in one line of algebra: the oracle that every solution of OSQP is held against, and the
-fallback when OSQP has none. `QpFilter` asks OSQP. Neither ever divides by `a`: scaled to the bounds, a vanishing slope
-with b < 0 is an infeasible problem like any other.
+`closed_form` is the algebraic solution: the reference for every solution of OSQP, and the fallback if OSQP has none.
+`QpFilter` calls OSQP. Neither ever divides by `a`: scaled to the bounds, a vanishing slope with b < 0 is an ordinary
+infeasible problem.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ PASS, MODIFIED, RELAXED, INFEASIBLE, NAN = (
 )
 
 LEAST_IMPROVEMENT = 0.01
-"""Share of the violation that a correction at the valve's limit must remove; else none is made."""
+"""Share of the violation that a correction at the valve's limit must remove; otherwise no correction is made."""
 
 AGREEMENT = 1e-6
-"""Distance of OSQP's solution from the closed form, relative to the bounds, beyond which the closed form is taken."""
+"""Distance of OSQP's solution from the closed form, relative to the bounds, beyond which the closed form is used."""
 
 
 class Correction(NamedTuple):
     """Solution of the QP."""
 
     delta_u: float
-    """A; 0 if not finite, infeasible, or nothing had to be done."""
+    """A; 0 if not finite, infeasible, or not needed."""
     status: CorrectionStatus
 
 
@@ -68,7 +68,7 @@ def closed_form(a: float, b: float, low: float, high: float) -> Correction:
 
 @njit(cache=True)
 def closed_form_kernel(a, b, low, high):
-    """`closed_form` for compiled code: du [A] and the status' number."""
+    """Return the result of `closed_form`, for compiled code: du [A] and the status' number."""
     if not (math.isfinite(a) and math.isfinite(b) and -math.inf < low <= 0.0 <= high < math.inf):
         return 0.0, NAN
     if b >= 0.0:
@@ -90,11 +90,11 @@ class QpCounts:
     infeasible: int = 0
     """OSQP and the closed form agree that the certificate cannot be restored."""
     fallbacks: int = 0
-    """OSQP failed or disagreed; the closed form was taken."""
+    """OSQP failed or disagreed; the closed form was used."""
 
 
 class QpFilter:
-    """The QP by OSQP, warm-started from the last solution and started afresh after any status but solved.
+    """Solver of the QP by OSQP, warm-started from the last solution, cold-started after any status but solved.
 
     The problem is scaled: du by the larger bound, the half-line by its slope, so that the tolerances mean the same for
     every state of the bench.
@@ -124,7 +124,7 @@ class QpFilter:
         )
 
     def solve(self, a: float, b: float, low: float, high: float) -> Correction:
-        """As `closed_form`, by OSQP. Never raises; `counts` tells how often OSQP had no answer."""
+        """Solve the QP as `closed_form` does, by OSQP. Never raises; `counts` records failures of OSQP."""
         oracle = closed_form(a, b, low, high)
         if oracle.status in (CorrectionStatus.PASS, CorrectionStatus.NAN):
             return oracle  # du = 0 is optimal, or there is no problem to solve
@@ -141,7 +141,7 @@ class QpFilter:
         return oracle
 
     def _ask(self, a: float, b: float, low: float, high: float, span: float) -> float:
-        """OSQP's du [A], NaN if it finds none."""
+        """Return OSQP's du [A], NaN if it finds none."""
         slope = abs(a) * span
         self._rows[0] = math.copysign(1.0, a) if slope > 0.0 else 0.0
         # du is within +-1 here: a level beyond that is out of reach however far, and -2 says so without large numbers

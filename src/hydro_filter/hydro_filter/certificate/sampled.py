@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The sampled certificate, with the delay of the correction: decay of v'Mv over the sample it acts in.
+"""Sampled certificate, with the delay of the correction: decay of v'Mv over the sample in which it acts.
 
-A correction that is decided at x_k reaches the valve with u_{k+1}. So the displacement is first moved to then, with the
-current that is known, and the certificate asks about the sample after it::
+A correction decided at x_k reaches the valve with u_{k+1}. The displacement is therefore first predicted to that time,
+with the known current, and the certificate applies to the following sample::
 
     v_1 = F v_0 + G (K v_0 + w + u_k - u_nom,k)             known: the last correction and saturation are in u_k
-    v_2 = F v_1 + G (K v_1 + w) + G du                      the law goes on as it is
+    v_2 = F v_1 + G (K v_1 + w) + G du                      the law continues unchanged
     M_c(du) = ( v_2' (M + T M') v_2 - exp(-2 lambda T) v_1' M v_1 ) / T  <=  margin       [1/s], quadratic in du
 
-As T -> 0 this is eq. cont_require_6 without a projection. w is what the integral asks for beyond what it is there for
+As T -> 0 this is eq. cont_require_6 without a projection. w is the integral's current beyond its allowance
 (`excess_integral`). The quadratic's interval of admissible du is exact; the QP gets its nearer end as half-line
-a du <= b, whose smallest solution is the interval's.
+a du <= b, whose smallest solution is that of the interval.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hydro_filter.model.loop_model import LOOP
 
 @njit(cache=True)
 def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
-    """M_c(du) T = bent du^2 + 2 slope du + level, and v_1'Mv_1.
+    """Return bent, slope and level of M_c(du) T = bent du^2 + 2 slope du + level, and v_1'Mv_1.
 
     `known`, `asked` [A]: u_k - u_nom,k + w, and w. Writes v_1 and v_2 (du = 0).
     """
@@ -63,9 +63,9 @@ def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
 
 @njit(cache=True)
 def half_line(bent, slope, level):
-    """a, b of the half-line with the smallest du of bent du^2 + 2 slope du + level <= 0; and the du nearest to that.
+    """Return a, b of the half-line with the smallest du of bent du^2 + 2 slope du + level <= 0, and the nearest du.
 
-    The first two are NaN where no du satisfies it: then only the third is of use. `bent` is above 0.
+    The first two are NaN if no du satisfies the inequality; only the third is then valid. `bent` is above 0.
     """
     best = -slope / bent
     if level <= 0.0:
@@ -80,13 +80,13 @@ def half_line(bent, slope, level):
 
 @njit(cache=True)
 def excess_integral(term, allowance):
-    """Part of the law's integral I [N/s] beyond `allowance` [N/s]."""
+    """Return the part of the law's integral I [N/s] beyond `allowance` [N/s]."""
     return term - min(max(term, -allowance), allowance)
 
 
 @njit(cache=True)
 def displacement_share(size, floor):
-    """Weight, 0 to 1, of a displacement with v'Mv = size: 0 up to `floor`, 1 from twice that."""
+    """Return the weight, 0 to 1, of a displacement with v'Mv = size: 0 up to `floor`, 1 from twice that."""
     if size <= floor:
         return 0.0
     if not floor > 0.0:

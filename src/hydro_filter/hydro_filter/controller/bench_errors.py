@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Equation errors of a bench file's model: the same five as in `innovations`, from the model's own rates.
+"""Equation errors of a bench file's model: the five of `innovations`, from the model's own rates.
 
-The load's prediction is the followed state of its amplifier, driven by the measured positions. Dry friction that holds
-may have any force up to its level: below `bench_displacement.CREEP` it has the one that fits best.
+The predicted load is the simulated state of its amplifier, driven by the measured positions. Static friction may have
+any force up to its level: below `bench_displacement.CREEP` the best-fitting one is used.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from hydro_filter.model.bench_states import held_rates, hydraulic_slopes, model_
 from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
 
 F_H, F_L, P_A, P_B, X_P = range(5)
-"""Readings, as the monitor remembers them."""
+"""Readings stored by the monitor."""
 
 
 @njit(cache=True)
 def load_cell_reading(model, m, x, hidden):
-    """Load-cell reading at the middle sample; a valve without lag steps there, and its mean is used."""
+    """Return the load-cell reading at the middle sample; a valve without lag steps there, and its mean is used."""
     p, n = model, len(model.rest)
     m.cell = m.hidden[p.cell]
     if p.spool == NONE:
@@ -33,7 +33,7 @@ def load_cell_reading(model, m, x, hidden):
 
 @njit(cache=True)
 def errors(model, m, x, error, size):
-    """Error of each equation at the middle sample, and the scale of its left-hand side; both shape (5,)."""
+    """Return each equation's error at the middle sample and the scale of its left-hand side; both shape (5,)."""
     p, n, readings = model, len(model.rest), m.middle
     y, state, slopes, measured = np.empty(n), np.empty(len(p.from_whole)), np.empty(p.slopes), np.zeros(STATES)
     measured[PRESSURE_A], measured[PRESSURE_B], measured[POSITION] = readings[P_A], readings[P_B], readings[X_P]

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter with the constant metric as one compiled call, for vectorised environments.
+"""Filter with the constant metric as one compiled call, for vectorised environments.
 
 ::
 
     parts = filter_parts(contraction_filter.certificate)
     decide(parts, x, u_nom, f_r, K_p)                           delta_u, before, after, status
 
-The QP is solved by its closed form; the numbers are those of `ContractionFilter.correct`, which holds its OSQP against
-the same. `loop_decision.decide` is the counterpart with the learned metric.
+The QP is solved by its closed form; the results equal those of `ContractionFilter.correct`, which checks OSQP against
+the same form. `loop_decision.decide` is the counterpart with the learned metric.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from hydro_filter.model.state import LOAD_FORCE, STATES
 
 
 class FilterParts(NamedTuple):
-    """A `Certificate` in the form of the kernels."""
+    """A `Certificate` as arrays for the kernels."""
 
     metric: FloatArray
     """M, shape (8, 8)."""
     metric_rate: FloatArray
     """Zero, shape (8, 8)."""
     model: npt.NDArray[np.void]
-    """What is linearized, shape (1,)."""
+    """Constants of the linearized model, shape (1,)."""
     bench: npt.NDArray[np.void]
-    """What the box believes, shape (1,)."""
+    """Constants assumed by the box, shape (1,)."""
     gain_floor: float
     """N/s/A, the force law's."""
     scale: FloatArray
@@ -50,7 +50,7 @@ class FilterParts(NamedTuple):
 
 
 def filter_parts(source: Certificate) -> FilterParts:
-    """The parts of a certificate.
+    """Return the parts of a certificate.
 
     Raises
     ------
@@ -79,7 +79,7 @@ def filter_parts(source: Certificate) -> FilterParts:
 
 @njit(cache=True)
 def half_line(parts, x, nominal, reference, gain):
-    """a and b of `Certificate.evaluate`, at x (8,), u_nom [A], f_r [N], K_p [1/s]."""
+    """Return a and b of `Certificate.evaluate`, at x (8,), u_nom [A], f_r [N], K_p [1/s]."""
     state_matrix, input_vector = np.empty((STATES, STATES)), np.empty(STATES)
     law, v = np.empty(STATES), np.zeros(STATES)
     current = min(max(nominal, -parts.current_max), parts.current_max)
@@ -93,7 +93,7 @@ def half_line(parts, x, nominal, reference, gain):
 
 @njit(cache=True)
 def decide(parts, x, nominal, reference, gain):
-    """delta_u [A], M_c before and after [1/s], status: `ContractionFilter.correct` of one sample."""
+    """Return delta_u [A], M_c before and after [1/s] and status, as `ContractionFilter.correct` of one sample."""
     finite = math.isfinite(nominal)
     for i in range(STATES):
         finite = finite and math.isfinite(x[i])

@@ -9,7 +9,7 @@ displacement    of the whole loop from its reference          of the load force 
 settings        `LoopFilterSettings`                          `FilterSettings`
 =============== ============================================= ==========================================
 
-What each holds and does not: safety.md.
+Guarantees and limits of each: safety.md.
 """
 
 from __future__ import annotations
@@ -48,43 +48,43 @@ Filter = ContractionFilter | LoopFilter
 
 @dataclass(frozen=True, kw_only=True)
 class FilterChoice:
-    """The filter that the options ask for."""
+    """Filter selected by the options."""
 
     bench: Bench
-    """What the box believes."""
+    """Bench assumed by the box."""
     bench_file: Path | None = None
-    """Where that stands; None: the bench.yaml of hydro_sim."""
+    """Path of its file; None: the bench.yaml of hydro_sim."""
     metric: str = DEFAULT
     """`learned` (the shipped one), `constant`, or a file."""
     model: Path | None = None
-    """Of the learned bench, or a bench file; None: the shipped one. The constant metric has none."""
+    """Model of the learned bench, or a bench file; None: the shipped one. The constant metric has none."""
 
     @property
     def constant(self) -> bool:
-        """Whether it is the constant one."""
+        """Whether the metric is the constant one."""
         return self.metric == CONSTANT
 
     @property
     def files(self) -> dict[str, Path]:
-        """Weights by what they are; none of the constant metric."""
+        """Weights files by kind; none for the constant metric."""
         if self.constant:
             return {}
         metric = learned_metric.shipped() if self.metric == LEARNED else Path(self.metric)
         return {"metric": metric, "model": self.model or weights.shipped()}
 
     def describe(self) -> dict[str, str]:
-        """What it is, with the files' digests: for logs and /diagnostics."""
+        """Return its description with the files' digests, for logs and /diagnostics."""
         if self.constant:
             return {"metric": "constant, solved for the bench file", "model": "analytic, the bench file"}
         return {name: f"{path.name}, sha256 {_digest(path)}" for name, path in self.files.items()}
 
     def trouble(self, box: BoxIdentity | None = None) -> str:
-        """Why metric, model and bench do not belong together, in one sentence; empty where they do.
+        """Return why metric, model and bench do not belong together, in one sentence; empty if they do.
 
         Parameters
         ----------
         box
-            What the box believes; None: this filter's own bench.
+            Bench assumed by the box; None: this filter's own bench.
 
         Raises
         ------
@@ -97,20 +97,20 @@ class FilterChoice:
         model, metric, digest = self.stamps
         learn = f"learn one from its recordings with `ros2 run hydro_sim learn`, {WAYS_ON}"
         learn_metric = f"make one with `ros2 run hydro_filter learn_metric` and its --bench and --model, {WAYS_ON}"
-        path = self.files["model"]  # a bench file is for whom its metric was made
+        path = self.files["model"]  # a bench file's metric is made for that bench
         return ("" if is_bench_file(path) else mismatch(f"the model {path.name}", model, box, learn)) or mismatch(
             f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest
         )
 
     @cached_property
     def stamps(self) -> tuple[MadeFor | None, MadeFor | None, str]:
-        """What model and metric were made for, and the model's digest, as the files were when first asked for."""
+        """Stamps of model and metric and the model's digest, read from the files at first access."""
         model, metric = self.files["model"], self.files["metric"]
         made = LearnedMetric.load(metric).made
         return None if is_bench_file(model) else Learned.load(model).made, made, digest(model)
 
     def foreign(self, box: KnownBox) -> str:
-        """Why this filter does not belong to a box that runs; empty where it does, or where it is not known."""
+        """Return why this filter does not belong to a running box; empty if it does, or if this is unknown."""
         theirs = BoxIdentity.of_box(box)
         if theirs.digest and theirs.digest != self.bench.digest:
             mine = f"the filter was started for bench {self.bench.digest} ({self.source})"
@@ -119,23 +119,23 @@ class FilterChoice:
 
     @property
     def source(self) -> str:
-        """Where the bench file is, for people."""
+        """Location of the bench file, as text."""
         return str(self.bench_file or "bench.yaml of hydro_sim")
 
     def default_settings(self) -> Settings:
-        """Defaults of the settings that this filter has."""
+        """Return the default settings of this filter."""
         return FilterSettings() if self.constant else LoopFilterSettings()
 
     @property
     def uncompiled(self) -> str:
-        """What has to be compiled before it can run, for people; empty where set-up or an earlier start has done it."""
+        """Return what must be compiled before it can run, as text; empty if set-up or an earlier start did so."""
         if self.constant or not is_bench_file(self.files["model"]):
             return ""
         effects = effects_to_compile(Bench.load(self.files["model"]))
         return effects and f"the model of a bench with {effects}"
 
     def make(self, settings: Settings) -> Filter:
-        """The filter.
+        """Create the filter.
 
         Raises
         ------

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction filter: one bench sample in, one correction of the valve current out; never raises on a sample.
+"""Contraction filter: from one bench sample to one correction of the valve current; never raises on a sample.
 
     sample ──> Certificate ──> a, b ──> QpFilter ──> delta_u, status
-                 Metric, Dynamics, Controller          bounds: what the valve has left
+                 Metric, Dynamics, Controller          bounds: remaining range of the valve
 
-The bounds hold for what the valve gets: sat(u_nom) + du within +-u_max. A nominal current beyond the limit is the
-valve's to cut, not a reason to correct.
+The bounds hold for the valve's current: sat(u_nom) + du within +-u_max. A nominal current beyond the limit is clipped
+by the valve and no reason to correct.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class ContractionFilter:
     certificate
         Metric, model and law, with rate, noise floor and valve limit; `for_bench` makes the analytic one.
     settings
-        Of these only the age and the bypass are used here; the rest went into the certificate.
+        Only age and bypass are used here; the others are part of the certificate.
     """
 
     mismatch = ""
@@ -75,7 +75,7 @@ class ContractionFilter:
     def for_bench(
         cls, bench: Bench, settings: FilterSettings | None = None, design: MetricDesign | None = None
     ) -> ContractionFilter:
-        """The filter of the analytic bench with its constant metric (raises as `loop_weight`)."""
+        """Create the filter of the analytic bench with its constant metric (raises as `loop_weight`)."""
         settings = settings or FilterSettings()
         certificate = Certificate(
             metric=constant_metric(bench, design),
@@ -89,19 +89,19 @@ class ContractionFilter:
         return cls(certificate, settings)
 
     def reset(self) -> None:
-        """Begin anew. Nothing here remembers samples."""
+        """Do nothing: this filter has no memory."""
 
     def skip(self) -> None:
-        """Samples are missing before the next one."""
+        """Announce that samples are missing before the next one."""
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
-        """Decide about a sample that is `age` [s] old."""
+        """Decide the correction of a sample that is `age` [s] old."""
         if self.settings.bypass:
             before = -self.certificate.evaluate(sample).b
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
         if not abs(age) <= self.settings.state_age_max:
             return Result(0.0, nan, nan, CorrectionStatus.STALE)
-        if not all(map(isfinite, (*sample.state, sample.nominal_current))):  # also of what v does not look at
+        if not all(map(isfinite, (*sample.state, sample.nominal_current))):  # also in states that v ignores
             return Result(0.0, nan, nan, CorrectionStatus.NAN)
         line = self.certificate.evaluate(sample)
         limit = self.certificate.current_max

@@ -55,7 +55,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def header(parts: FilterParts, digest: str) -> str:
-    """Text of the header that defines `HYDRO_FILTER`, for a bench of this digest."""
+    """Return the header that defines `HYDRO_FILTER`, for a bench of this digest."""
     bench = parts.bench[0]
     lines = [
         "    .bench = {",
@@ -85,7 +85,7 @@ def main() -> None:
 
 
 def _conceivable(bench: Bench) -> None:
-    """Refuse a bench whose samples `hydro_conceivable` (firmware/hydro/filter.h) would take for none of a bench."""
+    """Refuse a bench whose samples `hydro_conceivable` (firmware/hydro/filter.h) would reject as implausible."""
     force = bench.supply_pressure * bench.piston_area
     if bench.stroke > MOST_STROKE or force > MOST_FORCE:
         raise ValueError(

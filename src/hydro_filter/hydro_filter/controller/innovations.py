@@ -1,25 +1,25 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Model monitor: whether the model still fits the bench, by its one-step prediction errors.
+"""Model monitor: detects from one-step prediction errors whether the model still fits the bench.
 
-Of three samples in a row the middle one gives the model's state, and the outer two what became of it. Taken this way
-each equation stands alone, and the lag of the box's velocity is in none of them. The error of each, T = 1 ms::
+Of three consecutive samples the middle one gives the model's state, and the outer two its change. The equations are
+then independent, and none contains the lag of the box's velocity. Their errors, T = 1 ms::
 
     load             f_l - (gain F + bias)        F: the spring's force at x_p, behind the load cell's amplifier     N
     motion           m (x_p'' - model's)          x_p'' of three positions                                           N
     hydraulic force  f_h - (A p_a - alpha A p_b), with the cell's gain and bias                                      N
     chamber a, b     (p_next - p_last) / 2 - T p'                                                                  Pa
 
-The test is a CUSUM (Page, Biometrika 41, 1954), two-sided, of each error over what is allowed of it::
+The test is a two-sided CUSUM (Page, Biometrika 41, 1954) of each error relative to its allowance::
 
     z = error / (ALLOWED + SHARE size), within +-CLIP       up = max(0, up + z - 1)     down = max(0, down - z - 1)
 
-A sum above `ALARM` says that the equation does not hold. The model of a bench that was learned is wrong by little and
-for long (friction, leakage, temperature) and by much for some milliseconds (a spool at its rate limit): the allowance
-is for the first, the clip for the second. The sensors' noise is far below both: in the mean over the 50 samples of an
-alarm 0.1 N of load, 0.3 N of motion, 0.2 N of hydraulic force, 85 Pa of a chamber. So no alarm is chance.
+A sum above `ALARM` means that the equation does not hold. A learned model has small lasting errors (friction, leakage,
+temperature) and large ones for some milliseconds (a spool at its rate limit): the allowance covers the former, the clip
+the latter. Sensor noise is far below both: in the mean over the 50 samples of an alarm 0.1 N of load, 0.3 N of motion,
+0.2 N of hydraulic force, 85 Pa of a chamber. Noise alone therefore raises no alarm.
 
-What was told stays told until the equations have held for `RETURN` samples that moved the bench at least half as hard
-as when it was told: neither a gap nor a new arming ends it. Measured: safety.md.
+An alarm persists until the equations have held for `RETURN` samples that excite the bench at least half as much as when
+it was raised: neither a gap nor a new arming ends it. Measurements: safety.md.
 """
 
 from __future__ import annotations
@@ -65,20 +65,20 @@ SUSPECTS = (
     "valve, supply, oil or area",
     "valve, supply, oil or area",
 )
-"""What makes the equation of that place wrong."""
+"""Cause of a violation of each equation."""
 COUNT = len(EQUATIONS)
 
 ALLOWED: FloatArray = np.array([7.5, 15.0, 12.0, 3e3, 3e3])
 """N, N, N, Pa, Pa in a sample: 2.5 % of 300 N; dry friction; a cell's drift; 0.03 l/min."""
 SHARE = 0.05
-"""Of what an equation moves, allowed besides: nothing is learned better, and the certificate does not need more."""
+"""Further allowance, as a share of the equation's terms: the accuracy of learning, sufficient for the certificate."""
 CLIP = 5.0
 ALARM = 50.0
-"""Samples at twice what is allowed; a larger error takes fewer, 13 at least."""
+"""Samples at twice the allowance; a larger error takes fewer, at least 13."""
 RETURN = 3000
 """Samples, 3 s."""
 SETTLING = 100
-"""Samples after a gap until spool and amplifier are where the model takes them to be."""
+"""Samples after a gap until the simulated spool and amplifier have converged."""
 
 F_H, F_L, P_A, P_B, X_P = range(5)
 
@@ -107,7 +107,7 @@ BENCH_MONITOR_DTYPE = np.dtype(
 
 
 def monitor_of(loop: Loop) -> npt.NDArray[np.void]:
-    """A new monitor, shape (1,)."""
+    """Return a new monitor, shape (1,)."""
     return np.zeros(1, BENCH_MONITOR_DTYPE if isinstance(loop, BenchLoop) else MONITOR_DTYPE)
 
 
@@ -156,7 +156,7 @@ def _found(model, m, x, error, size):
 
 @njit(cache=True)
 def amplifier_reading(model, m, x, hidden):
-    """Output of the load cell's amplifier at the middle sample."""
+    """Return the output of the load cell's amplifier at the middle sample."""
     c = model[0]
     if m.seen == 0:
         m.cell, m.cell_rate = (x[LOAD_FORCE] - c[BIAS_L]) / c[GAIN_L], 0.0
@@ -167,7 +167,7 @@ def amplifier_reading(model, m, x, hidden):
 
 @njit(cache=True)
 def errors(model, m, x, error, size):
-    """Error of each equation at the middle sample, and the scale of its left-hand side; both shape (5,)."""
+    """Return each equation's error at the middle sample and the scale of its left-hand side; both shape (5,)."""
     c, layers, center, scale, _ = model
     s, slope, inputs, r = np.empty(STATES), np.empty(8), np.empty(INPUTS), np.empty(OUTPUTS)
     first, second = np.empty(layers.b1.shape[0]), np.empty(layers.b2.shape[0])
@@ -195,7 +195,7 @@ def errors(model, m, x, error, size):
 
 @njit(cache=True)
 def _judge(model, limit, m, x):
-    """Move the sums on, and what follows from them."""
+    """Update the sums and the alarm."""
     error, size = np.empty(COUNT), np.empty(COUNT)
     _errors(model, m, x, error, size)
     highest = 0.0
@@ -217,7 +217,7 @@ def _judge(model, limit, m, x):
 
 
 def sentence(m: np.void) -> str:
-    """Which equation is violated, and by how much; empty if none is."""
+    """Return which equation is violated, and by how much; empty if none is."""
     if not m["broken"]:
         return ""
     place = int(m["broken"]) - 1

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter with the learned metric: one sample in, one correction out, in one compiled call.
+"""Filter with the learned metric: from one sample to one correction, in one compiled call.
 
 ::
 
@@ -7,8 +7,8 @@
                        metric network ──> M, M' ────────────┼──> quadratic in du ──> half-line ──> smallest du
                        law's integral ──> w ────────────────┘
 
-Samples must follow one another, each once: the memory simulates the spool from the currents that they tell. For objects
-around this call see `loop_filter`.
+Samples must be consecutive: the memory simulates the spool from their currents. See `loop_filter` for objects around
+this call.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class LoopParts(NamedTuple):
     foreign_noise_size: float
     """The same for all other gains, whose metric has another size."""
     integral_allowance: float
-    """N/s that the law's integral I may ask for: what disturbances take on stable runs."""
+    """Allowance of the law's integral I [N/s]: its share for disturbances on stable runs."""
 
 
 class Workspace(NamedTuple):
@@ -91,7 +91,7 @@ def workspace(parts: LoopParts) -> Workspace:
 
 @njit(cache=True, inline="always")
 def integral_term(bench, gain_floor, x, nominal_current, reference, reference_rate, proportional_gain):
-    """I [N/s] of `hydro_sim.box.force_law` and g [N/s/A], from the current that the law made of it: of either form."""
+    """Return I [N/s] of `hydro_sim.box.force_law`, of either form, and g [N/s/A], from the law's current."""
     position = min(max(x[POSITION], 0.0), bench.stroke)
     gain = max(input_gain(bench, position, x[PRESSURE_A], x[PRESSURE_B], nominal_current), gain_floor)
     driven = nominal_current * gain + velocity_term(bench, position, x[VELOCITY])
@@ -124,20 +124,20 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
 
 @njit(cache=True)
 def certificate_before_after(problem, change):
-    """M_c [1/s] before and with a change of the current [A]."""
+    """Return M_c [1/s] before and with a change of the current [A]."""
     after = problem.bent * change * change + 2.0 * problem.slope * change + problem.level
     return problem.level / SAMPLE_PERIOD, after / SAMPLE_PERIOD
 
 
 @njit(cache=True)
 def correction_of(nominal, change, limit):
-    """delta_u [A]: sat(u_nom + delta_u) = sat(u_nom) + change."""
+    """Return delta_u [A] such that sat(u_nom + delta_u) = sat(u_nom) + change."""
     return change + (min(max(nominal, -limit), limit) - nominal) if change != 0.0 else 0.0
 
 
 @njit(cache=True)
 def least_violation(problem):
-    """The change [A] with the smallest M_c, for when none restores the certificate, and its status."""
+    """Return the change [A] with the smallest M_c, if none restores the certificate, and its status."""
     change = min(max(problem.best, problem.low), problem.high)
     removed = problem.level - (problem.bent * change * change + 2.0 * problem.slope * change + problem.level)
     if removed < qp.LEAST_IMPROVEMENT * problem.level:
@@ -147,7 +147,7 @@ def least_violation(problem):
 
 @njit(cache=True)
 def finite(x, nominal, current, reference, reference_rate, gain):
-    """Whether all inputs of a decision are finite."""
+    """Return whether all inputs of a decision are finite."""
     good = math.isfinite(nominal) and math.isfinite(current) and math.isfinite(reference)
     good = good and math.isfinite(reference_rate) and math.isfinite(gain)
     for i in range(STATES):
@@ -168,13 +168,13 @@ def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, 
     x
         State, shape (8,).
     nominal, current
-        u_nom and what the valve got [A].
+        u_nom and the valve's actual current [A].
     reference, reference_rate
         f_r [N], f_r' [N/s].
     gain
         K_p + delta K_p [1/s].
     armed
-        Whether the valve follows the law; if not there is nothing to correct.
+        Whether the valve follows the law; if not, no correction is made.
     """
     if not finite(x, nominal, current, reference, reference_rate, gain):
         displacement.reset(memory)

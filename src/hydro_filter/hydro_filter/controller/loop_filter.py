@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter with the learned metric as an object, for the node.
+"""Filter with the learned metric as an object, for the node.
 
 ::
 
@@ -7,12 +7,10 @@
     contraction_filter.correct(sample)                    Sample in, Result out, one bench; OSQP, as the node runs it
     loop_decision.decide(parts, memory[i], x, ...)        the same for a compiled loop; the QP's closed form
 
-Samples must follow one another, each once. A correction acts one sample after its own. Which gains are held, and what
-is not: safety.md.
+Samples must be consecutive. A correction acts one sample after its own. Certified gains and limits: safety.md.
 
-`LoopFilter` also watches whether the model is still the bench's (`innovations`); where it is not, every answer is
-MISMATCH and corrects nothing. A compiled loop does not: its benches are simulated, by that model or on purpose by
-others.
+`LoopFilter` also monitors whether the model still fits the bench (`innovations`); if not, every result is MISMATCH
+without a correction. A compiled loop does not: its benches are simulated, by that model or deliberately by others.
 """
 
 from __future__ import annotations
@@ -69,7 +67,7 @@ certificate_before_after, least_violation, correction_of = (
 
 
 NOT_FINITE, FITS, BROKEN = range(3)
-"""What `propose` says of a sample: a number is not finite; the model holds; it does not."""
+"""Results of `propose` for a sample: a number is not finite; the model holds; it does not."""
 
 
 @njit(cache=True)
@@ -82,7 +80,7 @@ def packed(parts, workspace, monitor, limit):
 
 @njit(cache=True)
 def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
-    """Validity of a sample, and its `Problem`; advances the memory, shape (1,), and the monitor."""
+    """Return the validity of a sample and its `Problem`; advances the memory, shape (1,), and the monitor."""
     parts, workspace, monitor, limit = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
         displacement.reset(memory[0])
@@ -95,14 +93,14 @@ def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
 
 
 class LoopFilter:
-    """One bench's filter. Never raises on a sample.
+    """Filter of one bench. Never raises on a sample.
 
     Parameters
     ----------
     parts
         Of `loop_parts`.
     settings
-        Of these only age, bypass and `innovation_limit` are used here; the rest went into the parts.
+        Only age, bypass and `innovation_limit` are used here; the others are part of `parts`.
     """
 
     _propose = staticmethod(propose)
@@ -117,21 +115,21 @@ class LoopFilter:
 
     @property
     def mismatch(self) -> str:
-        """Why the model is not this bench's, for people; empty while it is."""
+        """Why the model does not fit this bench, as text; empty while it does."""
         return innovations.sentence(self.monitor[0])
 
     def reset(self) -> None:
-        """Begin anew, as if nothing had been seen."""
+        """Reset to the initial state."""
         self.skip()
         self.monitor["broken"] = 0
 
     def skip(self) -> None:
-        """Samples are missing before the next one. What was found out about the model stays."""
+        """Announce that samples are missing before the next one. Findings about the model are kept."""
         displacement.reset(self.memory[0])
         innovations.reset(self.monitor[0])
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
-        """Decide about a sample that is `age` [s] old."""
+        """Decide the correction of a sample that is `age` [s] old."""
         x, nominal = np.ascontiguousarray(sample.state), sample.nominal_current
         signals = nominal, sample.valve_current, sample.reference_force, sample.reference_rate
         state, *numbers = self._propose(self._box, self.memory, x, *signals, sample.proportional_gain)
@@ -161,7 +159,7 @@ class LoopFilter:
 def loop_parts(
     metric: LearnedMetric, model: StructuredModel | Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopParts:
-    """Inputs of `decide`: a metric, the model that it was trained on, and the bench that the box is configured for."""
+    """Return the inputs of `decide` for a metric, its training model, and the bench that the box is configured for."""
     chosen, levels = settings or LoopFilterSettings(), metric.thresholds
     return LoopParts(
         loop=loop_of(model, bench),
@@ -175,7 +173,7 @@ def loop_parts(
 
 
 def default_filter(bench: Bench | None = None, settings: LoopFilterSettings | None = None) -> LoopFilter:
-    """The shipped metric on the shipped learned model, for a box that believes `bench` (default: the nominal one).
+    """Return the shipped metric on the shipped learned model, for a box configured for `bench` (default: nominal).
 
     Raises
     ------

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The default filter's numbers as a header for firmware/hydro/loop_filter.h.
+"""Parameters of the default filter as a header for firmware/hydro/loop_filter.h.
 
-The C holds the structured model's physics and the metric's table. Both files may also hold a network; those of the
-shipped ones add nothing, and files whose networks do are refused.
+The C code has the structured model's physics and the metric's table. Both files may also hold a network; the shipped
+networks contribute nothing, and files whose networks do are refused.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from hydro_sim.neural.mlp import Layers
 
 
 def header(parts: LoopParts, origin: str) -> str:
-    """Text of the header that defines `HYDRO_LOOP_FILTER`.
+    """Return the header that defines `HYDRO_LOOP_FILTER`.
 
     Raises
     ------
     ValueError
-        A network adds something to the metric or to the model, or the model is a bench file: C has no place for it.
+        A network contributes to the metric or to the model, or the model is a bench file: not supported in C.
     """
     loop, metric = parts.loop, parts.metric
     if not isinstance(loop, LoopModel):
@@ -77,5 +77,5 @@ def _real(number: float) -> str:
 
 
 def _adds(layers: Layers) -> bool:
-    """Whether a network's last layer lets anything through."""
+    """Return whether a network's last layer is non-zero."""
     return bool(np.any(layers.w3) or np.any(layers.b3))

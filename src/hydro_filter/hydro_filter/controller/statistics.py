@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Filter statistics for people: counts of statuses, missing samples, durations."""
+"""Statistics of the filter: counts of statuses, missing samples, durations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hydro_bridge.signals import CorrectionStatus
 from hydro_filter.certificate.qp import QpCounts
 
 TROUBLE = (CorrectionStatus.NAN, CorrectionStatus.STALE, CorrectionStatus.INFEASIBLE)
-"""Statuses without a decision that helps."""
+"""Statuses without a useful decision."""
 
 
 @dataclass
@@ -29,7 +29,7 @@ class FilterStatistics:
     _told: Counter[CorrectionStatus] = field(default_factory=Counter)
 
     def expect(self, sequence: int) -> bool:
-        """Note a sample's sequence number, wrapping at 2^32; whether it follows on the last one."""
+        """Record a sample's sequence number, wrapping at 2^32; returns whether it follows the last one."""
         gap = -1 if self._sequence is None else (sequence - self._sequence - 1) & 0xFFFFFFFF
         self.missing += gap if 0 < gap < 0x80000000 else 0  # a restarted source counts from zero
         self._sequence = sequence
@@ -42,13 +42,13 @@ class FilterStatistics:
         self.age.add(age)
 
     def news(self) -> Counter[CorrectionStatus]:
-        """Statuses since the last call."""
+        """Return the statuses since the last call."""
         fresh = self.statuses - self._told
         self._told = self.statuses.copy()
         return fresh
 
     def values(self, qp: QpCounts) -> dict[str, object]:
-        """Numbers by name, for /diagnostics."""
+        """Return the values by name, for /diagnostics."""
         counts = {status.name.lower(): self.statuses[status] for status in CorrectionStatus}
         solver = {"qp_solved": qp.solved, "qp_infeasible": qp.infeasible, "qp_fallbacks": qp.fallbacks}
         return {
@@ -61,7 +61,7 @@ class FilterStatistics:
 
 
 def sentence(news: Counter[CorrectionStatus]) -> str:
-    """What happened in the last second, worst first."""
+    """Return a sentence about the last second, worst first."""
     order = (
         CorrectionStatus.BYPASSED,
         CorrectionStatus.MISMATCH,

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction metric: the interface, and a constant one solved from a Lyapunov inequality.
+"""Interface of contraction metrics, and a constant metric solved from a Lyapunov inequality.
 
-The eight states hold three that the force loop moves::
+The force loop moves three combinations of the eight states::
 
     z = T x = [ f_l ,  f_h - k_s (x_p - x_rest) ,  f_l' ]      T reads the net force from f_h and the position
                        net force on the mass
@@ -13,10 +13,10 @@ R(x_p) = -(dh/dx_p') / k_s, w = k_s / m::
     A_c =[ -K_p    -tau R w    tau R b/m + K_p tau - 1  ]      z' = A_c z
          [   0         w                -b/m            ]
 
-Without the delay (tau = 0) this loop is unstable from K_p = b/m = 50 on: cancelling h takes away the oil's own
-damping, and the delay gives some of it back. P solves the Lyapunov equation (A_c + lambda I)' P + P (A_c + lambda I) =
--Q at mid-stroke, and M = T' P T + eps I. A_c is affine in (K_p, R), so what holds at the corners of a range of gains
-and positions holds inside; which range that is, `contraction_rate` says and the tests check. Source: safety.md.
+Without the delay (tau = 0) this loop is unstable from K_p = b/m = 50 on: cancelling h removes the oil's own damping,
+and the delay restores some of it. P solves the Lyapunov equation (A_c + lambda I)' P + P (A_c + lambda I) = -Q at
+mid-stroke, and M = T' P T + eps I. A_c is affine in (K_p, R), so that a property at the corners of a range of gains
+and positions holds inside; `contraction_rate` gives this range and the tests check it. Source: safety.md.
 """
 
 from __future__ import annotations
@@ -47,17 +47,17 @@ READOUT[1, HYDRAULIC_FORCE], READOUT[1, POSITION] = 1.0, -1.0
 READOUT[2, LOAD_FORCE_RATE] = 1.0
 
 LOOP_SCALE = np.array([FORCE_SCALE, FORCE_SCALE, FORCE_RATE_SCALE])
-"""What z is divided by."""
+"""Scale of z."""
 
 
 class Metric(Protocol):
     """M(x) on normalized states (`state_scale`): symmetric, positive definite, shape (8, 8)."""
 
     def matrix(self, state: FloatArray) -> FloatArray:
-        """M(x) at a state in SI units, shape (8,)."""
+        """Return M(x) at a state in SI units, shape (8,)."""
 
     def rate(self, state: FloatArray, state_rate: FloatArray) -> FloatArray:
-        """dM/dt [1/s] along x', both in SI units, shape (8, 8)."""
+        """Return dM/dt [1/s], shape (8, 8), at x along x', both in SI units."""
 
 
 class ConstantMetric:
@@ -78,11 +78,11 @@ class ConstantMetric:
         self._rate = np.zeros((STATES, STATES))
 
     def matrix(self, state: FloatArray) -> FloatArray:
-        """M."""
+        """Return M."""
         return self._matrix
 
     def rate(self, state: FloatArray, state_rate: FloatArray) -> FloatArray:
-        """Zero."""
+        """Return zero."""
         return self._rate
 
 
@@ -103,7 +103,7 @@ class MetricDesign:
 
 
 def loop_matrix(bench: Bench, *, position: float, proportional_gain: float, loop_delay: float) -> FloatArray:
-    """A_c (module docstring) on normalized z [1/s], shape (3, 3), at a position [m], gain [1/s] and delay [s]."""
+    """Return A_c (module docstring) on normalized z [1/s], shape (3, 3), at a position [m], gain [1/s], delay [s]."""
     ratio = -float(velocity_term(bench.constants()[0], position, 1.0)) / bench.spring_stiffness
     stiff, damp = bench.spring_stiffness / bench.moving_mass, bench.viscous_friction / bench.moving_mass
     late = loop_delay * ratio
@@ -118,17 +118,17 @@ def loop_matrix(bench: Bench, *, position: float, proportional_gain: float, loop
 
 
 def contraction_rate(weight: FloatArray, matrix: FloatArray) -> float:
-    """Largest lambda [1/s] with A'P + PA + 2 lambda P <= 0; negative if z'Pz can grow. Both of shape (3, 3)."""
+    """Return the largest lambda [1/s] with A'P + PA + 2 lambda P <= 0; negative if z'Pz can grow. Shapes (3, 3)."""
     return float(-0.5 * eigh(matrix.T @ weight + weight @ matrix, weight, eigvals_only=True)[-1])
 
 
 def loop_weight(bench: Bench, design: MetricDesign) -> FloatArray:
-    """P on normalized z, shape (3, 3), with P_11 = 1.
+    """Solve for P on normalized z, shape (3, 3), with P_11 = 1.
 
     Raises
     ------
     ValueError
-        If the loop of `design` does not decay on this bench, or decays without the feedback's help.
+        If the loop of `design` does not decay on this bench, or decays without feedback.
     """
     gain, delay = design.proportional_gain, design.loop_delay
     matrix = loop_matrix(bench, position=0.5 * bench.stroke, proportional_gain=gain, loop_delay=delay)
@@ -142,14 +142,14 @@ def loop_weight(bench: Bench, design: MetricDesign) -> FloatArray:
 
 
 def constant_metric(bench: Bench, design: MetricDesign | None = None) -> ConstantMetric:
-    """M = T' P T + eps I (raises as `loop_weight`)."""
+    """Return M = T' P T + eps I (raises as `loop_weight`)."""
     design = design or MetricDesign()
     weight = loop_weight(bench, design)
     return ConstantMetric(READOUT.T @ weight @ READOUT + design.regularization * np.eye(STATES))
 
 
 def gain_floor(matrix: FloatArray, contraction_rate: float) -> float:
-    """The proportional gain [1/s] below which the certificate of a constant M = T'PT + eps I is violated.
+    """Return the gain K_p [1/s] below which the certificate of a constant M = T'PT + eps I is violated.
 
     kappa = lambda M_33 / M_31: with v along f_l alone, eq. cont_require_6 reads K_p >= kappa (derivation:
     safety.md).

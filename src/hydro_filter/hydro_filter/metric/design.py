@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
 """Metrics solved for the loop linearized at rest: one for each gain of a table, and one for all other gains.
 
-In the certified range of K_p, the frozen loop F + G K is what the metric must decay along, by itself: P solves the
-discrete Lyapunov equation of that loop, sped up by a part of its own decay. Outside, the correction closes the loop,
-so the metric is that of the best correction: P solves the discrete Riccati equation, and the loop under its feedback
-decays at some 20 1/s. Both are for the nominal bench at rest; that they hold elsewhere is for the training and the
-certificate to show.
+In the certified range of K_p, the metric must decay along the frozen loop F + G K without a correction: P solves the
+discrete Lyapunov equation of that loop, sped up by a part of its own decay. Outside, the correction closes the loop, so
+that the metric is that of the best correction: P solves the discrete Riccati equation, and the loop under its feedback
+decays at some 20 1/s. Both are for the nominal bench at rest; training and certificate must show that they hold
+elsewhere.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class MetricDesign:
 
 
 class Table(NamedTuple):
-    """A design in the form of `network.MetricParts`."""
+    """Design as arrays for `network.MetricParts`."""
 
     gains: FloatArray
     table: FloatArray
@@ -57,7 +57,7 @@ class Table(NamedTuple):
 
 
 def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """F, G, K of the still bench, about a closed valve; of a bench file as its sensors show that."""
+    """Return F, G, K of the bench at rest, about a closed valve; for a bench file, as its sensors show it."""
     x: FloatArray = np.zeros(8)
     step, memory, closing = step_of(loop), memories(loop)[0], closing_current(loop)
     if isinstance(loop, BenchLoop):
@@ -70,7 +70,7 @@ def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatAr
 
 
 def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
-    """Lyapunov solution P of a closed loop, shape (8, 8), for a share of its own decay rate.
+    """Return the Lyapunov solution P of a closed loop, shape (8, 8), for a share of its own decay rate.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> Float
 
 
 def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: float) -> tuple[FloatArray, FloatArray]:
-    """P, shape (8, 8), and the feedback [per unit of `push`], shape (8,), of the best correction."""
+    """Return P, shape (8, 8), and the feedback [per unit of `push`], shape (8,), of the best correction."""
     column = push[:, np.newaxis]
     weight = np.asarray(solve_discrete_are(free, column, np.diag(weights), np.array([[effort]])))
     feedback = -(push @ weight @ free) / (effort + push @ weight @ push)
@@ -108,14 +108,14 @@ def design_table(loop: Loop, design: MetricDesign) -> Table:
 
 
 def correcting_feedback(loop: Loop, design: MetricDesign) -> FloatArray:
-    """K [A] of the best correction about the still bench, shape (8,)."""
+    """Return K [A] of the best correction about the bench at rest, shape (8,)."""
     free, push, _ = rest_loop(loop, design.gain_low)
     unit = 0.14 * loop.current_max
     return unit * riccati(free, unit * push, np.array(design.foreign_weights), design.effort)[1]
 
 
 def factor_entries(weight: FloatArray) -> FloatArray:
-    """Lower Cholesky factor of a metric, row by row, shape (36,)."""
+    """Return the lower Cholesky factor of a metric, row by row, shape (36,)."""
     lower = cholesky(weight, lower=True)
     entries = lower[np.tril_indices(LOOP)]
     assert entries.shape == (ENTRIES,)

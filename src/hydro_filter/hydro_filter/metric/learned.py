@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learned metric as an object, its thresholds, and its file (safetensors).
+"""Learned metric as an object, its thresholds, and its file (safetensors).
 
-M(x, K_p) is `metric.network`'s. The thresholds beside it were measured with it, on held-out runs, and belong to it:
-what of a displacement is noise, what the law's integral asks for on stable runs, for which contraction rate it was
-trained.
+M(x, K_p) is that of `metric.network`. Its thresholds were measured with it on held-out runs: the noise level of a
+displacement, the law's integral on stable runs, and the contraction rate of the training.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class Thresholds:
     foreign_noise_size: Annotated[float, quantity("-", 0.0, 1e6)] = 0.0
     """The same in the metric for all other gains."""
     integral_allowance: Annotated[float, quantity("N/s", 0.0, 1e6)] = 200.0
-    """What the law's integral asks for on stable runs."""
+    """Contribution of the law's integral on stable runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,9 +59,9 @@ class LearnedMetric:
     scale: FloatArray
     """Shape (8,), of x."""
     low: FloatArray
-    """Shape (8,), smallest x that the network was trained on."""
+    """Shape (8,), lower bounds of the x that the network was trained on."""
     high: FloatArray
-    """Shape (8,), largest."""
+    """Shape (8,), upper bounds."""
     gains: FloatArray
     """K_p [1/s] of the table."""
     table: FloatArray
@@ -72,13 +71,13 @@ class LearnedMetric:
     training: dict[str, Any] = field(default_factory=dict)
     """Command, settings, losses reached, digest of the model that it was trained on."""
     made: MadeFor | None = None
-    """Which bench and model it is for; None: the file does not say."""
+    """Bench and model that it is for; None: not recorded in the file."""
 
     @classmethod
     def designed(
         cls, loop: Loop, bench: Bench, design: MetricDesign, *, hidden: tuple[int, int] = HIDDEN, seed: int = 0
     ) -> LearnedMetric:
-        """The solved metrics alone: the network's last layer is zero."""
+        """Create a metric of the solved table only: the network's last layer is zero."""
         solved = design_table(loop, design)
         center = np.zeros(STATES)
         center[4:7] = rest_state(bench.constants()[0])[:3]
@@ -91,23 +90,23 @@ class LearnedMetric:
 
     @property
     def parts(self) -> MetricParts:
-        """What the kernels take."""
+        """Arrays for the kernels."""
         layers = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)
         ends = self.low, self.high
         return MetricParts(layers, self.center, self.scale, *ends, self.gains, self.table, self.floor)
 
     def matrix(self, x: FloatArray, gain: float) -> FloatArray:
-        """M, shape (8, 8), at x (8,) [SI units] and K_p [1/s]."""
+        """Return M, shape (8, 8), at x (8,) [SI units] and K_p [1/s]."""
         return self.matrix_and_rate(x, np.zeros(STATES), gain)[0]
 
     def matrix_and_rate(self, x: FloatArray, state_rate: FloatArray, gain: float) -> tuple[FloatArray, FloatArray]:
-        """M and M' [1/s] along x' (8,) [SI units per s]."""
+        """Return M and M' [1/s] along x' (8,) [SI units per s]."""
         value = metric_value(self.parts)
         network.evaluate(self.parts, x, state_rate, gain, value)
         return value.matrix, value.rate
 
     def with_weights(self, flat: FloatArray) -> LearnedMetric:
-        """The same with other weights."""
+        """Return the same metric with other weights."""
         return replace(self, flat=np.asarray(flat, np.float64).copy())
 
     def save(self, path: str | Path) -> None:
@@ -123,7 +122,7 @@ class LearnedMetric:
 
     @classmethod
     def load(cls, path: str | Path | None = None) -> LearnedMetric:
-        """Read a weights file; None: the one that comes with this package. Raises WeightsError."""
+        """Read a weights file; None: the one shipped with this package. Raises WeightsError."""
         path = path or shipped()
         tensors, header = weights.load(path)
         if header["structure"] != STRUCTURE:
@@ -145,7 +144,7 @@ class LearnedMetric:
 
 
 def _check(arrays: Mapping[str, FloatArray], floor: float, thresholds: Thresholds) -> None:
-    """Raise ValueError if these cannot make a metric."""
+    """Raise ValueError if these do not form a metric."""
     gains = arrays["gains"]
     state, table = (STATES,), (len(gains) + 1, ENTRIES)
     check_shapes(arrays, {"center": state, "scale": state, "low": state, "high": state, "table": table})
@@ -161,5 +160,5 @@ def _check(arrays: Mapping[str, FloatArray], floor: float, thresholds: Threshold
 
 
 def shipped() -> Path:
-    """The metric shipped with this package."""
+    """Return the metric shipped with this package."""
     return Path(str(resources.files("hydro_filter") / "data" / "default_metric.safetensors"))

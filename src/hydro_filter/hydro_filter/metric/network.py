@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learned metric, compiled: a Cholesky factor from a table, plus a network's, plus a floor.
+"""Learned metric, compiled: a Cholesky factor from a table, plus that of a network, plus a floor.
 
 ::
 
@@ -7,14 +7,14 @@
     (x - center) / scale  (8) --+                      +--> L --> M = L L' + floor I,   M' = L' L^T + L L'^T
     K_p / 100, foreign    (2) --+--> 10 -> 64 -> 64 -> 36 ReLU, L row by row
 
-M is symmetric and positive definite whatever the weights are. L' is the network's derivative along x', exact where no
-ReLU changes sides. K_p is an input because no one metric holds for all stable gains: the loop is about s^2 + d s +
+M is symmetric and positive definite for any weights. L' is the network's derivative along x', exact unless a ReLU
+switches. K_p is an input because no single metric holds for all stable gains: the loop is about s^2 + d s +
 w^2 with w^2 proportional to K_p, and one quadratic form decays for all of w^2 in [p, q] only if sqrt(q) - sqrt(p) < d
-(safety.md). `foreign` is 1 for gains outside of the certified range: those are corrected by one metric of their
-own, the table's last factor, and their K_p is not shown to the network.
+(safety.md). `foreign` is 1 for gains outside of the certified range, which have one common metric, the table's last
+factor; their K_p is not an input of the network.
 
-The table holds solutions of Riccati and Lyapunov equations (`metric.design`): with the network's weights at zero they
-are the metric, the baseline that training starts from and is judged against.
+The table holds solutions of Riccati and Lyapunov equations (`metric.design`): with zero network weights they are the
+metric, which is the starting point and baseline of training.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ ENTRIES = LOOP * (LOOP + 1) // 2
 HIDDEN = (64, 64)
 """Table training_metric."""
 GAIN_UNIT = 100.0
-"""1/s, what K_p is divided by."""
+"""Scale of K_p, 1/s."""
 
 
 class MetricParts(NamedTuple):
-    """The metric in the form of the kernels."""
+    """The metric as arrays for the kernels."""
 
     layers: mlp.Layers
     """10 inputs, 36 outputs."""
@@ -85,7 +85,7 @@ def metric_value(parts: MetricParts) -> MetricValue:
 
 @njit(cache=True, inline="always")
 def uncertified(parts, gain):
-    """Whether K_p [1/s] lies outside of the certified range; NaN does."""
+    """Return whether K_p [1/s] is outside of the certified range; true for NaN."""
     return not parts.gains[0] <= gain <= parts.gains[-1]
 
 
@@ -111,7 +111,7 @@ def evaluate(parts, x, state_rate, gain, value):
 
 @njit(cache=True, inline="always")
 def _add_table(parts, gain, outside, factor):
-    """L_0, between the table's factors by straight lines."""
+    """Add L_0, interpolated linearly between the table's factors."""
     rows = len(parts.gains)
     if outside or rows == 1:
         row = parts.table[rows if outside else 0]
@@ -127,12 +127,12 @@ def _add_table(parts, gain, outside, factor):
 
 @njit(cache=True, fastmath=mlp.LOOSE)
 def _affine(w, b, x, dx, y, dy):
-    """y = x W + b, and its derivative dy along dx, in one pass over the weights."""
+    """Compute y = x W + b and its derivative dy along dx, in one pass over the weights."""
     for j in range(y.shape[0]):
         y[j], dy[j] = b[j], 0.0
     for i in range(x.shape[0]):
         value, nudge = x[i], dx[i]
-        if value != 0.0 or nudge != 0.0:  # half of the units are off
+        if value != 0.0 or nudge != 0.0:  # half of the units are inactive
             for j in range(y.shape[0]):
                 y[j] += w[i, j] * value
                 dy[j] += w[i, j] * nudge
@@ -147,7 +147,7 @@ def _relu(y, dy):
 
 @njit(cache=True)
 def _square(factor, nudge, floor, matrix, rate):
-    """M and M' from the factor's entries and theirs."""
+    """Compute M and M' from the factor's entries and their derivatives."""
     for i in range(LOOP):
         for j in range(i + 1):
             total, turned = 0.0, 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop as the certificate sees it: state, sample, exact Jacobians of bench and force law, loop coordinates.
+"""Model of the loop for the certificate: state, sample, exact Jacobians of bench and force law, loop coordinates.
 
-May import `hydro_sim`; everything else of this package stands on it.
+May import `hydro_sim`; the rest of this package builds on it.
 """

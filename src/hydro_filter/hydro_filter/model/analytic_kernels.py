@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The analytic bench as `dynamics` has it, compiled: x' = f(x, u), exact A and B written out.
+"""Compiled analytic bench of `dynamics`: x' = f(x, u), with exact A and B written out.
 
 Row by row as in `dynamics`. With F(x, u) = h + g u, f_h' of eq. q13, row f_h'' takes the slopes of F, times how x_p,
 x_p', p_a, p_b change, and the second derivatives of F. Source: paper eq. q13-q15 with physics.md's erratum.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One sample of a bench file's loop, linearized, compiled, by the exact Jacobian of its model (`bench_jacobian`)."""
+"""Compiled linearization of a bench file's loop over one sample, by the model's exact Jacobian (`bench_jacobian`)."""
 
 from __future__ import annotations
 

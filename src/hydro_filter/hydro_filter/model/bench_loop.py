@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The loop of a bench file for the certificate, and which benches have one.
+"""Loop of a bench file for the certificate, and the check whether a bench has one.
 
 Two models stand behind it, both compiled from the bench file::
 
-    whole   every effect: what is predicted, what hidden states do, what the monitor compares with
-    loop    without `DISTURBANCES`: what is linearized, by its exact Jacobian
+    whole   all effects: for predictions, hidden states and the monitor
+    loop    without `DISTURBANCES`: linearized, by its exact Jacobian
 
 Dry friction, overlap and gaps are bounded disturbances to the certificate, as dry friction is to the structured model:
-inside of them nothing moves, and a derivative there says nothing of the loop.
+within them nothing moves, and a derivative there does not describe the loop.
 
-The certificate has eight coordinates. What has no place among them is refused: dead times, a second lag of the valve, a
-second lag on the load's force. Other hidden states (bristles, a drooping supply) are
-held fixed in derivatives by x.
+The certificate has eight coordinates. Effects without a place among them are refused: dead times, a second lag of the
+valve, a second lag on the load's force. Other hidden states (bristles, a drooping supply) are held fixed in
+derivatives by x.
 """
 
 from __future__ import annotations
@@ -51,12 +51,12 @@ TEXTBOOK_PRESSURES = {"sensor_lag sensor=pressure_a": 0, "sensor_lag sensor=pres
 
 
 def bench_loop(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> BenchLoop:
-    """The loop of the bench file `truth` under a box that believes `believed`.
+    """Return the loop of the bench file `truth` under a box configured for `believed`.
 
     Raises
     ------
     ValueError
-        In one sentence: the certificate's eight coordinates have no place for what this bench does.
+        The certificate's eight coordinates cannot represent this bench; the message is one sentence.
     """
     _refuse(truth)
     floor = float((box or BoxConfig()).constants(believed)["gain_floor"][0])
@@ -128,12 +128,12 @@ def parts(truth: Bench) -> BenchParts:
 
 
 def without_disturbances(truth: Bench) -> Bench:
-    """The bench without the effects that the linearization leaves out."""
+    """Return the bench without the effects that the linearization leaves out."""
     return replace(truth, effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES))
 
 
 def effects_to_compile(truth: Bench) -> str:
-    """Names of the effects whose model is not compiled yet, for people; empty if it is."""
+    """Return the names of the effects whose model is not compiled yet, as text; empty if it is."""
     parts_needed: tuple[tuple[Bench, Part], ...] = (
         (truth, ""), (without_disturbances(truth), ""), (without_disturbances(truth), "derivatives"),
     )  # fmt: skip

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What compiled code reads of a bench file's loop: its two models, the box, the workspace of one sample.
+"""Data structures of a bench file's loop for compiled code: its two models, the box, the workspace of one sample.
 
-`bench_loop` fills these in.
+They are filled in by `bench_loop`.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from hydro_bridge.signals import FloatArray
 from hydro_sim.model.plant import STATES_MAX
 
 NONE = -1
-"""In the place of a state's number: the bench has no such state."""
+"""Index that marks a state which the bench does not have."""
 
 BENCH_MEMORY_DTYPE = np.dtype(
     [("hidden", np.float64, (STATES_MAX + 2,)), ("reference_rate", np.float64), ("current", np.float64),
@@ -26,7 +26,7 @@ the last f_r' [N/s]; the current [A] of the last sample; whether it ran."""
 
 
 class BenchParts(NamedTuple):
-    """What compiled code reads of the two models; `bench_loop` makes it."""
+    """Constants of the two models for compiled code; created by `bench_loop`."""
 
     sample_at: int
     rates_at: int
@@ -35,9 +35,9 @@ class BenchParts(NamedTuple):
     loop_jacobian_at: int
     loop_k: FloatArray
     from_whole: npt.NDArray[np.int64]
-    """Of each state of the loop's model: its number in the whole model."""
+    """Index in the whole model of each state of the loop's model."""
     rest: FloatArray
-    """The whole model's still bench."""
+    """State of the whole model at rest."""
     spool: int
     """Of the whole model; `NONE`: the spool is where the current puts it."""
     spool_rate: int
@@ -75,7 +75,7 @@ class BenchParts(NamedTuple):
     memories: FloatArray
     """Of the box's differentiators: force rates, velocity."""
     slopes: int
-    """Rates that both models have at most."""
+    """Largest number of rates of either model."""
 
 
 class BenchLoop(NamedTuple):
@@ -83,7 +83,7 @@ class BenchLoop(NamedTuple):
 
     model: BenchParts
     bench: npt.NDArray[np.void]
-    """What the box's force law believes, shape (1,)."""
+    """Constants assumed by the box's force law, shape (1,)."""
     gain_floor: float
     current_max: float
     scale: FloatArray

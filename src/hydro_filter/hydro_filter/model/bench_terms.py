@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of a bench file's effects that the certificate needs: hidden states, load, sensors, null shifts."""
+"""Parameters of a bench file's effects for the certificate: hidden states, load, sensors, null shifts."""
 
 from __future__ import annotations
 

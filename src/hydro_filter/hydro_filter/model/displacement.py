@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
 """Displacement v of the loop's state from its reference trajectory.
 
-The paper projects v on the force error (eq. v), and what makes high gains unstable then has no place in the
-certificate. Here v = (q - q_r) / scale over all loop coordinates (`loop_model`), with q_r from f_r, f_r', f_r'' and
-the learned model (w, d: the load cell's frequency and damping)::
+The paper projects v on the force error (eq. v), so that the certificate cannot represent the instability at high gains.
+Here v = (q - q_r) / scale over all loop coordinates (`loop_model`), with q_r from f_r, f_r', f_r'' and the learned
+model (w, d: the load cell's frequency and damping)::
 
     spring force  F = f_r + 2 d/w f_r' + f_r''/w^2     x_p = x_rest + F/k_s    x_p' = F'/k_s    f_l, f_l' = f_r, f_r'
     f_h = F + m F''/k_s + b x_p' + friction             spool: what holds f_h' = F' at that velocity
 
-Spool and bristle are not measured: `MEMORY_DTYPE` follows both from what is, the currents that the valve got and the
-piston's velocity. The friction is the one of now, so that it displaces nothing.
+Spool and bristle are not measured: `MEMORY_DTYPE` simulates both from measured signals, the valve's currents and the
+piston's velocity. The present friction is used, so that it causes no displacement.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ MEMORY_DTYPE = np.dtype(
 """What is remembered of one bench: spool [A], its rate [A/s], bristle [m]; the last f_r' [N/s]; whether it ran."""
 
 BEND_MAX = 2e5
-"""N/s^2, largest f_r'' that is believed: 300 N at 4 Hz; a reference that is switched has any."""
+"""N/s^2, limit of f_r'': 300 N at 4 Hz; that of a switched reference is arbitrary."""
 
 
 @njit(cache=True)
@@ -88,7 +88,7 @@ def follow(loop, memory, x, current, reference_rate):
 
 @njit(cache=True)
 def second_derivative(memory, reference_rate):
-    """f_r'' [N/s^2] from two samples of f_r'."""
+    """Return f_r'' [N/s^2] from two samples of f_r'."""
     return min(max((reference_rate - memory.reference_rate) / SAMPLE_PERIOD, -BEND_MAX), BEND_MAX)
 
 

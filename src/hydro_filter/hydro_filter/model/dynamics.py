@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""x' = f(x, u) on the paper's eight states, with exact Jacobians A = df/dx and B = df/du.
+"""Dynamics x' = f(x, u) on the paper's eight states, with exact Jacobians A = df/dx and B = df/du.
 
 The eight states describe a plant of four (f_h follows from the pressures, f_l and f_l' from the piston), so f is not
 unique off the consistent states. The choice here, row by row::
@@ -43,7 +43,7 @@ class Dynamics(Protocol):
     """A differentiable model of the bench."""
 
     def linearize(self, state: FloatArray, current: float) -> Linearization:
-        """A, B and x' at state x, shape (8,), and valve current [A]."""
+        """Return A, B and x' at state x, shape (8,), and valve current [A]."""
 
 
 class AnalyticDynamics:

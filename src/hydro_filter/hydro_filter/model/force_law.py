@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""K = du/dx of the force law (paper eq. fl_rl), in closed form.
+"""Feedback gain K = du/dx of the force law (paper eq. fl_rl), in closed form.
 
     u = (f_r' + K_p (f_r - f_l) + I - h) / g        g = g(x_p, p_a, p_b), h = h(x_p, x_p')
 
@@ -11,8 +11,8 @@ f_l. As in `hydro_sim.box.force_law`, g is no less than a floor (there dg/dx = 0
 stroke. The integral I, of either form, is the law's own memory and no function of x: K_i has no place in K, and the
 certificate does not see it.
 
-K is that of the law before the valve's limit. Beyond the limit the valve passes none of it on: what the correction can
-still do there is in the QP's bounds (`filter`, `loop_decision`), not in K.
+K is that of the law before the valve's limit. Beyond the limit the valve passes none of it on: the remaining authority
+of the correction is in the QP's bounds (`filter`, `loop_decision`), not in K.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Controller(Protocol):
     """A differentiable feedback law."""
 
     def gradient(self, sample: Sample) -> FloatArray:
-        """K = du/dx [A per unit of each state] at a sample, shape (8,)."""
+        """Return K = du/dx [A per unit of each state] at a sample, shape (8,)."""
 
 
 class ForceLaw:
@@ -44,14 +44,14 @@ class ForceLaw:
     Parameters
     ----------
     bench
-        What the box believes.
+        Bench assumed by the box.
     box
-        How the box runs the law.
+        Settings of the box.
 
     Raises
     ------
     ValueError
-        If the box feeds back another force than the one that the certificate follows.
+        If the box feeds back another force than that of the certificate.
     """
 
     def __init__(self, bench: Bench, box: BoxConfig | None = None) -> None:
@@ -73,7 +73,7 @@ def gradient(constants, state, current, proportional_gain, gain_floor, out):
     """Write K, shape (8,), for the law's own current [A] and gain [1/s]; `constants` of shape (1,)."""
     bench = constants[0]
     gain = input_gain(bench, state[POSITION], state[PRESSURE_A], state[PRESSURE_B], current)
-    felt = current if gain > gain_floor else 0.0  # at the floor the law no longer feels how g changes
+    felt = current if gain > gain_floor else 0.0  # at the floor the law does not depend on changes of g
     gain = max(gain, gain_floor)
     by_position, by_velocity, by_a, by_b = force_rate_slopes(bench, state, felt)
     out[:] = 0.0

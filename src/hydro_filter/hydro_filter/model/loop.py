@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A loop of either kind of model, by its type: the structured model's (`loop_model`) or a bench file's (`bench_loop`).
+"""Dispatch over the kinds of loops by type: the structured model's (`loop_model`) or a bench file's (`bench_loop`).
 
 For compiled code and for Python; the structured model's functions are in `displacement` and `loop_model`,
 a bench file's in `bench_states`, `bench_displacement` and `bench_linearization`.
@@ -28,12 +28,12 @@ Step = LoopStep | BenchStep
 
 
 def loop_of(model: StructuredModel | Bench, believed: Bench, box: BoxConfig | None = None) -> Loop:
-    """The loop of a model under a box that believes `believed` (raises as `bench_loop`)."""
+    """Return the loop of a model under a box configured for `believed` (raises as `bench_loop`)."""
     return bench_loop(model, believed, box) if isinstance(model, Bench) else loop_model.loop_model(model, believed, box)
 
 
 def closing_current(loop: Loop) -> float:
-    """Current [A] that closes the valve: what a bench file's null shifts ask for; else none."""
+    """Return the current [A] that closes the valve: from a bench file's null shifts, else zero."""
     return -(loop.model.before + loop.model.after) if isinstance(loop, BenchLoop) else 0.0
 
 
@@ -43,7 +43,7 @@ def step_of(loop: Loop) -> Step:
 
 
 def memories(loop: Loop, count: int = 1) -> npt.NDArray[np.void]:
-    """New memories of `count` benches, shape (count,)."""
+    """Return new memories of `count` benches, shape (count,)."""
     return np.zeros(count, BENCH_MEMORY_DTYPE if isinstance(loop, BenchLoop) else MEMORY_DTYPE)
 
 

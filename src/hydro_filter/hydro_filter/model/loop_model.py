@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The force loop as the learned certificate sees it: eight coordinates, and one sample of them linearized.
+"""Force loop of the learned certificate: eight coordinates, and their linearization over one sample.
 
 The paper's x holds states that the force loop does not move (the sum of the pressures) and lacks states that make high
 gains unstable (the spool, the velocity as the box differentiates it). The loop's own coordinates are::
@@ -121,7 +121,7 @@ def loop_scale(bench: Bench) -> FloatArray:
 
 
 def loop_model(model: StructuredModel, bench: Bench, box: BoxConfig | None = None) -> LoopModel:
-    """The loop of a learned model under a box that believes `bench`."""
+    """Return the loop of a learned model under a box configured for `bench`."""
     c, *others = model.compiled
     smooth = c.copy()
     smooth[BRISTLE] = smooth[BRISTLE_DAMPING] = 0.0
@@ -139,7 +139,7 @@ def loop_step() -> LoopStep:
 
 @njit(cache=True)
 def shares(c, position):
-    """Changes of p_a and p_b [Pa] that a change of f_h by 1 N is: each chamber's by its stiffness."""
+    """Return the changes of p_a and p_b [Pa] for a change of f_h by 1 N, apportioned by the chambers' stiffnesses."""
     area_b = c[RATIO] * c[AREA]
     soft_a = c[AREA] / (c[DEAD_A] + c[AREA] * position)
     soft_b = area_b / (c[DEAD_B] + area_b * (c[STROKE] - position))

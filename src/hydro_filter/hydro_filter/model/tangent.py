@@ -73,7 +73,7 @@ def half_bristle(c, state, d):
     """`integration.half_bristle` of the state and its tangents, in place."""
     velocity, deflection = state[3], state[8]
     kept, by_velocity = 1.0, 0.5 * STEP
-    if c[BRISTLE] == 0.0:  # a model without bristles: they go along with the velocity, and push nothing
+    if c[BRISTLE] == 0.0:  # a model without bristles: they follow the velocity without force
         state[8] = deflection + 0.5 * STEP * velocity
     else:
         share = math.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))

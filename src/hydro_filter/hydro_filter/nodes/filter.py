@@ -61,10 +61,10 @@ from hydro_filter.nodes.options import arguments
 from hydro_msgs.msg import Authority, BenchState, Correction
 
 PATIENCE = 2.0
-"""s after which somebody who waits is told why."""
+"""s after which a wait is explained to the user."""
 
 DISCOVERY = 0.5
-"""s after the start in which another filter is found, if there is one."""
+"""s after the start within which another filter is discovered, if there is one."""
 
 FOREIGN = 1.0
 """s between a stamp and now that no hold-up explains: the states are stamped by another clock."""
@@ -80,14 +80,14 @@ class FilterNode(Node):
     Parameters
     ----------
     choice
-        Which filter.
+        Filter to run.
     settings
         Defaults of the ROS parameters.
     every
-        Answer every so manieth sample (of the sequence), 1 or more; 10 is the paper's 100 Hz. The constant metric's
-        alone: the learned one certifies a correction for one sample, and held for ten it loses the bench.
+        Answer every n-th sample (of the sequence), 1 or more; 10 is the paper's 100 Hz. For the constant metric only:
+        the learned one certifies a correction for one sample, and held for ten it loses control of the bench.
     realtime
-        Ask for SCHED_FIFO.
+        Request SCHED_FIFO.
     """
 
     def __init__(self, choice: FilterChoice, settings: Settings, *, every: int = 1, realtime: bool = False) -> None:
@@ -97,9 +97,9 @@ class FilterNode(Node):
         self.filter = self._compiled(choice)
         self.tally = FilterStatistics()
         self.foreign = ""
-        """Why its files are not this bench's, by what the plant says of itself; empty: they are."""
+        """Why its files do not fit this bench, by the plant's description; empty: they do."""
         self._identity: object = None
-        """What the box says of itself and which bench it believes, once it was told."""
+        """The box's description and assumed bench, once received."""
         self._mismatch = ""
         self._every, self._age = every, 0.0
         self._choice = choice
@@ -117,11 +117,11 @@ class FilterNode(Node):
         time.sleep(max(0.0, begun + DISCOVERY - time.monotonic()))
         self._come_forward()
         self.create_timer(DISCOVERY, self._come_forward, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        # last: states wait from now on
+        # last: states are queued from now on
         self._states = self.create_subscription(BenchState, STATE, self._on_state, STATE_QOS)
 
     def _come_forward(self) -> None:
-        """Answer from now on, if no other filter does."""
+        """Start answering, unless another filter does."""
         if self._publisher is not None:
             return
         others = self.get_publishers_info_by_topic(CORRECTION)
@@ -134,11 +134,11 @@ class FilterNode(Node):
             self._publisher = self.create_publisher(Correction, CORRECTION, CORRECTION_QOS)
 
     def _on_authority(self, message: Authority) -> None:
-        if self._words.get_publisher_count() < 2:  # else the plant says it again when it is alone
+        if self._words.get_publisher_count() < 2:  # else the plant repeats it once it is alone
             self._message.epoch = message.epoch
 
     def _compiled(self, choice: FilterChoice) -> Filter:
-        """Compile now, not at the first sample, and say so: until it is done nothing is corrected."""
+        """Compile now, not at the first sample, and report it: until then nothing is corrected."""
         say = self.get_logger().info
         begin = time.monotonic()
         if new := choice.uncompiled:
@@ -172,19 +172,19 @@ class FilterNode(Node):
         self.tally.add(result.status, time.perf_counter() - begin, self._now() - stamp)
 
     def _on_box(self, box: KnownBox) -> None:
-        """Whose box it is: from now on, or from its next connection on, another bench may be believed there."""
+        """Process a box's description, which may announce another bench from now on."""
         self.foreign = self._choice.foreign(box)
-        if self._boxes.get_publisher_count() > 1:  # one of them is a stranger, or has just died
+        if self._boxes.get_publisher_count() > 1:  # one of them is foreign, or has just died
             return
         identity = box.info, box.bench_digest
-        if self._identity not in (None, identity):  # what was found out is of the one before; a still bench shows none
+        if self._identity not in (None, identity):  # findings are of the previous bench; a bench at rest gives none
             self.get_logger().warning("another box: what was found out about the model is forgotten, and watched anew")
             self.filter.reset()
             self._mismatch = ""
         self._identity = identity
 
     def _fitting(self, result: Result) -> Result:
-        """The result, or that nothing should rest on it; a change of which is told at once."""
+        """Return the result, or MISMATCH if the model does not fit; a change of this is reported at once."""
         if self.foreign and result.status not in (CorrectionStatus.NAN, CorrectionStatus.BYPASSED):
             result = MISMATCHED
         if (result.status is CorrectionStatus.MISMATCH) != bool(self._mismatch):
@@ -215,7 +215,7 @@ class FilterNode(Node):
         return 1e-9 * float(self.get_clock().now().nanoseconds)
 
     def _follow_the_plants_clock(self) -> None:
-        """Change to /clock where somebody publishes it and the states are stamped by it; and back."""
+        """Switch to /clock if it is published and the states are stamped by it; and back."""
         name, simulated = "use_sim_time", self.count_publishers(CLOCK) > 0
         if abs(self._age) > FOREIGN and simulated != self.get_parameter(name).value:
             self.set_parameters([Parameter(name, value=simulated)])
@@ -262,7 +262,7 @@ def main() -> None:
     own, ros = ros_arguments()
     choice, settings, asked = arguments(own)
     check(settings)
-    choice.describe()  # a file that is not there is refused before ROS starts
+    choice.describe()  # a missing file is refused before ROS starts
     run_node(lambda: FilterNode(choice, settings, every=asked.every, realtime=asked.realtime), ros)
 
 

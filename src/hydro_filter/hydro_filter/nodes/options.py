@@ -19,7 +19,7 @@ NUMBERS = ("contraction_rate", "foreign_rate", "noise_share", "innovation_limit"
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line; its options and the ROS parameters of the same names have one meaning."""
+    """Build the parser; its options and the ROS parameters of the same names have the same meaning."""
     result = argparse.ArgumentParser(
         prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
     )
@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def arguments(given: list[str]) -> tuple[FilterChoice, Settings, argparse.Namespace]:
-    """Parse the command line: which filter, its settings, and the rest.
+    """Parse the command line into the filter choice, its settings, and the remaining options.
 
     Raises
     ------

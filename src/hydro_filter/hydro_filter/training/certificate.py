@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The empirical certificate: eigenvalues of the contraction matrix on held-out windows.
+"""Empirical certificate: eigenvalues of the contraction matrix on held-out windows.
 
-Empirical means: samples of rollouts of the learned model, not a proof over a set of states. What that is worth:
+Empirical means: on samples of rollouts of the learned model, not a proof over a set of states. Its significance:
 safety.md.
 """
 

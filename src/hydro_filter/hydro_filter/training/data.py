@@ -34,11 +34,11 @@ from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 PULSE = 3e-3
-"""A, over 10 ms, of the twin: some 15 N."""
+"""A, pulse of 10 ms in the twin run: some 15 N."""
 PULSE_AT = 1000
 EARLY, LATE = slice(1050, 1350), slice(-300, None)
 OFF_STOPS = 5e-4
-"""m, that windows stay away from the end stops."""
+"""m, distance of windows from the end stops."""
 STABLE, UNSTABLE, NEITHER = 1, -1, 0
 DECAYED = 0.6
 SIGNALS = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
@@ -71,7 +71,7 @@ class Rollout:
     """One rollout and its label."""
 
     states: StateArray
-    """Up to where the box tripped."""
+    """Samples up to a trip of the box."""
     gains: tuple[float, float]
     label: int
     """STABLE, UNSTABLE or NEITHER."""
@@ -102,12 +102,12 @@ class Windows:
         return len(self.gain)
 
     def part(self, which: npt.NDArray[np.bool_]) -> Windows:
-        """Some of them."""
+        """Return a subset of the windows."""
         return Windows(**{entry.name: getattr(self, entry.name)[which] for entry in fields(self)})
 
 
 def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int) -> Rollout:
-    """Rollout number `index`: the same for the same settings."""
+    """Run rollout number `index`, reproducible for equal settings."""
     rng = np.random.default_rng((settings.seed, index))
     low, high = settings.gain_min, settings.gain_max
     edges = ((low, 0.0), (0.0, 0.4 * high), (0.0, 0.4 * high), (0.4 * high, high))
@@ -133,7 +133,7 @@ def _reference(rng: np.random.Generator) -> ReferenceSignal:
 
 
 def label_of(first: StateArray, second: StateArray) -> int:
-    """Label of a pair of gains from two runs, the second with a pulse."""
+    """Return the label of a pair of gains from two runs, the second with a pulse."""
     if any(((run["flags"] & Flag.TRIPPED) != 0).any() for run in (first, second)):
         return UNSTABLE
     distance = np.abs(first["load_force"] - second["load_force"])
@@ -142,7 +142,7 @@ def label_of(first: StateArray, second: StateArray) -> int:
 
 
 def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
-    """Windows at random times after the first 0.1 s; None if the rollout is too short."""
+    """Return windows at random times after the first 0.1 s; None if the rollout is too short."""
     count, span = len(rollout.states), settings.horizon
     if count < 100 + 2 * span:
         return None
@@ -167,7 +167,7 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
 def _between_stops(
     positions: FloatArray, starts: npt.NDArray[np.int64], span: int, ends: FloatArray
 ) -> npt.NDArray[np.bool_]:
-    """Which windows begin and stay off the end stops: a piston that rests on one is no part of the loop.
+    """Return which windows stay off the end stops: a piston that rests on one is not part of the loop.
 
     `ends`: from a twentieth of the stroke before it to as much behind it [m].
     """
@@ -178,7 +178,7 @@ def _between_stops(
 
 @njit(cache=True)
 def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, pushes, feedbacks):
-    """Walk through a run with the filter's memory and write down the samples of every window."""
+    """Follow a run with the filter's memory and record the samples of every window."""
     span = xs.shape[1]
     for k in range(len(x)):
         nominal, current, reference, reference_rate, gain = signals[k]

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Thresholds of a metric, measured: v'Mv of sensor noise, and the integral action of stable loops.
+"""Measured thresholds of a metric: v'Mv of sensor noise, and the integral action of stable loops.
 
-Noise: the still bench with a closed valve, once with its sensors' noise and once without; the difference of both v,
-moved by one sample as the certificate moves it. Integral: runs of an episode's length under stable gains; what I asks
-for, friction, leakage and lags in it. The gains of a run stay, so that both forms of the integral give the same.
+Noise: the bench at rest with a closed valve, once with sensor noise and once without; the difference of both v, moved
+by one sample as in the certificate. Integral: runs of an episode's length under stable gains; the value of I, with
+friction, leakage and lags. A run's gains are constant, so that both forms of the integral agree.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hydro_sim.simulation.offline import Schedule, simulate
 
 SAMPLES = 4000
 QUANTILE = 0.99
-"""Of the noise's v'Mv: what is taken for noise."""
+"""Quantile of the noise's v'Mv that is treated as noise."""
 
 
 def displacements(loop: Loop, plant: Plant, gain: float, seed: int) -> FloatArray:
@@ -62,7 +62,7 @@ def integral_terms(loop: Loop, states: StateArray) -> FloatArray:
 
 
 ASKING = ((90.0, 15.0), (90.0, 30.0), (45.0, 30.0))
-"""K_p, K_i [1/s], [1/s^2] of the runs that show what the integral asks for."""
+"""K_p [1/s], K_i [1/s^2] of the runs that measure the integral."""
 ASKED_BY = (
     ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0),
     ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, offset=150.0, frequency=0.5),
@@ -70,7 +70,7 @@ ASKED_BY = (
     ReferenceSignal(waveform=Waveform.MULTISINE, amplitude=300.0, frequency=1.0),
 )
 ASKED_FOR = 18.0
-"""s: the integral takes some K_p / K_i = 6 s to get where it is needed."""
+"""s: the integral takes some K_p / K_i = 6 s to settle."""
 
 
 def integral_allowance(loop: Loop, plant: Plant, bench: Bench, seed: int = 0) -> float:

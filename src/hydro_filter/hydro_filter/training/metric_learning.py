@@ -49,7 +49,7 @@ from hydro_sim.model.plant import Plant
 from hydro_sim.structured.model import StructuredModel
 
 HELD_OUT = 5
-"""Every fifth rollout is not trained on."""
+"""Every fifth rollout is held out."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -62,7 +62,7 @@ class TrainingData:
 
 
 def learn(options: argparse.Namespace) -> None:
-    """Train the metric that the command line asks for, and write it."""
+    """Train the metric specified by the command line, and write it."""
     data, settings = _settings(options)
     torch.set_num_threads(options.threads or torch.get_num_threads())
     out, began = Path(options.out), time.monotonic()
@@ -105,7 +105,7 @@ def learn(options: argparse.Namespace) -> None:
 
 
 def collect_rollouts(plant: Plant, bench: Bench, loop: Loop, data: DataSettings) -> TrainingData:
-    """All rollouts, every fifth held out."""
+    """Collect all rollouts, every fifth held out."""
     kept: list[Windows] = []
     held_out: list[Windows] = []
     rollouts: list[Rollout] = []

@@ -56,7 +56,7 @@ def arguments(words: Sequence[str]) -> argparse.Namespace:
     Raises
     ------
     UserError
-        A training that goes on is told otherwise than it was begun.
+        The options of a resumed training contradict those it was started with.
     """
     asked = parser().parse_args(words)
     if asked.seed < 0 or asked.threads < 0:

@@ -75,7 +75,7 @@ class Progress:
 def certificate_queries(
     windows: Windows, metric: LearnedMetric, correcting: FloatArray, push: float, how: LossSettings
 ) -> Samples:
-    """Certificate queries of windows: n H samples for each of up to three queries, along axis 0 as (query, n, H).
+    """Return the certificate queries of windows: n H samples for up to three queries, along axis 0 as (query, n, H).
 
     `correcting`, `push`: K [A] of the best correction about the still bench, and G's entry of the spool's rate there;
     the correction is scaled by that entry, as the force law scales its own by g.
@@ -115,7 +115,7 @@ def _samples(
 
 
 def table_rows(metric: LearnedMetric, gains: FloatArray, *, outside: bool) -> FloatArray:
-    """The table's factors, shape (n, 36), at gains of the range, or those for foreign gains."""
+    """Return the table's factors, shape (n, 36), at gains of the range, or those for foreign gains."""
     if outside:
         return np.tile(metric.table[-1], (len(gains), 1))
     columns = [np.interp(gains, metric.gains, column) for column in metric.table[:-1].T]
@@ -123,7 +123,7 @@ def table_rows(metric: LearnedMetric, gains: FloatArray, *, outside: bool) -> Fl
 
 
 def network_of(metric: LearnedMetric) -> Network:
-    """The metric's network in torch."""
+    """Return the metric's network in torch."""
     network = Network(INPUTS, metric.hidden)
     for parameter, values in zip(network.weights, metric.parts.layers, strict=True):
         parameter.data = torch.from_numpy(np.array(values))
@@ -131,13 +131,13 @@ def network_of(metric: LearnedMetric) -> Network:
 
 
 def flat_of(network: Network) -> FloatArray:
-    """The network's weights as `LearnedMetric.flat` has them."""
+    """Return the network's weights in the layout of `LearnedMetric.flat`."""
     return np.concatenate([parameter.detach().numpy().ravel() for parameter in network.weights])
 
 
 @torch.no_grad()
 def evaluate_quality(network: Network, samples: Samples, floor: float, how: LossSettings) -> Quality:
-    """Quality at lambda itself, without the training's margin."""
+    """Evaluate the quality at lambda itself, without the training's margin."""
     metric, rate = metric_loss.matrices(network, samples, floor)
     slack = samples.decay * (np.exp(2.0 * how.margin * SAMPLE_PERIOD) - 1.0) / SAMPLE_PERIOD
     stable, outside = samples.kind > 0, samples.inputs[:, -1] > 0.5
@@ -188,7 +188,7 @@ def _note(state: Progress, network: Network, training_loss: float, quality: Qual
 
 
 def saved_options(checkpoint: Path) -> dict[str, Any]:
-    """Options of a checkpoint's training; ValueError if there is no checkpoint."""
+    """Return the options of a checkpoint's training; raises ValueError if there is no checkpoint."""
     try:
         return dict(torch.load(checkpoint, weights_only=True)["begun"])
     except Exception as error:  # torch has errors of its own

@@ -26,7 +26,7 @@ class Case:
     """Generator and policy steps to K_p, K_i, shape (steps, 2)."""
     reference: ReferenceSignal = SINE
     stable: bool = False
-    """Whether the unfiltered loop is stable: there the filter is to do nothing."""
+    """Whether the unfiltered loop is stable, so that the filter should not act."""
 
     def draw(self, seed: int, seconds: float) -> FloatArray:
         """Gains of a run, shape (policy steps, 2)."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benches that `validate` runs: the emulator as the bench, and the learned simulation.
+"""Benches of `validate`: the emulator as the bench, and the learned simulation.
 
-The emulator's plant is the one that runs behind the serial line, sample for sample; only its clock is left out. Nothing
+The emulator's plant is identical, sample for sample, to the one behind the serial line, except for its clock. Nothing
 else in this package imports the emulator.
 """
 
@@ -23,7 +23,7 @@ CHANGES: dict[str, dict[str, float]] = {
     "spring 30 kN/m": {"spring_stiffness": 3e4},
     "supply 12 MPa": {"supply_pressure": 12e6},
 }
-"""The emulated bench, and what is changed of it while filter and box believe the nominal one."""
+"""Emulated benches and their changes, while filter and box assume the nominal one."""
 
 PLANTS = (*CHANGES, "sim")
 

@@ -41,10 +41,10 @@ class Corrector(Protocol):
     """A filter: one sample in, one correction out."""
 
     def reset(self) -> None:
-        """Begin anew, as if nothing had been seen."""
+        """Reset to the initial state."""
 
     def correct(self, sample: Sample, age: float = 0.0) -> Result:
-        """Decide about a sample that is `age` [s] old."""
+        """Decide the correction of a sample that is `age` [s] old."""
 
 
 class Run(NamedTuple):
@@ -66,7 +66,7 @@ class Trial:
     """One closed-loop simulation."""
 
     bench: Bench
-    """What box and filter believe."""
+    """Bench assumed by box and filter."""
     reference: ReferenceSignal
     gains: FloatArray
     """K_p [1/s], K_i [1/s^2] in force at 100 Hz, shape (policy steps, 2)."""

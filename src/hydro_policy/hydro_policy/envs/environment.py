@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The task on a fleet of benches: observations in, actions out, rewards; every bench from rest at each episode.
+"""Environment of the task on a fleet of benches: observations, actions, rewards; each episode starts from rest.
 
-What a `TrainingSession` does with one bench and the graph's interruptions, here for many benches and none: the same
-observation, reward, gains and penalty, from the same functions of `task`.
+The counterpart of `TrainingSession` for many benches and without the graph's interruptions: observation, reward, gains
+and penalty are computed by the same functions of `task`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from hydro_policy.envs.vector_env import VectorBench, records
 from hydro_policy.task.mdp import ACTIONS, TaskSettings, observe
 
 FAULTS = int(Flag.FORCE_LIMIT | Flag.SENSOR_FAULT)
-"""What a trip of the policy's own making shows."""
+"""Flags of a trip caused by the policy."""
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,20 @@ class Transitions:
     """Transitions of one step of all benches; first axis: bench."""
 
     observation: FloatArray
-    """What was acted upon, shape (n, 13)."""
+    """Observations acted upon, shape (n, 13)."""
     action: FloatArray
     """Shape (n, 2)."""
     reward: FloatArray
     """Shape (n,)."""
     following: FloatArray
-    """What came of it, shape (n, 13)."""
+    """Next observations, shape (n, 13)."""
     terminated: npt.NDArray[np.bool_]
-    """The box tripped, shape (n,): that bench has begun anew."""
+    """Whether the box tripped and its bench was reset, shape (n,)."""
     samples: StateArray
     """The ten samples, shape (n, 10)."""
 
     def rows(self) -> npt.NDArray[np.float32]:
-        """As the replay buffer has them, shape (n, width); those with a value that is not finite are left out."""
+        """Return rows of the replay buffer, shape (n, width), without those that hold a non-finite value."""
         last = np.stack((self.reward, self.terminated), axis=1)
         rows = np.concatenate((self.observation, self.following, self.action, last), axis=1)
         return rows[np.isfinite(rows).all(axis=1)].astype(np.float32)
@@ -63,7 +63,7 @@ class Environment:
         self._seeds: npt.NDArray[np.int64] = np.zeros(len(fleet), np.int64)
 
     def begin(self, references: Sequence[ReferenceSignal], seeds: Sequence[int]) -> FloatArray:
-        """A new episode on every bench, from rest; returns the observations, shape (n, 13)."""
+        """Start a new episode on every bench, from rest; returns the observations, shape (n, 13)."""
         self._references, self._seeds = list(references), np.array(seeds, np.int64)
         for index, reference in enumerate(references):
             self.fleet.begin(index, reference, int(seeds[index]))
@@ -71,7 +71,7 @@ class Environment:
         return self.observation
 
     def step(self, actions: FloatArray) -> Transitions:
-        """Ten samples under `actions`, shape (n, 2)."""
+        """Advance ten samples under `actions`, shape (n, 2)."""
         before = self.observation
         samples = self.fleet.step(self.task.gains.changes(actions)).copy()
         error = samples["reference_force"] - samples["load_force"]
@@ -85,7 +85,7 @@ class Environment:
         return Transitions(before, actions, reward, following, tripped, samples)
 
     def _begin_tripped(self, tripped: npt.NDArray[np.bool_], following: FloatArray) -> None:
-        """From rest; the last observation of a terminal transition is not used, so it may be any that is finite."""
+        """Reset the tripped benches; a terminal transition's next observation is unused, so any finite one will do."""
         for index in np.flatnonzero(tripped):
             self._seeds[index] += 1
             self.fleet.begin(int(index), self._references[index], int(self._seeds[index]))
@@ -95,5 +95,5 @@ class Environment:
                 following[index] = after
 
     def _last(self) -> FloatArray:
-        """The last samples, shape (n, 14), in the order of `STATE_FIELDS`."""
+        """Return the last samples, shape (n, 14), in the order of `STATE_FIELDS`."""
         return records(self.fleet.samples[:, -1], STATE_FIELDS)

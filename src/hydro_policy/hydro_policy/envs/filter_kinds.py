@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Names of the filters that a simulated bench can have between policy and box; `vector_filter` creates them."""
+"""Names of the filters available between policy and box of a simulated bench; `vector_filter` creates them."""
 
 from __future__ import annotations
 
@@ -7,4 +7,4 @@ from typing import Literal, get_args
 
 FilterName = Literal["none", "constant", "learned"]
 FILTERS: tuple[FilterName, ...] = get_args(FilterName)
-"""Kinds, by name."""
+"""Kinds of filters by name."""

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Domain randomisation: a different bench for every episode, drawn around the nominal one.
 
-What changes on a real bench from day to day (spring, supply pressure), what is known badly (oil, valve, friction,
-mass), the sensors' noise and the delays on the way. The box goes on believing in the bench that it was told of.
+Randomised are quantities that vary from day to day on a real bench (spring, supply pressure), poorly known ones (oil,
+valve, friction, mass), sensor noise and transport delays. The box keeps assuming the bench it is configured for.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hydro_sim.structured import constants as learned_constants
 from hydro_sim.structured.model import StructuredModel
 
 REACH = 0.8
-"""Share of what the spring carries within the stroke that a reference may ask for."""
+"""Share of the spring's largest force within the stroke that a reference may demand."""
 
 _SPREAD = {
     "bulk_modulus": 0.2, "moving_mass": 0.2, "viscous_friction": 0.5, "friction_coulomb": 0.5, "friction_stribeck": 0.5,
@@ -37,7 +37,7 @@ _OF_EFFECTS = {
     "leakage_internal.coefficient": "leakage_internal", "valve_lag.bandwidth": "spool_frequency",
     "sensor_lag.bandwidth": "load_cell_frequency",
 }  # fmt: skip
-"""Which of these changes a parameter of a bench file's effects has; the others are as the file says."""
+"""Change that applies to each parameter of a bench file's effects; the others keep the file's values."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,7 +84,7 @@ class RandomisedBench:
     """m."""
 
     def within_reach(self, reference: ReferenceSignal) -> ReferenceSignal:
-        """The reference, its amplitude no larger than the spring carries within the stroke."""
+        """Return the reference with its amplitude limited to the spring's force within the stroke."""
         return replace(reference, amplitude=min(reference.amplitude, REACH * 0.5 * self.stroke * self.spring))
 
 
@@ -94,7 +94,7 @@ def draw_bench(settings: Randomisation, source: Bench | Learned, seed: int) -> R
     Raises
     ------
     ValueError
-        `source` is a network: it has no constants to change.
+        `source` is a network, which has no constants to change.
     """
     rng = np.random.default_rng(seed)
     spring = math.exp(rng.uniform(math.log(settings.spring_min), math.log(settings.spring_max)))
@@ -127,7 +127,7 @@ def _analytic(bench: Bench, spring: float, supply: float, factors: dict[str, flo
 
 
 def _changed(effect: Mapping[str, Any], factors: Mapping[str, float]) -> Mapping[str, Any]:
-    """A bench file's effect, of another size."""
+    """Return a bench file's effect with scaled parameters."""
     parameters = {
         name: float(value) * factors.get(_OF_EFFECTS.get(f"{effect['id']}.{name}", ""), 1.0)
         for name, value in effect["parameters"].items()

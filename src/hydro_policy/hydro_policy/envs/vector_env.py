@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vectorised environment: many benches, each with box and plant, stepped ten samples at a time by one compiled loop.
+"""Vectorised environment: many benches, each with box and plant, advanced ten samples at a time by one compiled loop.
 
 ::
 
@@ -7,9 +7,9 @@
     sample s    plant holds u_s -> x_{s+1}          box receives gains, ticks -> u_{s+1}, BenchState_{s+1}
     step        ten such samples, from one policy step (sequence number divisible by ten) to the next
 
-Numbers are those of `simulation.offline.simulate` and of the nodes, to the bit: box and plants are the same compiled
-functions. Gains act `gain_delay` samples after the step that chose them (1 to 10; 1: as fast as a graph can be), and
-the valve follows its current `dead_time` samples late (0: the box's own loop).
+Results are bit-identical to those of `simulation.offline.simulate` and of the nodes: box and plants are the same
+compiled functions. Gains act `gain_delay` samples after the step that chose them (1 to 10; 1: the fastest possible
+graph), and the valve follows its current `dead_time` samples late (0: the box's own loop).
 """
 
 from __future__ import annotations
@@ -38,25 +38,25 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
 DEAD_TIME_MAX = 8
-"""Samples that a command can be late at most."""
+"""Maximum delay of a command, samples."""
 
 LINK_DTYPE = np.dtype([("gain_delay", np.int64), ("dead_time", np.int64), ("held", np.float64, (DEAD_TIME_MAX + 1,))])
-"""What lies between policy, box and valve: delays in samples, and the currents still on their way, newest first."""
+"""Transport between policy, box and valve: delays in samples, and the currents in transit, newest first."""
 
 
 class VectorBench:
-    """See the module.
+    """Fleet of benches in one compiled loop (see the module's docstring).
 
     Parameters
     ----------
     benches
-        What each box believes.
+        Bench assumed by each box.
     plants
-        The bench behind each box, all of one kind.
+        Plant behind each box, all of one kind.
     config
         Settings of the boxes.
     filters
-        The filter between policy and box; None: none.
+        Filter between policy and box; None: no filter.
     """
 
     def __init__(
@@ -76,13 +76,13 @@ class VectorBench:
         self.links = np.zeros(count, LINK_DTYPE)
         self.links["gain_delay"] = 1
         self.samples: StateArray = np.zeros((count, SAMPLES_PER_STEP), STATE_DTYPE)
-        """The last step's samples, shape (benches, 10); the last column is what the policy acts upon."""
+        """Samples of the last step, shape (benches, 10); the policy acts upon the last column."""
 
     def __len__(self) -> int:
         return len(self.boxes)
 
     def replace(self, index: int, bench: Bench, plant: Plant, gain_delay: int = 1, dead_time: int = 0) -> None:
-        """Put another bench in this place; `begin` it next."""
+        """Replace the bench at this index; call `begin` for it next."""
         self.benches[index] = bench.constants()[0]
         self.settings[index] = self.config.constants(bench)[0]
         self.links[index]["gain_delay"], self.links[index]["dead_time"] = gain_delay, dead_time
@@ -91,7 +91,7 @@ class VectorBench:
     def begin(
         self, index: int, reference: ReferenceSignal, seed: int, changes: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        """From rest: disarmed once, armed with `reference` and gain changes, first sample taken."""
+        """Start from rest: disarm once, arm with `reference` and gain changes, take the first sample."""
         one = slice(index, index + 1)
         vector_plants.reset_plant(self.rows, index, seed)
         kernel.reset(self.boxes[one])
@@ -113,7 +113,7 @@ class VectorBench:
         _exchange(*box, self.filters, index, vector_plants.measurements(self.rows)[index], self.samples[index, -1:])
 
     def step(self, changes: FloatArray) -> StateArray:
-        """Ten samples with gain changes (delta_kp, delta_ki), shape (benches, 2); returns `samples`."""
+        """Advance ten samples with gain changes (delta_kp, delta_ki), shape (benches, 2); returns `samples`."""
         box = self.benches, self.settings, self.boxes, self.commands
         noise = vector_plants.noise(self.rows, SAMPLES_PER_STEP)
         step = _step if type(self.rows.arrays).__module__.startswith("hydro_policy.") else _step_foreign
@@ -123,7 +123,7 @@ class VectorBench:
 
 @njit(cache=True)
 def _exchange(bench, settings, box, command, filters, i, measurement, sample):
-    """The box's millisecond: a command down, a sample up; and the filter's word on it, for the next command."""
+    """Run one sample of the box: command in, state out, and the filter's correction for the next command."""
     time = box[0].sequence * SAMPLE_PERIOD
     kernel.receive(settings, box, command, time)
     kernel.tick(bench, settings, box, measurement, time, sample)
@@ -146,13 +146,13 @@ def _step(benches, settings, boxes, commands, filters, plants, links, changes, n
             current = sample[0].valve_current
 
 
-# Plants of a kind from elsewhere (a benchmark's): the cache's index would name a module that others cannot import.
+# Kinds defined elsewhere (in a benchmark): the cache's index would name a module that others cannot import.
 _step_foreign = njit(_step.py_func)
 
 
 @njit(cache=True)
 def _delayed(link, current):
-    """The current that reaches the valve when `current` leaves the box."""
+    """Return the current that reaches the valve when `current` leaves the box."""
     late = link.dead_time
     if late == 0:
         return current
@@ -163,5 +163,5 @@ def _delayed(link, current):
 
 
 def records(samples: StateArray, fields: Sequence[str]) -> npt.NDArray[np.float64]:
-    """Fields of sample records, shape (..., len(fields))."""
+    """Return fields of sample records, shape (..., len(fields))."""
     return np.stack([samples[name] for name in fields], axis=-1)

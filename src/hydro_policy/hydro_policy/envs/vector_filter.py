@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The contraction filter in a vectorised environment: one sample in, the next one's correction out, as in the graph.
+"""Contraction filter in a vectorised environment: from one sample to the next one's correction, as in the graph.
 
-A kind is a NamedTuple and a compiled `correct` on it, found by its type: none, the constant metric, the learned one.
+A kind is a NamedTuple with a compiled `correct` dispatched on its type: none, constant metric, learned metric.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ FleetFilter = NoFilter | ConstantFilter | LearnedFilter
 
 
 def fleet_filter(kind: str, believed: Bench, count: int) -> FleetFilter:
-    """The filter of a kind in `FILTERS` for `count` benches, designed for the bench `believed`."""
+    """Return the filter of a kind in `FILTERS` for `count` benches, designed for the bench `believed`."""
     if kind == "none":
         return NoFilter()
     if kind == "constant":
@@ -69,7 +69,7 @@ def reset_memory(filters: FleetFilter, index: int) -> None:
 
 
 def correct(filters: Any, i: int, x: Any, sample: Any) -> float:
-    """delta_u [A] for the sample after this one of bench i: for compiled code."""
+    """Return delta_u [A] for the next sample of bench i; for compiled code."""
     raise NotImplementedError("compiled code only")
 
 

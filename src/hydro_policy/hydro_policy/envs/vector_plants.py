@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plants of one kind as rows of arrays, which compiled loops step: analytic, structured and network models.
+"""Plants of one kind as rows of arrays for compiled loops: analytic, structured and network models.
 
-A kind is a NamedTuple of arrays and two compiled functions on it, `advance` and `measurement`, found by its type
-(numba's overloading). Plants are made and reset as anywhere else; here their memories are only laid side by side.
+A kind is a NamedTuple of arrays with two compiled functions, `advance` and `measurement`, dispatched on its type
+(numba's overloading). Plants are created and reset as usual; this module only stacks their memories.
 """
 
 from __future__ import annotations
@@ -75,12 +75,12 @@ class Network(NamedTuple):
 
 @dataclass
 class PlantRows:
-    """Arrays for compiled code, and the plants that they came from (for resets and noise)."""
+    """Arrays for compiled code, and the plants that they represent (for resets and noise)."""
 
     plants: list[Plant]
     arrays: Any
     copy: Callable[[Any, int, Any], None]
-    """Write a plant's constants and memory into a row."""
+    """Function that writes a plant's constants and memory into a row."""
 
 
 def stack_plants(plants: Sequence[Plant]) -> PlantRows:
@@ -89,7 +89,7 @@ def stack_plants(plants: Sequence[Plant]) -> PlantRows:
     Raises
     ------
     ValueError
-        They are of several kinds, or of one that has no compiled rows.
+        The plants are of several kinds, or of a kind without compiled rows.
     """
     if len({_kind(plant) for plant in plants}) != 1:
         raise ValueError("a fleet needs plants of one kind")
@@ -117,23 +117,23 @@ def reset_plant(rows: PlantRows, index: int, seed: int) -> None:
 
 
 def noise(rows: PlantRows, count: int) -> FloatArray:
-    """The next `count` rows of each plant's noise, shape (plants, count, 5)."""
+    """Draw the next `count` rows of each plant's noise, shape (plants, count, 5)."""
     return np.stack([plant.noise.rows(count) for plant in rows.plants])  # type: ignore[attr-defined]
 
 
 def measurements(rows: PlantRows) -> FloatArray:
-    """The present measurements, a view of shape (plants, 8)."""
+    """Return the present measurements, a view of shape (plants, 8)."""
     held = rows.arrays.state["x"] if isinstance(rows.arrays, Analytic) else rows.arrays.x
     return np.asarray(held)
 
 
 def advance(plants: Any, i: int, noise: FloatArray, current: float) -> None:
-    """One sample of 1 ms of row i, in place: for compiled code."""
+    """Advance row i by one sample of 1 ms, in place; for compiled code."""
     raise NotImplementedError("compiled code only")
 
 
 def measurement(plants: Any, i: int) -> FloatArray:
-    """The measurement x, shape (8,), of row i: for compiled code."""
+    """Return the measurement x, shape (8,), of row i; for compiled code."""
     raise NotImplementedError("compiled code only")
 
 
@@ -246,4 +246,4 @@ KINDS: dict[Any, tuple[Callable[[Any], Any], Callable[[Any, int, Any], None]]] =
     StructuredModel: (_structured, _copy_structured),
     NetworkModel: (_network, _copy_network),
 }
-"""Kinds of plants: how rows are made of them, and how one is written into a row. A benchmark may add its own."""
+"""Kinds of plants, with the functions that stack them and write one into a row. A benchmark may add its own."""

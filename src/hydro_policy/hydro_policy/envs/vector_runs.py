@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Many evaluation runs at once, without a graph: each bench of a fleet runs one case under one controller.
+"""Parallel evaluation runs without a graph: each bench of a fleet runs one case under one controller.
 
-The measure is that of `evaluation.session`: from rest, time to settle, then whole periods over which e counts.
+The protocol is that of `evaluation.session`: start from rest, settling, then whole periods over which e counts.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_policy.task.mdp import ACTIONS, BASE, GainRange, observe
 
 Chooser = Callable[[FloatArray], FloatArray]
-"""From the last samples of all benches, shape (n, 14), to their gain changes, shape (n, 2)."""
+"""Function from the last samples of all benches, shape (n, 14), to their gain changes, shape (n, 2)."""
 
 
 @dataclass
 class PolicyChooser:
-    """The mean action of a policy, on every bench."""
+    """Mean action of a policy, on every bench."""
 
     policy: Policy
     gains: GainRange
@@ -38,21 +38,21 @@ class PolicyChooser:
 
 
 def fixed(gains: FloatArray, base: tuple[float, float] = BASE) -> Chooser:
-    """Fixed gains (K_p, K_i), shape (n, 2) or (2,)."""
+    """Return a chooser of fixed gains (K_p, K_i), shape (n, 2) or (2,)."""
     return lambda samples: np.broadcast_to(np.asarray(gains) - base, (len(samples), ACTIONS))
 
 
 def rmse(
     fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
 ) -> FloatArray:
-    """Force RMSE [N] of each run, shape (n,), where bench i runs `cases[i]`; NaN if the box tripped."""
+    """Return the force RMSE [N] of each run, shape (n,), where bench i runs `cases[i]`; NaN if the box tripped."""
     return _run(fleet, cases, choose, settings, seed, keep=False)[0]
 
 
 def record(
     fleet: VectorBench, cases: Sequence[Case], choose: Chooser, settings: EvaluationSettings, seed: int = 0
 ) -> tuple[FloatArray, StateArray]:
-    """As `rmse`, and all samples after the first, shape (n, samples)."""
+    """Return the result of `rmse` and all samples after the first, shape (n, samples)."""
     return _run(fleet, cases, choose, settings, seed, keep=True)
 
 

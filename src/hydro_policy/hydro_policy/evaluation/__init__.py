@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Controllers compared on a live plant: runs, policy examinations, the best fixed gains, the report.
+"""Comparison of controllers on a live plant: runs, policy examinations, search of the best fixed gains, report.
 
 May import `task`, `sac`, `supervision` and `runs`.
 """

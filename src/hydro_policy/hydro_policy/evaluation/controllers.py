@@ -21,17 +21,17 @@ class Controller(Protocol):
 
     @property
     def name(self) -> str:
-        """For tables."""
+        """Name for tables."""
 
     def reset(self) -> None:
-        """Before a run."""
+        """Reset before a run."""
 
     @property
     def reach(self) -> GainRange:
-        """All gain changes that it may ask for."""
+        """Range of the gain changes that it may request."""
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
-        """(delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
+        """Return (delta_kp [1/s], delta_ki [1/s^2]) for a sample [14] in the order of STATE_FIELDS."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class FixedGains:
 
     @property
     def reach(self) -> GainRange:
-        """One point."""
+        """Range of a single point."""
         kp, ki = self.proportional - self.base[0], self.integral - self.base[1]
         return GainRange(delta_kp_min=kp, delta_kp_max=kp, delta_ki_min=ki, delta_ki_max=ki)
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: there is no state."""
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
         """See `Controller`."""
@@ -66,7 +66,7 @@ class FixedGains:
 
 
 class PolicyController:
-    """The mean action of a trained policy."""
+    """Mean action of a trained policy."""
 
     def __init__(self, policy: Policy, gains: GainRange, name: str) -> None:
         self.name, self.reach = name, gains
@@ -74,7 +74,7 @@ class PolicyController:
         self._action: FloatArray = np.zeros(ACTIONS)
 
     def reset(self) -> None:
-        """Forget the previous action."""
+        """Discard the previous action."""
         self._action = np.zeros(ACTIONS)
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:
@@ -86,17 +86,17 @@ class PolicyController:
 
 
 def policy_controller(path: Path) -> PolicyController:
-    """The policy of a run's folder, or of a file.
+    """Load the policy of a run's folder, or of a file.
 
     Raises
     ------
     ValueError
-        Neither is there.
+        Neither exists.
     """
     policy, gains, _ = load_policy(policy_file(path))
     return PolicyController(policy, gains, f"policy {path.name if path.is_dir() else path.stem}")
 
 
 def policy_file(path: Path) -> Path:
-    """The policy's file: `path` itself, or that of the run in folder `path`."""
+    """Return the policy's file: `path` itself, or that of the run in folder `path`."""
     return RunDirectory(path).policy if path.is_dir() else path

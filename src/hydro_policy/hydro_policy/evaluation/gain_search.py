@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Grid search for the best fixed gains on the bench itself: the baseline that a policy has to beat.
+"""Grid search for the best fixed gains on the bench itself, the baseline for a policy.
 
-coarse    for each K_i, K_p rises in steps until the loop is stopped (monitor, box) or cycles: no gains far beyond the
-          bench's limit are ever tried
-fine      the eight neighbours of the best pair at half the step, and once more at a quarter
-score     mean over the references of the RMSE relative to the best that any pair reached there
+coarse    for each K_i, K_p rises in steps until the loop is stopped (monitor, box) or oscillates, so that gains far
+          beyond the bench's limit are never tried
+fine      the eight neighbours of the best pair at half the step, then at a quarter
+score     mean over the references of the RMSE relative to the best of any pair on that reference
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class GridSearch:
         self._rising = [(self.settings.kp_min, ki) for ki in self.settings.ki_values]
 
     def next(self) -> Gains | None:
-        """The pair to try; None when all is known."""
+        """Return the next pair to try; None when the search is complete."""
         self._fine = [pair for pair in self._fine if pair[0] < self._edge]
         while not self._rising and not self._fine and self._round < self.settings.refinements:
             self._round += 1
@@ -83,7 +83,7 @@ class GridSearch:
         return self._rising[0] if self._rising else self._fine[0] if self._fine else None
 
     def tell(self, pair: Gains, rmse: Sequence[float]) -> None:
-        """What a pair reached on each reference; infinite or NaN: it was stopped."""
+        """Record a pair's RMSE on each reference; infinite or NaN: it was stopped."""
         self.tried[pair] = np.nan_to_num(np.asarray(rmse, float), nan=np.inf, posinf=np.inf)
         if self._rising:
             self._rising.pop(0)
@@ -99,7 +99,7 @@ class GridSearch:
 
     @property
     def scores(self) -> dict[Gains, float]:
-        """Mean over the references of RMSE over the smallest RMSE there; infinite where a run was stopped."""
+        """Mean over the references of RMSE over the smallest RMSE there; infinite if a run was stopped."""
         smallest = np.min(list(self.tried.values()), axis=0)
         came_through = {pair: np.isfinite(rmse).all() for pair, rmse in self.tried.items()}
         return {
@@ -108,18 +108,18 @@ class GridSearch:
 
     @property
     def found(self) -> bool:
-        """Whether any pair came through every reference."""
+        """Whether any pair completed every reference."""
         return any(np.isfinite(rmse).all() for rmse in self.tried.values())
 
     @property
     def best(self) -> Gains:
-        """The pair with the smallest score; one that was stopped if none was `found`."""
+        """Pair with the smallest score; one that was stopped if none was `found`."""
         scores = self.scores
         return min(scores, key=scores.__getitem__)
 
     @property
     def best_each(self) -> list[Gains]:
-        """For each reference the pair that is best there: more than any one pair can be."""
+        """Best pair for each reference, an upper bound on any single pair."""
         pairs = list(self.tried)
         return [pairs[int(index)] for index in np.argmin(list(self.tried.values()), axis=0)]
 
@@ -129,7 +129,7 @@ class GridSearch:
 
     @property
     def _edge(self) -> float:
-        """1/s, the smallest K_p that had to be stopped: nothing there or above is tried again."""
+        """Smallest K_p [1/s] that had to be stopped: neither it nor any above is tried again."""
         return min((kp for (kp, _), rmse in self.tried.items() if not np.isfinite(rmse).all()), default=np.inf)
 
     def _neighbours(self) -> list[Gains]:
@@ -148,17 +148,17 @@ class GridSession:
     settings
         The grid.
     evaluation
-        References and lengths; nothing is repeated.
+        References and lengths; runs are not repeated.
     outputs
         The graph.
     rearm
         See `PlantSupervisor`.
     override
-        Gains that a person holds.
+        Gains held by a person.
     monitor
-        Stops a pair that the bench does not bear, before the box has to.
+        Stops an unstable pair before the box has to.
     requirements
-        What must be there before the plant is armed, besides plant and filter.
+        Requirements before arming, besides plant and filter.
     """
 
     def __init__(
@@ -181,12 +181,12 @@ class GridSession:
 
     @property
     def finished(self) -> bool:
-        """Whether all is known."""
+        """Whether the search is complete."""
         return self._pair is None
 
     @property
     def pair(self) -> Gains | None:
-        """The pair that is being tried."""
+        """Pair under test."""
         return self._pair
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -208,7 +208,7 @@ class GridSession:
         self._running.on_correction(after, status)
 
     def on_tick(self, now: float) -> None:
-        """Some twenty times a second."""
+        """Handle a tick, some twenty times a second."""
         self._running.on_tick(now)
 
     def _next(self) -> None:

@@ -21,10 +21,10 @@ from hydro_policy.task.mdp import GainRange
 from hydro_policy.task.scoring import Score
 
 RETRIES = 2
-"""Of a sine in which corrections came late: what it says is not the policy's doing."""
+"""Repeats of a sine with late corrections, whose result is not due to the policy."""
 
 SURE = 2.0
-"""Standard errors that a score must be better by: a single comparison passes by chance about once in forty times."""
+"""Standard errors by which a score must be better: one comparison passes by chance about once in forty."""
 
 EXAMINED = "policy"
 """Name of the policy in an examination's scores."""
@@ -32,7 +32,7 @@ EXAMINED = "policy"
 
 @dataclass(frozen=True)
 class SessionContext:
-    """Context that an examination shares with the training session that it interrupts."""
+    """Context shared by an examination and the training session that it interrupts."""
 
     outputs: Outputs
     watch: PlantSupervisor
@@ -45,20 +45,20 @@ class Verdict:
     """Result of an examination; one value per sine, in the order of the settings."""
 
     rmse: tuple[float, ...]
-    """N, of the policy, mean over the repeats."""
+    """Force RMSE of the policy [N], mean over the repeats."""
     reference: tuple[float, ...]
-    """N, of the fixed gains."""
+    """Force RMSE of the fixed gains [N]."""
     errors: tuple[float, ...] = ()
-    """N, standard errors of `rmse` by the scatter of the repeats; empty: there were none."""
+    """Standard errors of `rmse` [N] from the scatter of the repeats; empty without repeats."""
 
     @property
     def ratios(self) -> tuple[float, ...]:
-        """RMSE over the reference's."""
+        """Ratios of the policy's RMSE to the fixed gains'."""
         return tuple(own / other for own, other in zip(self.rmse, self.reference, strict=True))
 
     @property
     def score(self) -> float:
-        """Mean of the ratios: below 1 the policy beats the fixed gains on the whole."""
+        """Mean of the ratios: below 1 the policy beats the fixed gains on average."""
         return math.fsum(self.ratios) / len(self.ratios)
 
     @property
@@ -70,18 +70,18 @@ class Verdict:
 
     @property
     def beaten(self) -> int:
-        """Sines at which it beats them."""
+        """Number of sines at which the policy beats the fixed gains."""
         return sum(ratio < 1.0 for ratio in self.ratios)
 
 
 def significantly_better(score: float, best: float, errors: Sequence[float]) -> bool:
-    """Whether a score is below the best one by more than the noise of the two.
+    """Return whether a score is below the best one by more than the noise of both.
 
     Parameters
     ----------
     errors
-        Standard errors of all scores of the run: two runs of a sine alone say too little of their scatter. Of a score
-        of single runs it is 0: nothing is known.
+        Standard errors of all scores of the run, since two runs of a sine alone give a poor estimate of their scatter.
+        For a score of single runs it is 0: unknown.
     """
     known = [error for error in errors if error > 0.0]
     noise = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
@@ -91,7 +91,7 @@ def significantly_better(score: float, best: float, errors: Sequence[float]) -> 
 def examination(
     settings: ExamSettings, policy: Policy, gains: GainRange, reference_too: bool, around: SessionContext
 ) -> EvaluationSession:
-    """Create the session that examines `policy` and, if asked, the fixed gains that its score is relative to."""
+    """Create the session that examines `policy` and, if requested, the fixed gains that its score is relative to."""
     controllers: list[Controller] = [PolicyController(policy, gains, EXAMINED)]
     if reference_too:
         controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, around.override.base))
@@ -107,12 +107,12 @@ def examination(
 
 
 def stop_reason(scores: Sequence[Score]) -> str:
-    """Why the policy was stopped; empty if it was not."""
+    """Return why the policy was stopped; empty if it was not."""
     return next((score.stopped for score in scores if score.controller == EXAMINED and score.stopped), "")
 
 
 def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[float]:
-    """Force RMSE [N] of the fixed gains; runs that had to be stopped count as no tracking at all."""
+    """Return the force RMSE [N] of the fixed gains; runs that had to be stopped count as no tracking at all."""
     nothing = settings.evaluation.amplitude / math.sqrt(2.0)
     return [
         float(np.mean([nothing if score.stopped else score.rmse for score in runs]))
@@ -121,13 +121,13 @@ def reference_rmse(settings: ExamSettings, scores: Sequence[Score]) -> list[floa
 
 
 def verdict(scores: Sequence[Score], reference: Sequence[float]) -> Verdict:
-    """Verdict of an examination that the policy completed."""
+    """Return the verdict of an examination that the policy completed."""
     runs = [[score.rmse for score in one] for one in _by_case([s for s in scores if s.controller == EXAMINED])]
     errors = tuple(float(np.std(one, ddof=1)) / math.sqrt(len(one)) for one in runs if len(one) > 1)
     return Verdict(tuple(float(np.mean(one)) for one in runs), tuple(reference), errors)
 
 
 def _by_case(scores: Sequence[Score]) -> list[list[Score]]:
-    """The runs of each sine, sines in the order in which they first came."""
+    """Return the runs of each sine, sines in order of first occurrence."""
     names = dict.fromkeys(score.case for score in scores)
     return [[score for score in scores if score.case == name] for name in names]

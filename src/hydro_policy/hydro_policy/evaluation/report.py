@@ -23,7 +23,7 @@ from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, figure, legend
 
 
 def table(session: EvaluationSession) -> Table:
-    """Force RMSE, one row for each controller, one column for each case; mean, and spread where runs repeat."""
+    """Return the table of force RMSE, controllers by cases, with mean and, for repeated runs, spread."""
     cases = [case.name for case in session.settings.cases]
     columns = {"controller": "", "authority": "K_p [1/s] and K_i [1/s^2] in all", **dict.fromkeys(cases, "")}
     spread = ", mean and standard deviation over the repeats" if session.settings.repeats > 1 else ""
@@ -36,14 +36,14 @@ def table(session: EvaluationSession) -> Table:
 
 
 def authority(reach: GainRange, base: tuple[float, float]) -> str:
-    """Range of total gains of a controller on a box with these base gains: K_p [1/s], K_i [1/s^2]."""
+    """Return a controller's range of total gains on a box with these base gains: K_p [1/s], K_i [1/s^2]."""
     changes = (reach.delta_kp_min, reach.delta_kp_max), (reach.delta_ki_min, reach.delta_ki_max)
     ends = [(own + low, own + high) for own, (low, high) in zip(base, changes, strict=True)]
     return ", ".join(f"{low:g}" if low == high else f"{low:g} to {high:g}" for low, high in ends)
 
 
 def runs(scores: list[Score], controller: str, case: str) -> list[Score]:
-    """The runs of one controller on one reference."""
+    """Return the runs of one controller on one reference."""
     return [score for score in scores if score.controller == controller and score.case == case]
 
 
@@ -58,7 +58,7 @@ def _cell(scores: list[Score]) -> float | str:
 
 
 def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
-    """All pairs of gains that were tried, best first."""
+    """Return the table of all pairs of gains that were tried, best first."""
     cases = [case.name for case in settings.cases]
     columns = {"K_p": "1/s", "K_i": "1/s^2", "score": "mean of RMSE over the smallest RMSE of the column"}
     table = Table({**columns, **dict.fromkeys(cases, "")}, title="Fixed gains, force RMSE [N]; inf: stopped")
@@ -70,7 +70,7 @@ def grid_table(search: GridSearch, settings: EvaluationSettings) -> Table:
 
 
 def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any]) -> None:
-    """Settings, every single run, and `notes`; what is not finite becomes null. A missing folder is made."""
+    """Write settings, every single run, and `notes`; non-finite values become null, a missing folder is created."""
 
     def plain(score: Score) -> dict[str, Any]:
         values = asdict(score)
@@ -88,18 +88,18 @@ def write_json(session: EvaluationSession, path: Path, notes: Mapping[str, Any])
 
 
 def sections(session: EvaluationSession, picture: Path) -> list[Section]:
-    """Sections of a page; `picture` is that of `plot`."""
+    """Return the sections of a page; `picture` is that of `plot`."""
     shown = table(session)
     found = [Section(heading=shown.title, text=" ".join(session.warnings), table=shown)]
     return [*found, Section(heading="Tracking at the fastest sine", picture=picture)] if picture.is_file() else found
 
 
 def plot(session: EvaluationSession, path: Path) -> None:
-    """The paper's two figures at the fastest sine: tracking and error of the controllers, gains of the first one."""
+    """Draw the paper's two figures at the fastest sine: tracking and error of the controllers, gains of the first."""
     sines = session.settings.frequencies
     case = f"{max(sines):g} Hz" if sines else session.settings.cases[0].name
     traces = {t.controller: t for t in session.traces if t.case == case}
-    path.unlink(missing_ok=True)  # one of an earlier evaluation is not this one's
+    path.unlink(missing_ok=True)  # an earlier evaluation's picture is not this one's
     if not traces:
         return
     first = next(iter(traces.values()))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Evaluation session: force RMSE of controllers, run by run on a live plant, without ROS.
 
-run       a new reference, 2 s to settle, then whole periods of at least 3 s in all over which e = f_r - f_l counts
-order     repeat, case, controller: controllers follow each other closely, so a drifting bench treats them alike
-failure   the box trips, or the monitor asks for a stop: the run counts as stopped, and a second of calm follows. The
-          plant is lost, or a person takes the gains: the run is begun anew
+run       a new reference, 2 s to settle, then whole periods of at least 3 s in total over which e = f_r - f_l counts
+order     repeat, case, controller: controllers follow each other closely, so that drift of the bench affects all alike
+failure   the box trips, or the monitor requests a stop: the run counts as stopped, and a second of calm follows. If the
+          plant is lost, or a person takes the gains, the run is restarted
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ __all__ = ["EvaluationSession", "EvaluationSettings", "Score", "Trace"]
 
 @dataclass
 class _Run:
-    """What has been seen of the present run."""
+    """Data of the present run."""
 
     repeat: int
     case: Case
@@ -43,28 +43,28 @@ class _Run:
 
 
 class EvaluationSession:
-    """Drives all runs one after another.
+    """Performs all runs one after another.
 
     Parameters
     ----------
     settings
-        Which references, how long.
+        References and lengths of the runs.
     controllers
         At least one.
     outputs
         The graph.
     watch, rearm
-        Of a session that this one is part of; else one of its own, with `rearm` (see `PlantSupervisor`).
+        Watch of the enclosing session; without one a new watch with `rearm` (see `PlantSupervisor`).
     after
-        The watch of the session before this one, whose plant is taken over as it is: see `PlantSupervisor.take_over`.
+        Watch of the previous session, whose plant is taken over as it is: see `PlantSupervisor.take_over`.
     override
-        Gains that a person holds.
+        Gains held by a person.
     monitor
         Stops a run that goes wrong before the box has to; None: only the box does.
     retries
-        How often a run is repeated in which the box held base gains for too long (`HELD_MAX`).
+        Number of repeats of a run in which the box held base gains for too long (`HELD_MAX`).
     requirements
-        What must be there before the plant is armed, besides plant and filter.
+        Requirements before arming, besides plant and filter.
     """
 
     def __init__(
@@ -104,12 +104,12 @@ class EvaluationSession:
 
     @property
     def seconds(self) -> float:
-        """Bench time of the whole plan."""
+        """Bench time of all runs, s."""
         return sum(self.settings.length(case) for _, case, _ in self.plan)
 
     @property
     def seconds_done(self) -> float:
-        """Bench time of the runs scored."""
+        """Bench time of the scored runs, s."""
         return sum(self.settings.length(case) for _, case, _ in self.plan[: len(self.scores)])
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
@@ -127,7 +127,7 @@ class EvaluationSession:
             self._run = None
             return self._publish(held) if sequence % SAMPLES_PER_STEP == 0 else False
         if self.watch.mismatched and not self.watch.calming and not self.watch.unready(now):
-            self._run = None  # begun anew once the filter fits
+            self._run = None  # restarted once the filter fits
             self.watch.acted(now)
             return self._publish(FALLBACK) if sequence % SAMPLES_PER_STEP == 0 else False
         if self._run is None:
@@ -138,14 +138,14 @@ class EvaluationSession:
         return self._advance(self._run, sequence, sample, flags)
 
     def on_tick(self, now: float) -> None:
-        """Some twenty times a second."""
+        """Handle a tick, some twenty times a second."""
         self.watch.on_tick(now)
         if self.watch.lost and self._run is not None:
             self._run = None
             self._outputs.say("no samples: this run is begun anew", warning=True)
 
     def on_correction(self, after: float, status: int) -> None:
-        """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
+        """Take the filter's result of a sample: M_c [1/s] under its correction, and the status."""
         self.watch.on_correction(status)
         if self.monitor is not None:
             self.monitor.on_correction(after, status)
@@ -153,7 +153,7 @@ class EvaluationSession:
     def _begin(self, sequence: int) -> _Run:
         repeat, case, controller = self.plan[len(self.scores)]
         controller.reset()
-        self._clock = StepClock()  # what was under way in a step is not this run's
+        self._clock = StepClock()  # the step in progress is not this run's
         if self.monitor is not None:
             self.monitor.reset()
         self._outputs.reference(case.signal)
@@ -207,20 +207,20 @@ class EvaluationSession:
         self._run = None
 
     def _on_trip(self) -> None:
-        """The run's doing, or under gains that a person holds: nobody's."""
+        """Attribute a trip to the run, or to nobody under gains held by a person."""
         if self._run is not None:
             self._stop(self._run, self.watch.condition)
         elif not self.watch.calming:
             self.watch.calm()
 
     def _check_held(self, trace: Trace, held: float) -> None:
-        """Base gains instead of the controller's for much of the time are no fair comparison."""
+        """Warn of a run in which base gains replaced the controller's for too long for a fair comparison."""
         if held > HELD_MAX:
             sentence = f"{trace.controller} at {trace.case}: base gains in {100 * held:.0f} % of the samples"
             self._warn(f"{sentence}, corrections came late: if the machine is busy, end what else runs on it")
 
     def _check_gains(self, controller: Controller, trace: Trace) -> None:
-        """A guard narrower than the controller would silently compare something else."""
+        """Warn of a guard narrower than the controller, which would silently compare something else."""
         asked = getattr(controller, "proportional", None)
         applied = float(np.median(trace.states["proportional_gain"]))
         if asked is not None and abs(asked - applied) > 1e-3 * max(abs(asked), 1.0):

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learning process: draws from the shared replay buffer, updates, publishes weights, writes checkpoints.
+"""Learner process: draws from the shared replay buffer, updates, publishes weights, writes checkpoints.
 
-It shares with the acting process five pieces of memory, and a pipe for requests:
+It shares five memory blocks and a pipe for requests with the acting process:
 
-    replay     transitions              acting appends, learning draws
-    weights    the actor's parameters   learning publishes some fifty times a second, acting reads before each step
-    snapshot   all of `Sac` (bytes)     learning publishes twice a second; a successor starts from it
-    good       the same bytes           acting leaves here what learning goes back to when it is told to roll back
+    replay     transitions              the actor appends, the learner draws
+    weights    the actor's parameters   the learner publishes at some 50 Hz, the actor reads before each step
+    snapshot   all of `Sac` (bytes)     the learner publishes twice a second; a successor starts from it
+    good       the same bytes           stored by the actor; the learner returns to it on a rollback request
     status     a few float64            updates, temperature, ...
 """
 
@@ -41,7 +41,7 @@ from hydro_sim.files.stamping import stamped
 
 SNAPSHOT_PERIOD = 0.5  # s
 _CONTEXT = multiprocessing.get_context("spawn")
-CHUNK = 8  # updates between looks at the pipe and publications, some 1 to 2 ms
+CHUNK = 8  # updates between two checks of the pipe and publications, some 1 to 2 ms
 
 
 class LearnerMemory:
@@ -50,9 +50,7 @@ class LearnerMemory:
     def __init__(self, settings: TrainingSettings) -> None:
         self.capacity = settings.replay_capacity
         hidden = settings.sac.hidden_size
-        parameters = 4 * (
-            2 * (OBSERVATIONS + 8) * hidden + 2 * hidden * hidden + 64
-        )  # bytes, of one network, generously
+        parameters = 4 * (2 * (OBSERVATIONS + 8) * hidden + 2 * hidden * hidden + 64)  # bytes per network, upper bound
 
         self._replay = self._block(ReplayBuffer.memory_size(OBSERVATIONS, ACTIONS, self.capacity))
         self._weights = self._block(SharedBlob.memory_size(parameters))
@@ -64,19 +62,19 @@ class LearnerMemory:
         return _CONTEXT.RawArray(ctypes.c_uint8, size)
 
     def replay(self) -> ReplayBuffer:
-        """The replay buffer on this memory."""
+        """Replay buffer on this memory."""
         return ReplayBuffer(OBSERVATIONS, ACTIONS, self.capacity, self._replay)
 
     def weights(self) -> SharedBlob:
-        """The actor's flat parameters, float32."""
+        """Flat parameters of the actor, float32."""
         return SharedBlob(self._weights)
 
     def snapshot(self) -> SharedBlob:
-        """All of `Sac`, as `snapshot.dump` gives it."""
+        """All of `Sac`, as returned by `snapshot.dump`."""
         return SharedBlob(self._snapshot)
 
     def good(self) -> SharedBlob:
-        """The last good state of `Sac`, as `snapshot.dump` gives it."""
+        """Last good state of `Sac`, as returned by `snapshot.dump`."""
         return SharedBlob(self._good)
 
     def status(self) -> FloatArray:
@@ -95,7 +93,7 @@ class RollbackRequest:
 
 @dataclass(frozen=True)
 class LearnerFault:
-    """Error reported by the learner: why it ends, or why a checkpoint cannot be written."""
+    """Error reported by the learner: the reason why it ends, or why a checkpoint cannot be written."""
 
     sentence: str
     disk: bool = False
@@ -111,7 +109,7 @@ class SaveRequest:
 
 
 class Learner:
-    """The learning loop's state, without the process around it."""
+    """State of the learning loop, independent of the process."""
 
     def __init__(self, memory: LearnerMemory, settings: TrainingSettings) -> None:
         self.settings = settings
@@ -127,24 +125,24 @@ class Learner:
 
     @property
     def pending_updates(self) -> int:
-        """Updates that the transitions so far entitle to and that are not done yet."""
+        """Updates that are due for the transitions so far and not done yet."""
         learnt_from = self.replay.produced - self.settings.warmup_steps
         return int(self.settings.updates_per_step * max(learnt_from, 0)) - self.sac.updates
 
     def work(self) -> int:
-        """Up to `CHUNK` of the updates owed; returns how many were done."""
+        """Perform up to `CHUNK` of the pending updates; returns how many were done."""
         count = min(self.pending_updates, CHUNK)
         if count > 0:
             self.sac.learn(self.replay, count)
         return max(count, 0)
 
     def publish(self, now: float) -> None:
-        """Give the actor its weights, and twice a second a successor all it needs.
+        """Publish the actor's weights and, twice a second, the snapshot for a successor.
 
         Raises
         ------
         FloatingPointError
-            The networks hold NaN or infinity: nothing is published, the supervisor starts anew from the last snapshot.
+            The networks hold NaN or infinity: nothing is published, the supervisor restarts from the last snapshot.
         """
         if not torch.isfinite(self.sac.actor_network.parameters.sum() + self.sac.critics.parameters.sum()):
             raise FloatingPointError(f"the networks diverged at update {self.sac.updates}")
@@ -157,21 +155,21 @@ class Learner:
         self._status[READY] = 1.0
 
     def roll_back(self) -> None:
-        """Go on from the last good state; the updates done stay counted, or they would be owed again.
+        """Continue from the last good state; the updates done stay counted, or they would be due again.
 
-        What the replay buffer holds of the policy that failed stays: it is what there is to learn from.
+        Transitions of the failed policy stay in the replay buffer: they are what there is to learn from.
         """
         good = self._good.latest()
         if good is not None:
             updates = self.sac.updates
             restore(self.sac, good)
             self.sac.updates = updates
-        self._published = 0.0  # a successor, too, shall start from here
+        self._published = 0.0  # a successor must start from here as well
         self.publish(time.monotonic())
-        self._status[ROLLBACKS] += 1  # last: whoever sees the count finds the weights
+        self._status[ROLLBACKS] += 1  # last: a reader that sees the count finds the weights
 
     def save(self, request: SaveRequest) -> None:
-        """Write the checkpoint and, where there is news, the policy's file."""
+        """Write the checkpoint and, if it has changed, the policy's file."""
         write_run(request, dump(self.sac), self._good.latest(), self.replay, self.settings)
         self._status[CHECKPOINTS] += 1
 
@@ -181,16 +179,16 @@ def write_run(
 ) -> None:
     """Write a checkpoint; policy.safetensors is the best policy so far or, before there is one, the latest.
 
-    A run's folder that somebody took away is there again; what was best before went with it, until a better one comes.
+    A deleted run folder is created again; its best policy is lost until a better one is found.
 
     Raises
     ------
     OSError
-        The disk refuses; the checkpoint before is as it was.
+        Writing fails; the previous checkpoint is unchanged.
     """
     try:
         _write_run(request, learner, good, replay, settings)
-    except FileNotFoundError:  # the folder was taken away between two of its files
+    except FileNotFoundError:  # the folder was deleted between two of its files
         _write_run(request, learner, good, replay, settings)
 
 
@@ -214,33 +212,33 @@ def _write_run(
 
 
 def compile_updates(settings: SacSettings) -> None:
-    """Compile the updates by one update of a temporary learner, so that learning starts with the first episode."""
+    """Compile the updates through one update of a temporary learner, so that learning starts with the first episode."""
     replay = ReplayBuffer(OBSERVATIONS, ACTIONS, 2 * settings.batch_size + 128)
     replay.extend(np.zeros((settings.batch_size, replay.rows.shape[1]), np.float32))
     Sac(OBSERVATIONS, ACTIONS, settings).learn(replay, 1)
 
 
 def run_learner(memory: LearnerMemory, settings: TrainingSettings, requests: Connection) -> None:
-    """Body of the learning process; ends on None from the pipe, or when the acting process is gone."""
-    for number in (signal.SIGINT, signal.SIGHUP):  # they reach the whole terminal; the acting process ends us in order
+    """Run the learner process; it ends on None from the pipe, or when the acting process is gone."""
+    for number in (signal.SIGINT, signal.SIGHUP):  # sent to the whole terminal; the acting process ends this one
         signal.signal(number, signal.SIG_IGN)
     os.nice(10)
     torch.set_num_threads(1)
     torch.set_grad_enabled(False)
     try:
         compile_updates(settings.sac)
-        learner = Learner(memory, settings)  # from here on it is ready
+        learner = Learner(memory, settings)  # ready from here on
         _attend(learner, requests)
     except Exception as error:
         with suppress(OSError):
             requests.send(LearnerFault(str(error) or type(error).__name__))
-        if isinstance(error, (FloatingPointError, ValueError)):  # the sentence says it all
+        if isinstance(error, (FloatingPointError, ValueError)):  # the sentence is sufficient
             raise SystemExit(1) from None
         raise
 
 
 def _attend(learner: Learner, requests: Connection) -> None:
-    """Learn, and do what is asked for, until the end."""
+    """Learn and serve requests until the end."""
     last: SaveRequest | None = None
     while True:
         worked = learner.work()
@@ -256,7 +254,7 @@ def _attend(learner: Learner, requests: Connection) -> None:
                 else:
                     last = request
                     _save(learner, request, requests)
-        except EOFError:  # the acting process died without a word: keep what was learnt
+        except EOFError:  # the acting process died: save what was learnt
             if last is not None:
                 _save(learner, last, requests)
             return

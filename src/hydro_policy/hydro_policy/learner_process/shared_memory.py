@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lock-free publication of a blob in shared memory: acting never waits for learning.
+"""Lock-free publication of a blob in shared memory: the actor never waits for the learner.
 
 header   int64 version | 2 slots of [int64 length | int64 CRC-32 | bytes]
 publish  write into slot (version + 1) mod 2, then count the version up
-read     copy slot version mod 2; where the CRC does not fit, a writer overtook us or died halfway: no news this time
+read     copy slot version mod 2; if the CRC does not match, a writer overtook the reader or died halfway: no new value
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class SharedBlob:
 
     @staticmethod
     def memory_size(capacity: int) -> int:
-        """Bytes that blobs of up to `capacity` bytes (rounded up to eights) take."""
+        """Return the bytes needed for blobs of up to `capacity` bytes (rounded up to a multiple of eight)."""
         return _HEADER + 2 * (_SLOT_HEADER + (capacity + 7) // 8 * 8)
 
     def publish(self, blob: bytes) -> None:
@@ -42,7 +42,7 @@ class SharedBlob:
         Raises
         ------
         ValueError
-            It is longer than the capacity.
+            `blob` is longer than the capacity.
         """
         if len(blob) > self.capacity:
             raise ValueError(f"{len(blob)} bytes do not fit the {self.capacity} shared ones")
@@ -53,7 +53,7 @@ class SharedBlob:
         self._version[0] = version
 
     def read(self) -> bytes | None:
-        """The latest value if it is newer than the last one read here, else None."""
+        """Return the latest value if it is newer than the last one read here, else None."""
         version = int(self._version[0])
         if version == self._seen:
             return None
@@ -63,7 +63,7 @@ class SharedBlob:
         return blob
 
     def latest(self) -> bytes | None:
-        """The latest whole value, read before or not; None if there never was one."""
+        """Return the latest complete value, read before or not; None if there never was one."""
         version = int(self._version[0])
         for candidate in range(version, max(version - 2, 0), -1):  # a writer killed halfway leaves the other slot whole
             blob = self._copy(candidate)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the learner process by the acting side: start, watch, restart, stop. Only `stop` blocks."""
+"""Supervision of the learner process by the acting process: start, watch, restart, stop. Only `stop` blocks."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from hydro_policy.runs.checkpoint import Checkpoint
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
 from hydro_policy.sac.algorithm import Losses
 
-RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds, and it is not bad luck
+RESTARTS, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
 
 
@@ -45,18 +45,18 @@ class LearnerError(UserError):
 
 
 class LearnerSupervisor:
-    """Owns the shared memory and one learning process at a time.
+    """Owns the shared memory and one learner process at a time.
 
     Parameters
     ----------
     settings
-        Of the run.
+        Settings of the run.
     run
-        Where checkpoints go.
+        Folder of the checkpoints.
     resumed
-        Checkpoint to go on from, or None.
+        Checkpoint to resume, or None.
     start
-        An agent to start from, as `snapshot.dump` gives it, or None: networks as they are initialised.
+        Initial agent, as returned by `snapshot.dump`, or None: freshly initialised networks.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class LearnerSupervisor:
         resumed: Checkpoint | None = None,
         start: bytes | None = None,
     ) -> None:
-        self._context = multiprocessing.get_context("spawn")  # fork would copy the middleware's threads half alive
+        self._context = multiprocessing.get_context("spawn")  # fork would corrupt the middleware's threads
         self._settings, self._run = settings, run
         self._memory = LearnerMemory(settings)
         self.replay = self._memory.replay()
@@ -77,7 +77,7 @@ class LearnerSupervisor:
         )
         self._status[LOSSES] = np.nan
         self._good = self._memory.good()
-        self._rollbacks, self._unheard = 0, False  # asked for; whether the learner had no ear for the last one
+        self._rollbacks, self._unheard = 0, False  # requested; whether the last request could not be delivered
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
             start = resumed.learner
@@ -89,17 +89,17 @@ class LearnerSupervisor:
 
     @property
     def alive(self) -> bool:
-        """Whether the learning process runs."""
+        """Whether the learner process runs."""
         return self._process.is_alive()
 
     @property
     def pid(self) -> int | None:
-        """Of the learning process."""
+        """Process id of the learner."""
         return self._process.pid
 
     @property
     def ready(self) -> bool:
-        """Whether the present learning process has published weights."""
+        """Whether the present learner process has published weights."""
         return bool(self._status[READY])
 
     @property
@@ -109,12 +109,12 @@ class LearnerSupervisor:
 
     @property
     def entropy_coefficient(self) -> float:
-        """alpha."""
+        """Entropy coefficient alpha."""
         return float(self._status[ENTROPY])
 
     @property
     def losses(self) -> Losses:
-        """Of the last updates; NaN while there is none."""
+        """Losses of the last updates; NaN before the first."""
         return Losses(*self._status[LOSSES].tolist())
 
     @property
@@ -123,9 +123,9 @@ class LearnerSupervisor:
         return int(self._status[CHECKPOINTS])
 
     def new_weights(self) -> FloatArray | None:
-        """The actor's flat parameters if there are newer ones than at the last call, else None.
+        """Return the actor's flat parameters if they are newer than at the last call, else None.
 
-        None, too, until a rollback that was asked for is done: what comes before it is not to act.
+        Also None until a requested rollback is done: earlier weights must not act.
         """
         if self._status[ROLLBACKS] < self._rollbacks:
             return None
@@ -133,12 +133,12 @@ class LearnerSupervisor:
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
     def restart_if_dead(self) -> str | None:
-        """If the learner died, start another from its last snapshot; what to tell the user of that.
+        """Restart a dead learner from its last snapshot; returns the message for the user.
 
         Raises
         ------
         LearnerError
-            It keeps dying, cannot begin, or cannot write a checkpoint.
+            It keeps dying, cannot start, or cannot write a checkpoint.
         """
         self._hear()
         if self.alive:
@@ -159,34 +159,34 @@ class LearnerSupervisor:
         self.restarts += 1
         self._requests.close()
         self._start()
-        if self._status[ROLLBACKS] < self._rollbacks:  # it died before it had gone back
+        if self._status[ROLLBACKS] < self._rollbacks:  # it died before the rollback
             self._ask_to_roll_back()
         return f"learner lost ({how}); acting goes on, learning restarts from update {self.updates}"
 
     def snapshot(self) -> bytes | None:
-        """The learner's whole state, half a second old at most; None before the first."""
+        """Return the learner's whole state, at most half a second old; None before the first."""
         return self._snapshot.latest()
 
     def keep(self, good: bytes) -> None:
-        """Take this state for the last good one."""
+        """Store this state as the last good one."""
         self._good.publish(good)
 
     def roll_back(self) -> None:
-        """Let the learner go back to the last good state."""
+        """Make the learner return to the last good state."""
         self._rollbacks = int(self._status[ROLLBACKS]) + 1
         self._ask_to_roll_back()
 
     def _ask_to_roll_back(self) -> None:
-        self._unheard = not self._ask(RollbackRequest())  # `restart_if_dead` asks again, or its successor
+        self._unheard = not self._ask(RollbackRequest())  # `restart_if_dead` repeats the request to it or its successor
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        """Ask for a checkpoint; False if the learner is not there to hear it."""
+        """Request a checkpoint; returns False if the learner is not running."""
         return self._ask(SaveRequest(self._run.path, trainer, best))
 
     def _ask(self, request: RollbackRequest | SaveRequest | None, patience: float = 0.0) -> bool:
-        """Send a request; False if the learner is dead, or has read nothing for so long that there is no room for it.
+        """Send a request; returns False if the learner is dead, or its pipe is full because it does not read.
 
-        A pipe that is ready to be written to has room for more than any of them. `patience` in s.
+        A writable pipe has room for any of the requests. `patience` in s.
         """
         room = select.poll()
         with suppress(OSError):
@@ -197,7 +197,7 @@ class LearnerSupervisor:
         return False
 
     def stop(self, trainer: dict[str, Any]) -> None:
-        """Write the last checkpoint and end the process; if it is dead or hangs, write the checkpoint from here.
+        """Write the last checkpoint and end the process; if it is dead or hangs, the checkpoint is written from here.
 
         Raises
         ------
@@ -220,7 +220,7 @@ class LearnerSupervisor:
                     raise LearnerError(self._unwritten(error.strerror or str(error))) from None
 
     def _hear(self) -> None:
-        """Take what the learner sent back."""
+        """Process the learner's messages."""
         with suppress(OSError, EOFError):
             while self._requests.poll():
                 trouble: LearnerFault = self._requests.recv()
@@ -244,7 +244,7 @@ class LearnerSupervisor:
         self._said = ""  # by a learner that ends
         self._requests: Connection
         self._requests, theirs = self._context.Pipe()
-        arguments = (self._memory, self._settings, theirs)  # small: what does not fit the pipe would wait for the child
+        arguments = (self._memory, self._settings, theirs)  # small: more than the pipe holds would wait for the child
         self._process: BaseProcess = self._context.Process(
             target=run_learner, args=arguments, name="learner", daemon=True
         )

@@ -24,7 +24,7 @@ _WHO = "a person, by `override`"
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Build the parser of the command line."""
     result = argparse.ArgumentParser(
         prog="override", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -79,7 +79,7 @@ def ask(node: Node, wanted: OverrideGains.Request) -> str:
     Raises
     ------
     UserError
-        Nobody is there, or it refuses.
+        No node offers the service, or it refuses.
     """
     client = node.create_client(OverrideGains, OVERRIDE_SERVICE)
     if not client.wait_for_service(timeout_sec=DISCOVERY):

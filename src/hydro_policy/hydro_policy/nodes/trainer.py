@@ -41,7 +41,7 @@ every setting is a ROS parameter, too: --ros-args -p sac.discount:=0.98 -p task.
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Build the parser of the command line."""
     result = argparse.ArgumentParser(
         prog="trainer", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -93,7 +93,7 @@ def asked(words: Sequence[str]) -> argparse.Namespace:
     Raises
     ------
     UserError
-        A run that goes on is told to be another one than it was begun as.
+        The options of a resumed run contradict those it was started with.
     """
     result = parser()
     if result.parse_args(words).demo:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Soft Actor-Critic on simulated benches: configurations, the run, its examinations, the command.
+"""Pretraining by Soft Actor-Critic on simulated benches: configurations, the run, its examinations, the command.
 
 May import all of this package but `sessions` and `nodes`.
 """

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The named configurations: `paper` is Table training_agent, `wide` what the better filter allows.
+"""Named configurations: `paper` is Table training_agent, `wide` the range allowed by the learned metric's filter.
 
-training_figures.md says what each value of `wide` was measured to do.
+training_figures.md has the measured effect of each value of `wide`.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
 
 WIDE = GainRange(delta_kp_max=285.0, delta_ki_max=95.0)
-"""K_p from 15 to 300, K_i from 5 to 100: as far as the box goes."""
+"""K_p from 15 to 300, K_i from 5 to 100: the box's limits."""
 
 WIDE_TASK = TaskSettings(gains=WIDE, reward_power=1.0, error_rate_weight=20.0, trip_penalty=100.0)
-"""The root of the paper's reward with less weight on e', whose noise would hide the small errors of slow sines."""
+"""Root of the paper's reward with less weight on e', whose noise would hide the small errors of slow sines."""
 
 CONFIGURATIONS = ("paper", "wide")
 
 
 def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) -> TrainingSettings:
-    """One of `CONFIGURATIONS`, for 160 episodes on a box with these base gains; the range of total gains is kept.
+    """Return one of `CONFIGURATIONS` for 160 episodes on a box with these base gains; the total gain range is kept.
 
     Raises
     ------
     ValueError
-        There is no such configuration.
+        The configuration is unknown.
     """
     if name == "paper":
         task, sac = TaskSettings(), SacSettings(seed=seed)
@@ -40,7 +40,7 @@ def configuration(name: str, seed: int = 0, base: tuple[float, float] = BASE) ->
 
 
 def configuration_of(settings: TrainingSettings) -> str | None:
-    """Name of the configuration that a run was started with; None if it matches none."""
+    """Return the name of the configuration that a run was started with; None if it matches none."""
     task, scale = settings.task, settings.sac.reward_scale
     named = {name: configuration(name, base=settings.base_gains) for name in CONFIGURATIONS}
     return next(

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Policy evaluation during pretraining: fixed cases on the nominal bench and on randomised benches drawn once.
 
-A policy that saw a thousand drawn benches is not judged on the nominal one alone: whichever suits that bench best need
-not bear another. Scores are relative to fixed gains on the same bench, so that a hard bench counts as an easy one does.
+A policy trained on a thousand drawn benches is not scored on the nominal one alone: the best one there may fail on
+another. Scores are relative to fixed gains on the same bench, so that hard and easy benches count alike.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ REFERENCE_GAINS = (90.0, 15.0)
 """K_p, K_i of the paper's controller III, which scores are relative to."""
 
 BEARABLE = 0.02
-"""Share of the drawn benches that bear the reference gains at least; with fewer there is nothing to compare with."""
+"""Minimum share of drawn benches on which the reference gains do not trip, so that there is a basis of comparison."""
 
 TRIPPED = 10.0
-"""What a run counts in which the box trips, in RMSE of the reference gains."""
+"""Score of a run in which the box trips, in RMSE of the reference gains."""
 
 
 @dataclass(frozen=True)
@@ -54,27 +54,27 @@ class ExaminationResult:
 
 
 class Examination:
-    """See the module.
+    """Examination of a policy on fixed cases (see the module's docstring).
 
     Parameters
     ----------
     fleet
-        Makes that many of the known bench.
+        Returns a fleet of the given number of the known bench.
     believed
-        The bench that the boxes believe in.
+        Bench assumed by the boxes.
     evaluation
-        The cases.
+        Cases.
     draw
-        The drawn bench of a number; None: the known one alone.
+        Returns the drawn bench of a number; None: only the known bench.
     drawn
-        How many are drawn: the first ones on which the reference gains do not trip.
+        Number of drawn benches: the first ones on which the reference gains do not trip.
     base
         K_p [1/s], K_i [1/s^2] of the boxes.
 
     Raises
     ------
     ValueError
-        Hardly any drawn bench bears the reference gains (`BEARABLE`).
+        The reference gains trip on too many drawn benches (`BEARABLE`).
     """
 
     def __init__(
@@ -91,14 +91,14 @@ class Examination:
         reference = vector_runs.fixed(np.array(REFERENCE_GAINS), base)
         known = self._rmse(reference, [None])
         self.reference: FloatArray = np.where(np.isnan(known), evaluation.amplitude / math.sqrt(2.0), known)
-        """N, RMSE of the reference gains, shape (benches, cases); where they trip, that of no tracking at all."""
+        """RMSE of the reference gains [N], shape (benches, cases); where they trip, that of no tracking at all."""
         if draw is not None:
             for bench, rmse in islice(self._bearable(draw, reference, round(drawn / BEARABLE)), drawn):
                 self._benches.append(bench)
                 self.reference = np.concatenate((self.reference, rmse))
 
     def __call__(self, choose: Chooser) -> ExaminationResult:
-        """Examine."""
+        """Examine the policy."""
         rmse = self._rmse(choose, [None, *self._benches])
         return ExaminationResult(rmse, np.where(np.isnan(rmse), TRIPPED, rmse / self.reference))
 

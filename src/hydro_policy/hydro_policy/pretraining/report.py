@@ -18,21 +18,21 @@ from hydro_policy.task.cases import Case
 from hydro_sim.plotting import BLUE, figure, legend
 
 CURVE = "curve.png"
-"""Of the learning curve in a pretraining's folder."""
+"""File name of the learning curve in a pretraining's folder."""
 
 
 def curve_page(
     folder: Path, history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray,
     about: Mapping[str, Any],
 ) -> str:  # fmt: skip
-    """The page of a pretraining in `folder`, with its `CURVE`."""
+    """Return the page of a pretraining in `folder`, with its `CURVE`."""
     table = Section(heading="Rounds", table=curve_table(history, cases, reference))
     sections = [Section(heading="Learning curve", picture=folder / CURVE), table]
     return results_page(f"Pretraining {folder.name}", about, sections)
 
 
 def curve_table(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray) -> Table:
-    """One row per round, the first for fixed gains."""
+    """Return the table with one row per round, the first for fixed gains."""
     kp, ki = REFERENCE_GAINS
     drawn = bool(history) and history[0]["changed"] is not None
     columns = {
@@ -56,7 +56,7 @@ def curve_table(history: Sequence[dict[str, Any]], cases: Sequence[Case], refere
 
 
 def draw_curve(history: Sequence[dict[str, Any]], cases: Sequence[Case], reference: FloatArray, path: Path) -> None:
-    """Return of the episodes, and RMSE of the mean action over that of the fixed gains, against episodes."""
+    """Draw the episodes' return, and RMSE of the mean action relative to that of the fixed gains, against episodes."""
     episodes = np.array([entry["episode"] for entry in history])
     rmse = np.array([entry["rmse"] for entry in history], np.float64)
     with figure(path, 2, size=(7.0, 5.5), sharex=True) as (_, (returns, ratios)):

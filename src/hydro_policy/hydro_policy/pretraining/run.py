@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A pretraining run on disk: started or resumed, trained, saved and reported."""
+"""Pretraining run on disk: started or resumed, trained, saved and reported."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ from hydro_sim.files.stamping import stamped
 AGENT = "learner.safetensors"
 
 SAVE_PERIOD = 20.0
-"""s between two checkpoints at least: a long pretraining's replay buffer is 138 MB on disk."""
+"""Minimum s between two checkpoints: a long pretraining's replay buffer is 138 MB on disk."""
 
 REPLAY_MAX = 1_152_000
-"""Transitions that a pretraining remembers at most, 138 MB: 640 episodes."""
+"""Maximum number of transitions in a pretraining's replay buffer, 138 MB: 640 episodes."""
 
 
 def pretrain(options: argparse.Namespace) -> int:
-    """Carry out what the command line asks for; the exit status."""
+    """Run the pretraining of the command line; returns the exit status."""
     torch.set_num_threads(1)  # the work is compiled; torch only draws numbers
     run = RunDirectory(options.resume or options.out)
     if options.resume:
@@ -74,7 +74,7 @@ def pretrain(options: argparse.Namespace) -> int:
 
 
 def training_settings(options: argparse.Namespace, source: SimulationSetup) -> TrainingSettings:
-    """Settings from the command line; the total gains are the configuration's, whatever the box's base gains."""
+    """Return the settings of the command line; total gains are the configuration's, whatever the box's base gains."""
     box = source.box_config()
     settings = configuration(options.configuration, options.seed, (box.base_kp, box.base_ki))
     episodes = settings.episodes if options.episodes is None else options.episodes
@@ -93,7 +93,7 @@ def training_settings(options: argparse.Namespace, source: SimulationSetup) -> T
 
 
 def resumed(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
-    """Settings of a resumed run; raises UserError where `words` contradict them. Only --episodes may change."""
+    """Return the settings of a resumed run; raises UserError if `words` contradict them. Only --episodes may change."""
     source = load_simulation_setup(run.path)
     settings = replace(run.load_settings(), made=source.made_for())
     begun = {
@@ -118,13 +118,13 @@ def _create(run: RunDirectory, settings: TrainingSettings, source: SimulationSet
 
 def _resume(run: RunDirectory, pretraining: Pretraining) -> None:
     if not run.latest.exists() or not any(run.latest.iterdir()):
-        return  # interrupted before the first round was over: it begins anew
+        return  # interrupted during the first round: it starts again
     best = run.path / AGENT
     pretraining.restore(load_checkpoint(run.latest), best.read_bytes() if best.exists() else None)
 
 
 def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
-    """All rounds that are left; a checkpoint after the first, the last, and every `SAVE_PERIOD` in between."""
+    """Run the remaining rounds; checkpoints after the first, the last, and every `SAVE_PERIOD` in between."""
     settings = pretraining.settings.training
     total = settings.episodes * settings.task.steps_per_episode
     bar: tqdm[Any] = progress(total=total, label="pretraining", unit="step")
@@ -145,7 +145,7 @@ def _train(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup)
 
 
 class _StopRequest:
-    """Ctrl-C and its like, looked at between steps: raised anywhere, Python may drop it in a finalizer."""
+    """Termination request, checked between steps: an exception raised anywhere could be dropped in a finalizer."""
 
     def __init__(self) -> None:
         self._asked = 0
@@ -156,13 +156,13 @@ class _StopRequest:
         self._asked = number
 
     def check(self) -> None:
-        """Raise `Ended` if it was asked for."""
+        """Raise `Ended` if termination was requested."""
         if self._asked:
             raise endings.Ended(self._asked)
 
 
 def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
-    """Checkpoint; the best agent so far and its policy; the learning curve."""
+    """Save a checkpoint, the best agent so far with its policy, and the learning curve."""
     best = pretraining.best or dump(pretraining.sac)
     training = pretraining.settings.training
     write_whole(run.path / AGENT, stamped(best, training.made))
@@ -180,7 +180,7 @@ def _save(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) 
 
 
 def _leave_page(run: RunDirectory, pretraining: Pretraining, source: SimulationSetup) -> None:
-    """report.html in the run's folder, once there is a curve, and the front page of all runs; never a failure."""
+    """Write report.html in the run's folder, once there is a curve, and the index page of all runs; never fails."""
     if pretraining.history:
         told = {"seed": pretraining.settings.training.seed, "best score": pretraining.best_score}
         about = {**asdict(source), **told, "code_version": code_version()}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulation of a pretraining: from the command line, and to and from the run's folder."""
+"""Simulation set-up of a pretraining: from the command line, and to and from the run's folder."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 
 SOURCE = "pretrain.yaml"
-"""In a run's folder, beside config.yaml."""
+"""File name in a run's folder, beside config.yaml."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SimulationSetup:
-    """Bench, model and filter that are simulated; all that `--resume` needs besides config.yaml."""
+    """Simulated bench, model and filter; together with config.yaml all that `--resume` needs."""
 
     model: str
     """shipped, analytic, a bench file, or a weights file of `hydro_sim learn`."""
@@ -50,7 +50,7 @@ class SimulationSetup:
     """Form of the force law's integral, `BoxConfig.integral`."""
 
     def simulated(self) -> Bench | Learned:
-        """The analytic bench or the learned model."""
+        """Analytic bench or learned model."""
         if is_bench_file(self.model):
             return Bench.load(self.model)
         if self.model == "analytic":
@@ -58,7 +58,7 @@ class SimulationSetup:
         return Learned.load(None if self.model == "shipped" else self.model)
 
     def believed(self) -> Bench:
-        """What the box's force law takes for true."""
+        """Bench assumed by the box's force law."""
         return Bench.load(self.box) if self.box else Bench.nominal()
 
     def box_config(self) -> BoxConfig:
@@ -67,7 +67,7 @@ class SimulationSetup:
         return replace(box, integral=self.integral)
 
     def made_for(self) -> MadeFor:
-        """Which box its policies are for: the one that is simulated around whatever plant."""
+        """Box that its policies are made for: the simulated one, whatever the plant."""
         box, learned = self.box_config(), self.weights
         return MadeFor(
             box=self.believed().digest, model=weights.digest(learned) if learned else "", base_kp=box.base_kp,
@@ -82,7 +82,7 @@ class SimulationSetup:
         return weights.shipped() if self.model == "shipped" else Path(self.model)
 
     def trouble(self) -> str:
-        """Why what is simulated does not belong together, in one sentence; empty where it does."""
+        """Return why bench, model and filter do not belong together, in one sentence; empty if they do."""
         box, learned = BoxIdentity.of_file(self.box), self.weights
         remedy = "name the bench.yaml that its box believed by --box, or simulate a bench file: --bench FILE --box FILE"
         made = None if learned is None else Learned.load(learned).made
@@ -92,7 +92,7 @@ class SimulationSetup:
         return FilterChoice(bench=self.believed(), bench_file=Path(self.box) if self.box else None).trouble()
 
     def pretraining(self, training: TrainingSettings) -> Pretraining:
-        """A pretraining at its beginning."""
+        """Return a new pretraining."""
         randomisation = Randomisation() if self.randomise else None
         settings = PretrainSettings(
             training=training, benches=self.benches, randomisation=randomisation, filter=self.filter,
@@ -101,12 +101,12 @@ class SimulationSetup:
         return Pretraining(settings, self.simulated(), self.believed())
 
     def save(self, folder: Path) -> None:
-        """Into a run's folder, beside config.yaml."""
+        """Save into a run's folder, beside config.yaml."""
         write_whole(folder / SOURCE, yaml.safe_dump(asdict(self), sort_keys=False).encode())
 
 
 def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
-    """Simulation setup from the command line."""
+    """Return the simulation set-up of the command line."""
     model = options.model or ("analytic" if options.bench else "shipped")
     if options.bench and is_bench_file(model):
         raise UserError("--model names a bench file, and so does --bench: which of them is simulated?")
@@ -125,7 +125,7 @@ def simulation_setup(options: argparse.Namespace) -> SimulationSetup:
 
 
 def load_simulation_setup(folder: Path) -> SimulationSetup:
-    """Simulation setup of a run on disk.
+    """Return the simulation set-up of a run on disk.
 
     Raises
     ------

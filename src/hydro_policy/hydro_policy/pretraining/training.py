@@ -3,13 +3,13 @@
 
 ::
 
-    round     one episode on every bench of the fleet, all from rest, references as `trainer` would give them
-    step      all benches act, ten samples pass, transitions are remembered, the updates owed are made
-    after     the mean action on four sines of 300 N: the learning curve, and which policy was the best so far;
-              with drawn benches also on eight of those that no episode runs on
+    round     one episode on every bench of the fleet, all from rest, references as in `trainer`
+    step      all benches act, ten samples pass, transitions are stored, the pending updates are made
+    after     examination of the mean action on four sines of 300 N, for the learning curve and the best policy;
+              with drawn benches also on eight of those that no episode uses
 
-A round's references, benches and noise follow from the seed and the episode's number alone, so that a run that was
-interrupted and resumed ends with the same weights as one that was not.
+A round's references, benches and noise follow from the seed and the episode's number alone, so that an interrupted and
+resumed run ends with the same weights as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -69,16 +69,16 @@ class PretrainSettings:
 
 
 class Pretraining:
-    """The whole state of a pretraining.
+    """Complete state of a pretraining.
 
     Parameters
     ----------
     settings
         See `PretrainSettings`.
     source
-        What is simulated: a learned model, a bench by the analytic equations, or what makes any other plant.
+        Simulated plant: a learned model, a bench by the analytic equations, or a factory of any other plant.
     believed
-        The bench that the box believes in.
+        Bench assumed by the box.
     """
 
     def __init__(self, settings: PretrainSettings, source: Simulated, believed: Bench) -> None:
@@ -96,7 +96,7 @@ class Pretraining:
         """One entry per round: episode, mean return, trips, RMSE at each frequency, scores (`examination`)."""
         self.best_score = math.inf
         self.best: bytes | None = None
-        """The agent (`snapshot.dump`) with the best score so far; not part of `state`."""
+        """Agent (`snapshot.dump`) with the best score so far; not part of `state`."""
         self._take_weights()
         drawn = None if settings.randomisation is None else lambda number: self._draw(self._seed(number, 3))
         self._exam = Examination(
@@ -108,7 +108,7 @@ class Pretraining:
             (settings.box.base_kp, settings.box.base_ki),
         )
         self.reference_rmse = self._exam.reference[0]
-        """N, RMSE of the reference gains on the known bench, shape (cases,)."""
+        """RMSE of the reference gains on the known bench [N], shape (cases,)."""
 
     @property
     def finished(self) -> bool:
@@ -116,7 +116,7 @@ class Pretraining:
         return self.episode >= self.settings.training.episodes
 
     def round(self, each_step: Callable[[Transitions], object] = lambda transitions: None) -> dict[str, Any]:
-        """One episode on every bench; returns the new entry of `history`."""
+        """Run one episode on every bench; returns the new entry of `history`."""
         training = self.settings.training
         count = min(len(self.fleet), training.episodes - self.episode)
         references = [self._bench_of(index, self.episode + index) for index in range(len(self.fleet))]
@@ -136,20 +136,20 @@ class Pretraining:
         return self.history[-1]
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint holds besides learner and replay buffer, as JSON types."""
+        """Return the checkpoint's content besides learner and replay buffer, as JSON types."""
         return {
             "episode": self.episode, "history": self.history, "best_score": self.best_score,
             "random_state": self.rng.bit_generator.state,
         }  # fmt: skip
 
     def start_from(self, agent: bytes) -> None:
-        """Begin with this agent (`snapshot.dump`) instead of a new one; its updates do not count."""
+        """Start from this agent (`snapshot.dump`) instead of a new one; its updates do not count."""
         restore(self.sac, agent)
         self.sac.updates = 0
         self._take_weights()
 
     def restore(self, checkpoint: Checkpoint, best: bytes | None) -> None:
-        """Go on from a checkpoint that holds `state`, the agent and the replay buffer; `best` as it was then."""
+        """Resume from a checkpoint of `state`, the agent and the replay buffer; `best` is the best agent until then."""
         restore(self.sac, checkpoint.learner)
         self.replay.restore(checkpoint.replay, checkpoint.produced)
         state = checkpoint.trainer
@@ -169,7 +169,7 @@ class Pretraining:
         self.policy.load_flat(self.sac.actor_parameters())
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
-        """The mean action on the four sines: a new entry of `history`, and perhaps the best agent so far."""
+        """Examine the mean action on the four sines: adds an entry to `history`, and updates the best agent."""
         marks = self._exam(vector_runs.PolicyChooser(self.policy, self.settings.training.task.gains))
         if marks.score < self.best_score:
             self.best_score, self.best = marks.score, dump(self.sac)
@@ -192,7 +192,7 @@ class Pretraining:
         return AnalyticPlant(self._source) if isinstance(self._source, Bench) else self._source()
 
     def _bench_of(self, index: int, episode: int) -> ReferenceSignal:
-        """The episode's reference; with randomisation its bench is put in place, too."""
+        """Return the episode's reference; with randomisation, also install its bench."""
         training, randomisation = self.settings.training, self.settings.randomisation
         reference = training.task.reference(episode, training.seed)
         if randomisation is None:

@@ -2,10 +2,10 @@
 """Checkpoints: everything that a run needs to resume, in a folder that is written atomically.
 
     learner.safetensors   networks, optimizers, temperature, random generator (`snapshot`)
-    replay.npy            transitions held, oldest first; their count ever in trainer.json
+    replay.npy            stored transitions, oldest first; the count of all ever stored is in trainer.json
     trainer.json          episode, steps, random states of the acting side, best episode
 
-It is written into a folder beside and renamed, so an interrupted writer leaves the previous one.
+It is written into a temporary folder and renamed, so that an interrupted writer leaves the previous one.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer:
     Raises
     ------
     OSError
-        It cannot be written; the one that was there is as it was.
+        The checkpoint cannot be written; the previous one is unchanged.
     """
     partial, previous = folder.with_name(folder.name + ".partial"), folder.with_name(folder.name + ".previous")
     shutil.rmtree(partial, ignore_errors=True)
@@ -54,7 +54,7 @@ def save_checkpoint(folder: Path, learner: bytes, replay: ReplayBuffer, trainer:
         write_whole(partial / "learner.safetensors", learner)
         state = {"produced": produced, "trainer": trainer}
         write_whole(partial / "trainer.json", json.dumps(state, indent=1).encode())
-    except OSError:  # a full disk: what was begun takes room that others need
+    except OSError:  # full disk: the partial checkpoint takes space that others need
         shutil.rmtree(partial, ignore_errors=True)
         raise
     shutil.rmtree(previous, ignore_errors=True)
@@ -71,7 +71,7 @@ def load_checkpoint(folder: Path) -> Checkpoint:
     Raises
     ------
     ValueError
-        There is none, or it is damaged.
+        There is no checkpoint, or it is damaged.
     """
     previous = folder.with_name(folder.name + ".previous")
     source = previous if not (folder / "trainer.json").exists() and previous.exists() else folder

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The initial agent of a training on the bench: a pretrained one, with critics and temperature."""
+"""Initial agent of a training on the bench: a pretrained one, with critics and temperature."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from hydro_sim.files.stamping import stamp_of
 AGENT = "learner.safetensors"
 
 ACTOR_LEARNING_RATE_SCALE = 0.1
-"""Share of the actor's learning rate that is left on the bench."""
+"""Factor on the actor's learning rate on the bench."""
 
 REWARD = ("error_weight", "error_rate_weight", "force_scale", "force_rate_scale", "reward_power", "trip_penalty")
-"""Fields of `TaskSettings` that make the reward."""
+"""Fields of `TaskSettings` that define the reward."""
 
 
 @dataclass(frozen=True)
@@ -30,22 +30,22 @@ class InitialAgent:
     """An initial agent."""
 
     agent: bytes
-    """As `snapshot.dump` gives it."""
+    """Agent as returned by `snapshot.dump`."""
     sac: SacSettings
-    """What it was trained with."""
+    """Settings of the algorithm that it was trained with."""
     gains: GainRange
-    """What its actions mean."""
+    """Range of gains that its actions map to."""
     reward: dict[str, Any]
-    """What it was rewarded for, fields of `TaskSettings`: its critics know no other reward."""
+    """Reward that it was trained on, fields of `TaskSettings`: its critics are valid for no other."""
     source: Path
     made: MadeFor | None = None
-    """Which box it was made for; None: its files do not say."""
+    """Box that it was made for; None: not recorded in its files."""
 
     def adopted(self, settings: TrainingSettings) -> TrainingSettings:
-        """The settings, with what this agent needs: the networks' size, the range of gains, the reward.
+        """Return the settings with this agent's network size, range of gains and reward.
 
-        What is good already is changed with care: the replay buffer holds an episode of the bench before anything is
-        learnt from it, and the actor's step is a tenth of what it was.
+        A good agent is changed slowly: learning starts once the replay buffer holds an episode of the bench, and the
+        actor's step size is a tenth of the original.
         """
         sac = replace(
             settings.sac,
@@ -60,18 +60,18 @@ class InitialAgent:
 
 
 def shipped_agent(authority: str) -> InitialAgent | None:
-    """The pretrained agent shipped for a configuration; None if there is none."""
+    """Return the pretrained agent shipped for a configuration; None if there is none."""
     folder = Path(str(resources.files("hydro_policy") / "data" / f"pretrained_{authority}"))
     return load_initial_agent(folder) if folder.is_dir() else None
 
 
 def load_initial_agent(path: Path) -> InitialAgent:
-    """The agent of a run's folder (its best, else its latest), or of any folder with agent and policy in it.
+    """Load the agent of a run's folder (its best, else its latest), or of any folder with agent and policy.
 
     Raises
     ------
     ValueError
-        There is none, or only a policy without critics: nothing to go on learning with.
+        There is no agent, or only a policy without critics, which cannot continue learning.
     """
     run = RunDirectory(path)
     folders = (path, run.best, run.latest)

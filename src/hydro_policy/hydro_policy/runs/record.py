@@ -3,7 +3,7 @@
 
     {"events": [{"time": ISO 8601, "kind": KIND, "sentence": ..., further numbers by name}, ...]}
 
-KIND is one of `start`, `episode`, `exam`, `stop`, `override`, `end`. A resumed run appends to what happened before.
+KIND is one of `start`, `episode`, `exam`, `stop`, `override`, `end`. A resumed run appends to the previous events.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class RunRecord:
 
     def __init__(self, path: Path | None = None) -> None:
         self._path = path
-        self._writer = ThreadPoolExecutor(max_workers=1)  # a disk that is busy holds up no gains
+        self._writer = ThreadPoolExecutor(max_workers=1)  # a busy disk must not delay gains
         self._written: Future[None] = Future()
         self._written.set_result(None)
         self.events: list[dict[str, Any]] = []
@@ -41,33 +41,33 @@ class RunRecord:
                 raise ValueError(f"{path} is no record of a run ({error}): move it away to begin another") from error
 
     def add(self, kind: str, sentence: str = "", **numbers: Any) -> None:
-        """Add an event, now; what is not finite becomes null."""
+        """Add an event at the present time; non-finite values become null."""
         event = {"time": datetime.now().astimezone().isoformat(timespec="milliseconds"), "kind": kind}
         if sentence:
             event["sentence"] = sentence
         self.events.append(event | {key: _plain(value) for key, value in numbers.items()})
         if self._path is not None:
             if self._written.done():
-                self._written.result()  # raises what went wrong
+                self._written.result()  # raises a write error
             self._written = self._writer.submit(_write, self._path, tuple(self.events))
 
     def of(self, kind: str) -> list[dict[str, Any]]:
-        """All events of a kind."""
+        """Return all events of a kind."""
         return [event for event in self.events if event["kind"] == kind]
 
     def flush(self) -> None:
-        """Wait until all is on disk; the end of the process does, too.
+        """Wait until everything is on disk; so does the end of the process.
 
         Raises
         ------
         OSError
-            It cannot be written.
+            The file cannot be written.
         """
         self._written.result()
 
 
 def _write(path: Path, events: Sequence[Mapping[str, Any]]) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)  # somebody may have taken the folder away
+    path.parent.mkdir(parents=True, exist_ok=True)  # the folder may have been deleted
     write_whole(path, (json.dumps({"events": events}, indent=1) + "\n").encode())
 
 

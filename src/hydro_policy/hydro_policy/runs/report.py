@@ -18,7 +18,7 @@ _TOLD = ("start", "uncovered", "stop", "override", "end")
 
 
 def sections(events: Events, curve: Path) -> list[Section]:
-    """Sections of a training's page; `curve` is the picture of `draw_curve`."""
+    """Return the sections of a training's page; `curve` is the picture of `draw_curve`."""
     found = [Section(heading="Learning curve", text=_summary(events), picture=curve)]
     exams = exam_table(events)
     if exams.rows:
@@ -27,7 +27,7 @@ def sections(events: Events, curve: Path) -> list[Section]:
 
 
 def draw_curve(events: Events, path: Path) -> None:
-    """Return and force RMSE of the episodes, score of the examinations, moments of rollbacks; nothing without either."""
+    """Draw return and force RMSE of episodes, scores of examinations and rollbacks; draws nothing without data."""
     episodes, exams = _of(events, "episode"), _of(events, "exam")
     if not episodes and not exams:
         return
@@ -55,13 +55,15 @@ def _draw_exams(axes: Any, exams: Events) -> None:
     axes.plot(numbers, scores, color=GREEN, marker=".", label="examinations")
     kept = [(event["episode"], event["score"]) for event in exams if event["best"]]
     if kept:
-        axes.plot(*kept[-1], color=GREEN, marker="o", markersize=9, markerfacecolor="none", linestyle="none", label="kept")
+        axes.plot(
+            *kept[-1], color=GREEN, marker="o", markersize=9, markerfacecolor="none", linestyle="none", label="kept"
+        )
     axes.axhline(1.0, color=GRAY, linestyle="--", label="fixed gains")
     axes.set(ylabel="RMSE / fixed gains'")
 
 
 def exam_table(events: Events) -> Table:
-    """Table of all examinations."""
+    """Return the table of all examinations."""
     columns = {
         "episode": "episodes learnt from",
         "score": "mean of the RMSE over that of the fixed gains",
@@ -78,7 +80,7 @@ def exam_table(events: Events) -> Table:
 
 
 def event_table(events: Events) -> Table:
-    """Table of events: start, stops, overrides, end."""
+    """Return the table of events: start, stops, overrides, end."""
     table = Table({"time": "", "event": "", "sentence": ""}, title="What happened")
     for event in events:
         if event["kind"] in _TOLD:
@@ -110,11 +112,11 @@ def _summary(events: Events) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.1f}"  # what was not finite is null
+    return "-" if value is None else f"{value:.1f}"  # non-finite values are null
 
 
 def _stops(events: Events) -> list[float]:
-    """Episodes, whole ones and a half, in which the policy was rolled back."""
+    """Return the positions of rollbacks on the episode axis, offset by half an episode."""
     found, episode = [], 0
     for event in events:
         episode = event.get("episode", episode) if event["kind"] == "episode" else episode

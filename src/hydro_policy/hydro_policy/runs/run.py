@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The files of one training run, and its settings as YAML.
+"""Files of one training run, and its settings as YAML.
 
 runs/NAME/
     config.yaml            settings, and which plant; `--resume` reads them back
     policy.safetensors     the best policy so far (`policy` module); before an examination: the latest
     checkpoints/latest/    learner.safetensors, replay.npy, trainer.json (`checkpoint` module)
-    checkpoints/best/      learner.safetensors of the best policy so far: all of the agent, to start others from
-    run.json               what happened: episodes, examinations, rollbacks, overrides (`record` module)
+    checkpoints/best/      learner.safetensors of the best policy so far: the complete agent, to start others from
+    run.json               events: episodes, examinations, rollbacks, overrides (`record` module)
     bag/                   the recording
     evaluation.json, tracking.png, log.txt
 """
@@ -54,7 +54,7 @@ class TrainingSettings:
 
     @property
     def base_gains(self) -> tuple[float, float]:
-        """K_p [1/s] and K_i [1/s^2] of the box, to which its actions are changes."""
+        """K_p [1/s] and K_i [1/s^2] of the box, to which actions are added."""
         made = self.made
         if made is None or made.base_kp is None or made.base_ki is None:
             return BASE
@@ -84,12 +84,12 @@ class RunDirectory:
     log = property(lambda self: self.path / "log.txt")
 
     def create(self) -> RunDirectory:
-        """Make the folders.
+        """Create the folders.
 
         Raises
         ------
         FileExistsError
-            There is a run here already.
+            The folder already holds a run.
         """
         self.refuse_existing()
         for folder in (self.latest, self.best):
@@ -97,19 +97,19 @@ class RunDirectory:
         return self
 
     def refuse_existing(self) -> None:
-        """Raise FileExistsError if there is a run here already."""
+        """Raise FileExistsError if the folder already holds a run."""
         if self.config.exists():
             raise FileExistsError(
                 f"{self.path} holds a run already: continue it with --resume {self.path}, or name another"
             )
 
     def save_settings(self, settings: TrainingSettings, plant: Mapping[str, Any] | None = None) -> None:
-        """Write config.yaml; `plant`: the words about the plant that the run was begun with, if they are known."""
+        """Write config.yaml; `plant`: the run's original plant options, if known."""
         values = asdict(settings) | ({"plant": dict(plant)} if plant else {})
         write_whole(self.config, yaml.safe_dump(values, sort_keys=False).encode())
 
     def load_plant(self) -> dict[str, Any]:
-        """The words about the plant that the run was begun with; none where nobody has written them down."""
+        """Return the run's original plant options; empty if they were not saved."""
         try:
             values = yaml.safe_load(self.config.read_text())
         except (OSError, yaml.YAMLError):
@@ -123,7 +123,7 @@ class RunDirectory:
         Raises
         ------
         ValueError
-            There is none, or it does not hold the settings of a run.
+            The file is missing, or does not hold the settings of a run.
         """
         try:
             values = read_yaml(self.config)
@@ -136,5 +136,5 @@ class RunDirectory:
 
 
 def new_run(parent: Path, name: str | None) -> RunDirectory:
-    """runs/NAME, by default named after date and time."""
+    """Return runs/NAME, by default named after date and time."""
     return RunDirectory(parent / (name or datetime.now().strftime("%Y%m%d-%H%M%S")))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Soft Actor-Critic (Haarnoja et al. 2018) with the paper's Table training_agent as defaults.
 
-training.md gives the equations line by line. The gradients of the two losses are written out (`mlp` says why), and
-that shows how little there is to the algorithm. Nothing here knows of hydraulics, ROS or processes.
+training.md gives the equations line by line. The gradients of the two losses are written out (reasons in `mlp`).
+Independent of hydraulics, ROS and processes.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from hydro_sim.neural.mlp import Layers
 
 
 class Losses(NamedTuple):
-    """What is descended, each as its batches showed it before the update; NaN before the first."""
+    """Losses of one update, each evaluated on its batches before the update; NaN before the first."""
 
     critics: float = math.nan
     """1/2 sum_i mean (Q_i(o, a) - y)^2"""
@@ -36,7 +36,7 @@ class Losses(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class PolicySample:
-    """A batch drawn from the policy and what its gradient needs; all [batch, actions] but `log_probability` [batch]."""
+    """Batch of actions with the terms of its gradient; all [batch, actions] but `log_probability` [batch]."""
 
     action: Tensor
     log_probability: Tensor
@@ -45,7 +45,7 @@ class PolicySample:
 
 
 class SquashedGaussian:
-    """The actor: a = tanh(u), u ~ N(mu(o), sigma(o)^2); mu and log sigma are the halves of a perceptron's output."""
+    """Actor a = tanh(u), u ~ N(mu(o), sigma(o)^2); mu and log sigma are the halves of a perceptron's output."""
 
     def __init__(self, network: StackedMlp, settings: SacSettings) -> None:
         self.network, self._low, self._high = network, settings.log_std_min, settings.log_std_max
@@ -67,7 +67,7 @@ class SquashedGaussian:
         )
 
     def backward(self, sample: PolicySample, action_gradient: Tensor, entropy_coefficient: float) -> None:
-        """Gradient of mean(alpha log pi - Q) at the last `sample`, given dQ/da [batch, actions], into the network.
+        """Backpropagate mean(alpha log pi - Q) at the last `sample` into the network, given dQ/da [batch, actions].
 
         With epsilon held: d(log pi)/du = 2a, d(log pi)/d(log sigma) = -1 + 2a sigma epsilon, da/du = 1 - a^2.
         """
@@ -78,7 +78,7 @@ class SquashedGaussian:
 
 
 class Sac:
-    """The algorithm's whole state: actor, twin critics, their targets, temperature, optimisers, random generator.
+    """Complete state of the algorithm: actor, twin critics, targets, temperature, optimisers, random generator.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Sac:
         self.entropy_optimizer = FlatAdam(self.log_entropy_coefficient, settings.entropy_learning_rate)
         self.updates = 0
         self.losses = Losses()
-        """In the mean over the updates of the last `learn`, or of the last `update`."""
+        """Mean over the updates of the last `learn`, or those of the last `update`."""
         self._actions, self._dtype = actions, dtype
         self._numbers = kernel.Numbers(
             observations, actions, settings.discount, settings.target_rate, settings.target_entropy,
@@ -122,11 +122,11 @@ class Sac:
         return float(self.log_entropy_coefficient.exp())
 
     def actor_parameters(self) -> FloatArray:
-        """The actor's flat parameters, float64, a copy: what `Policy.load_flat` takes."""
+        """Return a copy of the actor's flat parameters, float64, for `Policy.load_flat`."""
         return np.asarray(self.actor_network.parameters.numpy(), np.float64).copy()
 
     def learn(self, replay: ReplayBuffer, updates: int) -> None:
-        """`updates` times: draw a batch, update. Compiled, one call for all of them (`kernel`).
+        """Draw a batch and update, `updates` times, in one compiled call (`kernel`).
 
         Batches larger than `network_kernel.BATCH_MAX` go through `update`.
         """
@@ -149,7 +149,7 @@ class Sac:
 
     @torch.no_grad()
     def update(self, batch: Batch) -> None:
-        """One gradient step of critics, actor and temperature, then the targets follow: what `learn` compiles."""
+        """Make one gradient step of critics, actor and temperature, then update the targets; reference of `learn`."""
         alpha = self.entropy_coefficient
         critics = self._update_critics(batch, alpha)
         actor, log_probability = self._update_actor(batch.observation, alpha)
@@ -168,7 +168,7 @@ class Sac:
         return value.add_(batch.reward, alpha=self.settings.reward_scale)
 
     def _update_critics(self, batch: Batch, alpha: float) -> float:
-        """Descend 1/2 sum_i mean (Q_i(o, a) - y)^2; returns it."""
+        """Make a descent step on 1/2 sum_i mean (Q_i(o, a) - y)^2; returns its value."""
         target = self.target_value(batch, alpha)
         error = self._values(self.critics, batch.observation, batch.action).sub_(target)
         loss = 0.5 * float(error.square().mean(1).sum())
@@ -177,7 +177,7 @@ class Sac:
         return loss
 
     def _update_actor(self, observation: Tensor, alpha: float) -> tuple[float, Tensor]:
-        """Descend mean(alpha log pi(a|o) - min_i Q_i(o, a)); returns it, and log pi(a|o), [batch]."""
+        """Make a descent step on mean(alpha log pi(a|o) - min_i Q_i(o, a)); returns it, and log pi(a|o), [batch]."""
         drawn = self.actor.sample(observation, self._noise(len(observation)))
         values = self._values(self.critics, observation, drawn.action)
         loss = float((alpha * drawn.log_probability - values.amin(0)).mean())
@@ -198,7 +198,7 @@ class Sac:
 
 
 def _layers(network: StackedMlp, gradient: bool = False) -> tuple[Layers, ...]:
-    """Each member's weights, or their gradients, as views for compiled code."""
+    """Return each member's weights, or their gradients, as views for compiled code."""
     weights, biases = network.gradients if gradient else (network.weights, network.biases)
     arrays = [t.numpy() for pair in zip(weights, biases, strict=True) for t in pair]
     return tuple(

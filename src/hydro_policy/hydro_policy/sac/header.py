@@ -32,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def header(policy: Policy, gains: GainRange, origin: str) -> str:
-    """Text of the header that defines `HYDRO_POLICY`; of the last layer only what makes the mean."""
+    """Return the header that defines `HYDRO_POLICY`; the last layer contains only the outputs of the mean."""
     weights = [*policy.weights[:-1], policy.weights[-1][:, :ACTIONS]]
     biases = [*policy.biases[:-1], policy.biases[-1][:ACTIONS]]
     arrays = [
@@ -58,7 +58,7 @@ def header(policy: Policy, gains: GainRange, origin: str) -> str:
 
 
 def _floats(array: FloatArray) -> str:
-    """Numbers of a float32 file, row by row, as decimals that give the same float32 back."""
+    """Return float32 numbers, row by row, as decimals that convert back to the same float32."""
     return wrapped(f"{_decimal(number)}f" for number in np.asarray(array, np.float32).ravel())
 
 

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`Sac.update` many times over in one compiled call: the same equations, batches drawn beforehand.
+"""Many `Sac.update` steps in one compiled call: the same equations, batches drawn beforehand.
 
 ::
 
     inputs     a buffer (`network_kernel`) with rows o_1 .. o_n, a_1 .. a_m, zeros: actor and critics read the same rows
     update     gather, targets, critics, actor, temperature, and soft update of the targets
 
-At 2 x 32 units the arithmetic of an update on 256 transitions is 13 MFLOP; here it runs from the caches at vector
-speed, and between two updates there is no Python. `test_sac` holds it to `Sac.update`, which `torch` code spells out.
+At 2 x 32 units an update on 256 transitions takes 13 MFLOP, computed here from the caches at vector speed, without
+Python between two updates. `test_sac` compares it with `Sac.update`, which is written in `torch`.
 """
 
 from __future__ import annotations
@@ -59,10 +59,10 @@ class Draw(NamedTuple):
 
 @njit(cache=True)
 def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places, noise, losses):
-    """Do one update for each row of `places`, shape (updates, batch): indices into the replay buffer's `rows`.
+    """Make one update for each row of `places`, shape (updates, batch): indices into the replay buffer's `rows`.
 
     `noise`: standard normal, shape (updates, 2, batch, actions), first for the targets, then for the actor.
-    `losses`: those of critics, actor and temperature before each update go there, shape (updates, 3).
+    `losses`: output of the losses of critics, actor and temperature before each update, shape (updates, 3).
     """
     count, kind, inputs = places.shape[1], networks.target_parameters.dtype, numbers.observations + numbers.actions
     width = dense.four(inputs)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small multi-layer perceptrons, several at once, with their gradients written out.
+"""Small multi-layer perceptrons, several evaluated at once, with explicit gradients.
 
 At 2 x 32 units the arithmetic of one layer takes a few microseconds, as much as autograd needs to remember it. So a
 `StackedMlp` evaluates all its members (the two critics, say) in one batched product, keeps what its backward pass needs
@@ -27,7 +27,7 @@ class StackedMlp:
     Parameters
     ----------
     members
-        How many perceptrons stand side by side.
+        Number of perceptrons.
     sizes
         Units from the input to the output, e.g. (15, 32, 32, 1). Hidden layers are ReLU, the output is linear.
     generator
@@ -58,7 +58,7 @@ class StackedMlp:
 
     @property
     def gradients(self) -> tuple[list[Tensor], list[Tensor]]:
-        """Views into `gradient`: those of the weights and those of the biases."""
+        """Views into `gradient` of the weights and of the biases."""
         return self._weight_gradients, self._bias_gradients
 
     def forward(self, inputs: Tensor) -> Tensor:
@@ -72,7 +72,7 @@ class StackedMlp:
         return hidden
 
     def backward(self, output_gradient: Tensor) -> None:
-        """Put d(loss)/d(parameters) of the last `forward` into `gradient`, given d(loss)/d(output)."""
+        """Write d(loss)/d(parameters) of the last `forward` into `gradient`, given d(loss)/d(output)."""
         for layer in reversed(range(len(self.weights))):
             hidden = self._activations[layer]
             torch.bmm(hidden.transpose(1, 2), output_gradient, out=self._weight_gradients[layer])
@@ -81,13 +81,13 @@ class StackedMlp:
                 output_gradient = self._through(layer, output_gradient)
 
     def input_gradient(self, output_gradient: Tensor) -> Tensor:
-        """d(loss)/d(inputs) of the last `forward`, [members, batch, sizes[0]]; parameters' gradients are left alone."""
+        """Return d(loss)/d(inputs) of the last `forward`, [members, batch, sizes[0]]; `gradient` is unchanged."""
         for layer in reversed(range(1, len(self.weights))):
             output_gradient = self._through(layer, output_gradient)
         return torch.bmm(output_gradient, self.weights[0].transpose(1, 2))
 
     def _through(self, layer: int, output_gradient: Tensor) -> Tensor:
-        """From the gradient at layer's z to that at the z before it: by W, then by relu."""
+        """Backpropagate the gradient at a layer's z to the previous layer's z, through W and relu."""
         before = torch.bmm(output_gradient, self.weights[layer].transpose(1, 2))
         return torch.ops.aten.threshold_backward(before, self._activations[layer], 0)
 
@@ -101,18 +101,18 @@ class FlatAdam:
         self.steps = 0
 
     def step(self, gradient: Tensor) -> None:
-        """One descent step along `gradient`, with betas (0.9, 0.999) and epsilon 1e-8."""
+        """Make one descent step along `gradient`, with betas (0.9, 0.999) and epsilon 1e-8."""
         adam_kernel.step(self.views(gradient), 1)
         self.steps += 1
 
     def views(self, gradient: Tensor) -> adam_kernel.Adam:
-        """What compiled code takes, and changes in place: the same memory."""
+        """Return views of the same memory, which compiled code changes in place."""
         moments = self.first_moment.numpy(), self.second_moment.numpy()
         return adam_kernel.Adam(self.parameters.numpy(), gradient.numpy(), *moments, self.learning_rate, self.steps)
 
 
 def _views(flat: Tensor, shapes: list[tuple[int, int, int]]) -> tuple[list[Tensor], list[Tensor]]:
-    """Weights and biases as views into the flat vector."""
+    """Return weights and biases as views into the flat vector."""
     pieces = flat.split([math.prod(shape) for shape in shapes])
     tensors = [piece.view(shape) for piece, shape in zip(pieces, shapes, strict=True)]
     return tensors[0::2], tensors[1::2]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forward and backward passes of small perceptrons over batches, compiled; transitions lie along the vector registers.
+"""Compiled forward and backward passes of small perceptrons over batches, vectorised along the transitions.
 
 ::
 
@@ -21,10 +21,10 @@ from hydro_sim.neural.dense import four
 from hydro_sim.neural.mlp import LOOSE
 
 ROW = dense.ROW
-"""Numbers from one row of a buffer to the next."""
+"""Stride between rows of a buffer."""
 
 BATCH_MAX = dense.BLOCK * dense.CHUNK
-"""Transitions that one buffer holds."""
+"""Number of transitions in one buffer."""
 
 Floats = npt.NDArray[Any]
 
@@ -61,7 +61,7 @@ def backpropagate(layers, buffers, count):
 
 @njit(cache=True)
 def backward(layers, x, buffers, count, gradient):
-    """Gradients with respect to the weights, into `gradient` (not padded), from those of the outputs, `buffers.g`."""
+    """Write the weights' gradients into `gradient` (not padded), from those of the outputs, `buffers.g`."""
     backpropagate(layers, buffers, count)
     sums = block_mlp.zeros(layers)
     block_mlp.add_gradient(x, buffers.a1, buffers.a2, buffers.g1, buffers.g2, buffers.g, count, sums)
@@ -77,7 +77,7 @@ def backward(layers, x, buffers, count, gradient):
 
 @njit(cache=True)
 def product(w, x, y, count):
-    """Add w^T x to y, whole buffers; w of shape (rows of x, rows of y)."""
+    """Add w^T x to y, for whole buffers; w of shape (rows of x, rows of y)."""
     for block in range(_blocks(count)):
         at = np.uint64(block) * _BLOCK
         dense.product(w, x, at, y, at)
@@ -85,7 +85,7 @@ def product(w, x, y, count):
 
 @njit(cache=True)
 def input_rows(w1, first, count):
-    """Transpose of the first layer's rows of some inputs, padded: shape (h1, count)."""
+    """Return the transposed and padded rows of the first layer for some inputs, shape (h1, count)."""
     result = np.zeros((four(w1.shape[1]), four(count)), w1.dtype)
     for j in range(count):
         copies.vector(result[:, j], w1[first + j])
@@ -94,7 +94,7 @@ def input_rows(w1, first, count):
 
 @njit(cache=True, fastmath=LOOSE)
 def soft_update(targets, parameters, rate):
-    """Polyak averaging: targets += rate (parameters - targets)."""
+    """Apply Polyak averaging: targets += rate (parameters - targets)."""
     share = targets.dtype.type(rate)
     for i in range(len(targets)):
         targets[i] += share * (parameters[i] - targets[i])
@@ -107,7 +107,7 @@ def _blocks(count):
 
 @njit(cache=True)
 def buffer(rows, kind):
-    """A buffer of this many rows, all zero."""
+    """Allocate a buffer of this many rows, all zero."""
     return np.zeros(rows * dense.ROW, kind)
 
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The policy as it acts: the actor's perceptron in numpy (some ten microseconds a call, no torch), and its file.
+"""Acting policy: the actor's perceptron in numpy (some ten microseconds a call, no torch), and its file.
 
 policy.safetensors holds weight_k [fan_in, fan_out] and bias_k [fan_out] as float32, and under the header key "hydro"
-JSON with architecture, observation names, centers and scales, and the range of the gains: all that is needed to act;
-and what it was made for (`hydro_sim.files.pairing`).
+JSON with architecture, observation names, centers and scales, and the range of the gains, which is all that is needed
+to act, and the box it was made for (`hydro_sim.files.pairing`).
 """
 
 from __future__ import annotations
@@ -66,14 +66,14 @@ class Policy:
             raise ValueError(f"{len(parameters)} parameters for a policy of {offset}")
 
     def digest(self) -> str:
-        """Digest (blake2b, 12 hex digits) of the weights in force: a recording says which policy acted when."""
+        """Digest (blake2b, 12 hex digits) of the present weights, by which recordings identify the acting policy."""
         content = hashlib.blake2b(digest_size=6)
         for array in (*self.weights, *self.biases):
             content.update(np.asarray(array, np.float32).tobytes())
         return content.hexdigest()
 
     def distribution(self, observation: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(mu, log sigma) before squashing, [..., 2] each, of observations [..., 13]."""
+        """Return (mu, log sigma) before squashing, [..., 2] each, of observations [..., 13]."""
         hidden = observation
         for weight, bias in zip(self.weights[:-1], self.biases[:-1], strict=True):
             hidden = np.maximum(hidden @ weight + bias, 0.0)
@@ -82,11 +82,11 @@ class Policy:
         return output[..., :ACTIONS], np.minimum(np.maximum(output[..., ACTIONS:], low), high)
 
     def act(self, observation: FloatArray, rng: np.random.Generator | None = None) -> FloatArray:
-        """Actions [..., 2] in [-1, 1] for observations [..., 13]: drawn with `rng`, or the mean's without."""
+        """Return actions [..., 2] in [-1, 1] for observations [..., 13]: drawn with `rng`, or the mean's without."""
         return np.tanh(self.distribution(observation)[0]) if rng is None else self.draw(observation, rng)[0]
 
     def draw(self, observation: FloatArray, rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-        """(drawn actions, the mean's), [..., 2] each in [-1, 1], for observations [..., 13]."""
+        """Return (drawn actions, the mean's), [..., 2] each in [-1, 1], for observations [..., 13]."""
         mean, log_std = self.distribution(observation)
         return np.tanh(mean + np.exp(log_std) * rng.standard_normal(mean.shape)), np.tanh(mean)
 
@@ -117,12 +117,12 @@ class Policy:
 
 
 def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
-    """Read policy.safetensors -> the policy, the range of its gains, its notes.
+    """Read policy.safetensors: the policy, the range of its gains, its notes.
 
     Raises
     ------
     ValueError
-        The file is not a policy, or one for another observation, or holds something that is no usable number.
+        The file is not a policy, is for another observation, or holds unusable numbers.
     """
     try:
         with safe_open(path, framework="numpy") as file:
@@ -141,7 +141,7 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
 
 
 def _checked(header: dict[str, Any], tensors: dict[str, Any]) -> tuple[Policy, GainRange, dict[str, object]]:
-    """The policy of a file's header and tensors; raises ValueError, KeyError or TypeError where it is none."""
+    """Return the policy of a file's header and tensors; raises ValueError, KeyError or TypeError if it is not one."""
     seen = header["observation"]
     if (
         tuple(seen["names"]) != OBSERVATION_NAMES

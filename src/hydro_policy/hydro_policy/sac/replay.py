@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The replay buffer: a rolling table of transitions, one row each, so that a batch is one gather.
+"""Replay buffer: a ring of transitions, one row each, so that a batch is one gather.
 
-It can lie in memory shared between the acting process, which appends, and the learning process, which draws: nothing is
+It can be in memory shared between the acting process, which appends, and the learner process, which draws: nothing is
 sent, and nothing is lost when the learner dies.
 """
 
@@ -14,7 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-_COUNTER_BYTES = 64  # a cache line of its own
+_COUNTER_BYTES = 64  # a separate cache line
 _MARGIN = 64  # oldest rows of a full buffer that are not drawn: the other process may be overwriting them
 
 
@@ -42,7 +42,7 @@ class ReplayBuffer:
     capacity
         Rows kept, more than 64; the oldest are overwritten.
     memory
-        Where to put it: a writable buffer of `memory_size` bytes, zero at first. None: memory of its own.
+        Writable buffer of `memory_size` bytes, initially zero. None: private memory.
     """
 
     def __init__(self, observations: int, actions: int, capacity: int, memory: object | None = None) -> None:
@@ -58,7 +58,7 @@ class ReplayBuffer:
 
     @staticmethod
     def memory_size(observations: int, actions: int, capacity: int) -> int:
-        """Bytes that a buffer of these sizes takes."""
+        """Return the bytes needed for a buffer of these sizes."""
         return _COUNTER_BYTES + 4 * capacity * (2 * observations + actions + 2)
 
     @property
@@ -70,22 +70,22 @@ class ReplayBuffer:
         return min(self.produced, len(self.rows))
 
     def extend(self, rows: NDArray[np.float32]) -> None:
-        """Append rows [n, width] in order; the oldest make room. Only one process may do this.
+        """Append rows [n, width] in order, overwriting the oldest. Only one process may do this.
 
         Raises
         ------
         ValueError
-            A row holds NaN or infinity: it would poison every network at the first batch that draws it.
+            A row holds NaN or infinity, which would corrupt every network at the first batch with it.
         """
         if not np.isfinite(rows).all():
             raise ValueError("a transition holds a value that is not finite")
         kept = rows[-len(self.rows) :]
         first = self.produced + len(rows) - len(kept)
         self.rows[(first + np.arange(len(kept))) % len(self.rows)] = kept
-        self._counter[0] = first + len(kept)  # after the rows: whoever sees the count finds them complete
+        self._counter[0] = first + len(kept)  # after the rows: a reader that sees the count finds them complete
 
     def draw(self, count: int, generator: torch.Generator) -> Tensor:
-        """Places in `rows` of `count` transitions, drawn uniformly, with replacement."""
+        """Draw the indices in `rows` of `count` transitions, uniformly, with replacement."""
         produced, capacity = self.produced, len(self.rows)
         if produced < capacity:
             return torch.randint(produced, (count,), generator=generator)
@@ -101,14 +101,14 @@ class ReplayBuffer:
         return Batch(observation, action, reward.squeeze(1), following, terminated.squeeze(1))
 
     def stored(self) -> tuple[NDArray[np.float32], int]:
-        """All rows held, oldest first (a copy), and `produced` at that moment."""
+        """Return a copy of all stored rows, oldest first, and `produced` at that moment."""
         produced = self.produced
         if produced < len(self.rows):
             return self.rows[:produced].copy(), produced
         return np.roll(self.rows, -(produced % len(self.rows)), axis=0), produced
 
     def restore(self, rows: NDArray[np.float32], produced: int) -> None:
-        """Put back what `stored` gave, so that appending goes on at the same place."""
+        """Restore the result of `stored`, so that appending continues at the same place."""
         if rows.shape[1:] != self.rows.shape[1:] or len(rows) != min(produced, len(self.rows)):
             raise ValueError(f"{len(rows)} stored rows of {rows.shape[1]} do not fit a buffer of {self.rows.shape}")
         self.rows[(produced - len(rows) + np.arange(len(rows))) % len(self.rows)] = rows

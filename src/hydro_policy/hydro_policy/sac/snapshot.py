@@ -39,12 +39,12 @@ def dump(sac: Sac) -> bytes:
 
 
 def restore(sac: Sac, blob: bytes) -> None:
-    """Restore from `dump`: later updates are the same, bit for bit.
+    """Restore from `dump`: later updates are bit-identical.
 
     Raises
     ------
     ValueError
-        The bytes are no dump, or one of networks of another shape, or hold numbers that are none.
+        The bytes are not a dump, are of networks of another shape, or hold invalid numbers.
     """
     tensors, header = _opened(blob)
     counters = header["counters"]
@@ -58,12 +58,12 @@ def restore(sac: Sac, blob: bytes) -> None:
 
 
 def actor_parameters(blob: bytes) -> FloatArray:
-    """The actor's flat parameters in a dump, float64: what `Policy.load_flat` takes."""
+    """Return the actor's flat parameters in a dump, float64, for `Policy.load_flat`."""
     return np.asarray(_opened(blob)[0]["actor.parameters"].numpy(), np.float64)
 
 
 def as_beginning(blob: bytes) -> bytes:
-    """The same agent with its counters at zero, so that a new run counts its own transitions only."""
+    """Return the same agent with its counters at zero, so that a new run counts its own transitions only."""
     sac = Sac(OBSERVATIONS, ACTIONS, settings_of(blob))
     restore(sac, blob)
     sac.updates = 0
@@ -71,7 +71,7 @@ def as_beginning(blob: bytes) -> bytes:
 
 
 def settings_of(blob: bytes) -> SacSettings:
-    """The settings that a dump was made with."""
+    """Return the settings that a dump was made with."""
     settings = SacSettings(**_opened(blob)[1]["settings"])
     check(settings)
     return settings
@@ -83,7 +83,7 @@ def check_agent(blob: bytes, settings: SacSettings) -> None:
 
 
 def _opened(blob: bytes) -> tuple[dict[str, Tensor], dict[str, Any]]:
-    """Tensors and header; raises ValueError where they are cut short or damaged."""
+    """Return tensors and header; raises ValueError if they are truncated or damaged."""
     try:
         tensors = load(blob)
         length = int.from_bytes(blob[:8], "little")

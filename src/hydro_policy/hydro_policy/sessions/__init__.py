@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sessions, which drive a plant step by step, without ROS: training, episodes, exploration, state of a run.
+"""Sessions, which control a plant step by step, without ROS: training, episodes, exploration, state of a run.
 
 May import all of this package but `pretraining` and `nodes`.
 """

@@ -14,11 +14,11 @@ from hydro_policy.task.mdp import REFERENCE_RATE
 from hydro_policy.task.step_aggregator import Step
 
 SETTLING_STEPS = 50
-"""Steps at an episode's start that its RMSE leaves out: the references' cross-fade takes 0.3 s."""
+"""Initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s."""
 
 
 class Phase(IntEnum):
-    """`TrainingStatus.phase`."""
+    """Values of `TrainingStatus.phase`."""
 
     WAITING = 0
     TRAINING = 1
@@ -43,7 +43,7 @@ class EpisodeRecord:
     overridden_steps: int = 0
 
     def add(self, step: Step, reward: float) -> None:
-        """Count one step in."""
+        """Add one step."""
         self.steps += 1
         self.whole_steps += step.whole
         self.episode_return += reward
@@ -54,16 +54,16 @@ class EpisodeRecord:
 
     @property
     def force_rmse(self) -> float:
-        """N, after the settling; NaN before."""
+        """Force RMSE [N] after settling; NaN before."""
         return math.sqrt(self.square_error / self.samples) if self.samples else math.nan
 
     @property
     def lag(self) -> float:
-        """RMSE over the RMS of f_r', in s: comparable between references, since the error is mostly a lag."""
+        """RMSE over the RMS of f_r' [s]: comparable between references, since the error is mostly a lag."""
         return math.sqrt(self.square_error / self.square_rate) if self.square_rate else math.inf
 
     def summary(self) -> dict[str, float]:
-        """What is kept of it."""
+        """Return the episode's summary for records."""
         return {
             "episode": self.episode,
             "amplitude": self.amplitude,
@@ -89,12 +89,12 @@ class Progress:
     best_lag: float = math.inf
     rollbacks: int = 0
     examined: int = -1
-    """Episodes finished at the last examination; -1: none yet."""
+    """Finished episodes at the last examination; -1: none yet."""
     reference_rmse: list[float] = field(default_factory=list)
-    """N, of the fixed gains that scores are relative to, one for each sine; empty until they are examined."""
+    """RMSE [N] of the fixed gains that scores are relative to, one per sine; empty until they are examined."""
     best_score: float = math.inf
-    """Of the best policy so far: mean over the sines of its RMSE over the reference's."""
+    """Score of the best policy so far: mean over the sines of its RMSE over the reference's."""
     passed_at: int = -1
-    """Episodes finished when a policy first beat the reference at every sine; -1: not yet."""
+    """Finished episodes when a policy first beat the reference at every sine; -1: not yet."""
     exams: list[dict[str, Any]] = field(default_factory=list)
     history: list[dict[str, float]] = field(default_factory=list)

@@ -24,9 +24,9 @@ class Explorer:
     Parameters
     ----------
     settings
-        Of the run.
+        Settings of the run.
     replay
-        Where transitions go.
+        Replay buffer of the transitions.
     outputs
         The graph.
     """
@@ -37,14 +37,14 @@ class Explorer:
         self.rng = np.random.default_rng(settings.seed)
         self.inference = Latency()  # observe, act, map to gains
         self.published = 0
-        """Gains sent so far, by whomever: the message's step."""
+        """Number of gains sent so far, from any source: the message's step."""
         self._replay, self._outputs = replay, outputs
         self._observation: FloatArray | None = None
         self._action: FloatArray = np.zeros(ACTIONS)
-        self._mean: FloatArray = np.zeros(ACTIONS)  # of which the action was drawn
+        self._mean: FloatArray = np.zeros(ACTIONS)  # mean of the drawn action
 
     def step(self, step: Step) -> float | None:
-        """Act, then remember: gains leave as soon as they are known. Gives the last action's reward."""
+        """Act, then store the transition, so that gains leave at once; returns the last action's reward."""
         before, taken, observation = self._observation, self._action, self._act(step)
         if observation is None:
             return None
@@ -57,9 +57,9 @@ class Explorer:
         return None if before is None else reward
 
     def hold(self, gains: tuple[float, float], step: Step | None = None) -> float | None:
-        """Publish these gain changes instead of the policy's; what follows is nobody's lesson.
+        """Publish these gain changes instead of the policy's; the transitions that follow are not stored.
 
-        The step that they end is still the policy's doing, and is remembered: give it. Its reward comes back.
+        The step that they end is still the policy's and is stored: pass it. Returns its reward.
         """
         before, taken = self._observation, self._action
         reward = None
@@ -70,11 +70,11 @@ class Explorer:
                 self._remember(before, taken, reward, after, terminated=False)
         self._publish(gains)
         self._observation = None
-        self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # what the policy finds as previous action
+        self._action = np.clip(self.task.gains.action(*gains), -1.0, 1.0)  # previous action in the policy's observation
         return reward
 
     def terminate(self, sample: FloatArray) -> None:
-        """What the last action led to had to be stopped: the policy shall learn it, with the penalty."""
+        """Store the last action's transition as terminal, with the penalty: its result had to be stopped."""
         if self._observation is not None:
             after = observe(sample, self._action)
             after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
@@ -82,15 +82,15 @@ class Explorer:
         self.forget()
 
     def forget(self) -> None:
-        """What comes next does not follow from the last action."""
+        """Discard the last action: the next sample does not follow from it."""
         self._observation = None
 
     def _act(self, step: Step) -> FloatArray | None:
-        """Publish the policy's gains; the observation that it acted on, None if that is not finite."""
+        """Publish the policy's gains; returns the observation that it acted on, None if that is not finite."""
         begin = time.perf_counter()
         observation = observe(step.sample, self._action)
         if not np.isfinite(observation).all():
-            self._observation = None  # the box trips on this; its flags come next
+            self._observation = None  # the box trips on this; its flags follow
             return None
         self._action, self._mean = self.policy.draw(observation, self.rng)
         gains = self.task.gains.gains(self._action)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Offline sessions: box, guard, plant and learner in one process, without ROS or real time.
 
-As fast as it goes, and the same bit for bit for the same seeds, which no real-time run can be. For tests, and to try
-settings before bench time is spent on them.
+Runs as fast as possible, with bit-identical results for equal seeds, unlike any real-time run. For tests, and to try
+settings before spending bench time.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
 PASSED = Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
-"""What a filter says that has nothing to correct."""
+"""Result of a filter without a correction."""
 
 
 class InlineLearner:
-    """The interface of `LearnerSupervisor` with a learner in this process; `work` does the pending updates.
+    """Interface of `LearnerSupervisor` with a learner in this process; `work` performs the pending updates.
 
-    Have `torch.set_num_threads(1)`: at these sizes more threads only wait for each other.
+    Use `torch.set_num_threads(1)`: at these sizes more threads only wait for each other.
     """
 
     def __init__(self, settings: TrainingSettings, run: RunDirectory | None = None, start: bytes | None = None) -> None:
@@ -61,17 +61,17 @@ class InlineLearner:
         return None if blob is None else np.frombuffer(blob, np.float32).astype(np.float64)
 
     def work(self) -> None:
-        """All updates owed, then publish."""
+        """Perform all pending updates, then publish."""
         if self._learner.pending_updates >= CHUNK:
             while self._learner.work():
                 pass
             self._learner.publish(time.monotonic())
 
     def restart_if_dead(self) -> None:
-        """Nothing to restart_if_dead."""
+        """Do nothing: there is no process to restart."""
 
     def snapshot(self) -> bytes:
-        """See `LearnerSupervisor.snapshot`; of this moment."""
+        """See `LearnerSupervisor.snapshot`; the present state."""
         return dump(self._learner.sac)
 
     def keep(self, good: bytes) -> None:
@@ -79,7 +79,7 @@ class InlineLearner:
         self._memory.good().publish(good)
 
     def roll_back(self) -> None:
-        """See `LearnerSupervisor.roll_back`; done at once."""
+        """See `LearnerSupervisor.roll_back`; takes effect at once."""
         self._learner.roll_back()
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
@@ -95,13 +95,13 @@ class OfflineGraph(Outputs):
     Parameters
     ----------
     plant, bench
-        The plant that moves, and the bench that the box believes in.
+        The simulated plant, and the bench assumed by the box.
     guard
-        Limits of what may be commanded.
+        Limits of the commands.
     seed
-        Of the plant's noise.
+        Seed of the plant's noise.
     corrector
-        The filter; absent: every sample passes. What it says of a sample acts with the next one.
+        The filter; None: every sample passes. Its result of a sample acts with the next one.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class OfflineGraph(Outputs):
         self.sentences.append(sentence)
 
     def sample(self) -> np.void:
-        """One millisecond: command down, sample up, plant on; returns the sample (`STATE_DTYPE`)."""
+        """Advance one millisecond: command in, sample out, plant step; returns the sample (`STATE_DTYPE`)."""
         sequence = int(self.box.state["sequence"][0])
         self.guard.set_correction(self.answer.delta_u, self.answer.status, sequence, self.time)
         self.box.receive(self.guard.command(self.time), self.time)
@@ -176,7 +176,7 @@ class OfflineGraph(Outputs):
 
 
 class _PrivateMemory(LearnerMemory):
-    """The same memory layout, of this process alone."""
+    """The same memory layout, private to this process."""
 
     def _block(self, size: int) -> Any:
         return bytearray(size)

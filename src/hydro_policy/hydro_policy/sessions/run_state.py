@@ -15,20 +15,20 @@ from hydro_policy.task.scoring import Score
 
 
 class RunState:
-    """Records episodes, examinations and stops, and decides what they mean for the run.
+    """Records episodes, examinations and stops, and decides their consequences for the run.
 
     Parameters
     ----------
     settings
-        Of the run.
+        Settings of the run.
     learner
-        Running learner; what comes through is kept with it.
+        Running learner, which stores accepted policies.
     progress
-        Of the run so far; it is what a checkpoint holds.
+        Progress of the run so far, as held by a checkpoint.
     best
-        The best agent of the run that is continued, or None.
+        The best agent of the resumed run, or None.
     record
-        Takes down what happens.
+        Record of events.
     """
 
     def __init__(
@@ -54,12 +54,12 @@ class RunState:
 
     @property
     def exam_due(self) -> bool:
-        """Before the first episode, after every few, and after the last; once each."""
+        """Whether an examination is due: before the first episode, at intervals, and after the last; once each."""
         done, every = self.progress.episode, self._settings.exam.every
         return bool(every) and self.progress.examined < done and (self.trained or done % every == 0)
 
     def add_episode(self, done: EpisodeRecord) -> bool:
-        """Enter an episode that came to its end; True if its policy is the best so far."""
+        """Add a completed episode; returns True if its policy is the best so far."""
         progress = self.progress
         progress.episode += 1
         progress.last_return, progress.last_rmse = done.episode_return, done.force_rmse
@@ -67,7 +67,7 @@ class RunState:
         progress.history.append({**done.summary(), **learnt})
         self.record.add("episode", "", **progress.history[-1])
         best = False
-        if not self._settings.exam.every:  # nothing better is known of it than that it came through
+        if not self._settings.exam.every:  # all that is known is that it completed the episode
             best = done.lag < progress.best_lag
             self.keeper.propose()
             self.keeper.accept(best)
@@ -75,9 +75,9 @@ class RunState:
         return best
 
     def add_exam(self, scores: Sequence[Score], digest: str = "") -> bool:
-        """Enter an examination that a policy, of this digest, came through; True if it is surely better than the best.
+        """Add an examination completed by the policy of this digest; returns True if it is significantly the best.
 
-        The first one is that of the policy that came: what the run hands back is that, or better by more than noise.
+        The first one is that of the initial policy: the run returns it, or one that is better by more than noise.
         """
         progress, settings = self.progress, self._settings.exam
         progress.reference_rmse = progress.reference_rmse or policy_examination.reference_rmse(settings, scores)
@@ -94,9 +94,9 @@ class RunState:
         return best
 
     def add_stop(self, reason: str, where: str, good: str = "") -> str:
-        """Enter that the policy was stopped and rolled back; the sentence for the user. Too many: `gave_up`.
+        """Add a stop with rollback of the policy; returns the sentence for the user. Too many stops: `gave_up`.
 
-        `good` is the digest of the one that acts from now on; empty: there is no other.
+        `good` is the digest of the policy that acts from now on; empty: there is no other.
         """
         self.progress.rollbacks += 1
         self.last_stop = reason

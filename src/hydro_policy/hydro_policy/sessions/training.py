@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A training session: episodes, examinations, stops and pauses, driven by samples and ticks; knows no ROS.
+"""Training session: episodes, examinations, stops and pauses, driven by samples and ticks, without ROS.
 
     WAITING ────ready, then armed───> EVALUATING ──good──> TRAINING ──────episodes─────> EVALUATING ──last──> FINISHED
                                                               │  ^
-             plant lost, disarmed, tripped; stopped by the    v  │  armed again, calm again: what was interrupted
-             monitor: back to the last good policy          PAUSED  begins anew
+             plant lost, disarmed, tripped; stopped by the    v  │  armed again, calm again: the interrupted part
+             monitor: back to the last good policy          PAUSED  is restarted
 
-An episode's end is a truncation: the value of what follows is bootstrapped. Only a trip by the box or a stop by the
+An episode's end is a truncation: the next state's value is bootstrapped. Only a trip by the box or a stop by the
 monitor is a termination.
 """
 
@@ -43,7 +43,7 @@ class TrainingSession:
     Parameters
     ----------
     settings
-        Of the run.
+        Settings of the run.
     learner
         Running learner.
     outputs
@@ -53,11 +53,11 @@ class TrainingSession:
     state, best
         `state()` and best agent of the session to continue, or None.
     override
-        Gains that a person holds.
+        Gains held by a person.
     record
-        Takes down what happens.
+        Record of events.
     requirements
-        What must be there before the plant is armed, besides plant, filter and learner.
+        Requirements before arming, besides plant, filter and learner.
     """
 
     def __init__(
@@ -91,12 +91,12 @@ class TrainingSession:
 
     @property
     def policy(self) -> Policy:
-        """As it acts."""
+        """The acting policy."""
         return self.explorer.policy
 
     @property
     def current(self) -> EpisodeRecord:
-        """The episode under way, or the last one."""
+        """The present episode, or the last one."""
         return self.player.current
 
     @property
@@ -110,13 +110,13 @@ class TrainingSession:
         return self.state_of_run.gave_up
 
     def state(self) -> dict[str, Any]:
-        """For a checkpoint, as JSON types."""
+        """Return the state for a checkpoint, as JSON types."""
         progress = self.progress
         summary = {"episode": progress.episode, "total_steps": progress.total_steps, "last_rmse": progress.last_rmse}
         return {**summary, "progress": asdict(progress), "random_state": self.explorer.rng.bit_generator.state}
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
-        """Take a sample [14]; True if gains went out."""
+        """Process a sample [14]; returns True if gains were sent."""
         self.watch.on_sample(flags, now)
         step = self.clock.add(sequence, sample, flags)
         if self.finished:
@@ -130,12 +130,12 @@ class TrainingSession:
         return step is not None and self._act(step, now)
 
     def on_correction(self, after: float, status: int) -> None:
-        """Take what the filter says of a sample: M_c [1/s] under its correction, and the status."""
+        """Process the filter's result of a sample: M_c [1/s] under its correction, and the status."""
         self.monitor.on_correction(after, status)
         self.watch.on_correction(status)
 
     def on_tick(self, now: float) -> None:
-        """Some twenty times a second: arming, loss of the plant, death of the learner."""
+        """Handle a tick, some twenty times a second: arming, loss of the plant, death of the learner."""
         self.watch.on_tick(now)
         if self.watch.lost and self.phase in UNDER_WAY:
             self._pause("no samples", self._where)
@@ -144,7 +144,7 @@ class TrainingSession:
             self._outputs.say(message, warning=True)
 
     def _act(self, step: Step, now: float) -> bool:
-        """One policy step of an armed plant outside of examinations; True if gains went out."""
+        """Make one policy step of an armed plant outside of examinations; returns True if gains were sent."""
         held = self.override.gains(now)
         if held is not None:
             self.player.hold(held, step, episode=self.phase is Phase.TRAINING)
@@ -160,7 +160,7 @@ class TrainingSession:
             if not self.watch.may_begin(now):
                 return False
             self._begin()
-        elif self.watch.unready(now):  # a person has held the gains: the watch disarms, and the episode begins anew
+        elif self.watch.unready(now):  # a person has held the gains: the watch disarms, and the episode is restarted
             return False
         self.watch.acted(now)
         if self.phase is Phase.TRAINING:
@@ -168,7 +168,7 @@ class TrainingSession:
         return True
 
     def _begin(self) -> None:
-        """Whatever is due: an examination, an episode, or the end."""
+        """Begin what is due: an examination, an episode, or the end."""
         self.keeper.start()
         if self.state_of_run.exam_due:
             self._begin_exam()
@@ -186,7 +186,7 @@ class TrainingSession:
             self._go_on(best=self.state_of_run.add_episode(self.current))
 
     def _begin_exam(self) -> None:
-        """Examine the learner's present state; learning goes on meanwhile, acting does not change."""
+        """Examine the learner's present state; learning continues meanwhile, the acting policy does not change."""
         parameters = self.keeper.propose()
         if parameters is not None:
             self.policy.load_flat(parameters)
@@ -207,12 +207,12 @@ class TrainingSession:
         return acted
 
     def _go_on(self, *, best: bool) -> None:
-        """An episode or an examination came to its end: a checkpoint, and what comes next."""
+        """Continue after an episode or examination: save a checkpoint, and begin what is due."""
         self.learner.save(self.state(), best)
         self._begin()
 
     def _interrupt(self, sample: FloatArray, flags: int) -> None:
-        """The box disarmed under us. If it was the policy's doing, the policy goes, and shall learn it."""
+        """Handle a disarmed box. If the policy caused it, it learns the penalty and is rolled back."""
         where = self._where
         if flags & FAULTS and self.override.active:
             self.watch.calm()
@@ -222,7 +222,7 @@ class TrainingSession:
             self._pause(self.watch.condition, where)
 
     def _stop(self, reason: str, sample: FloatArray) -> None:
-        """What the policy does is not bearable: base gains, calm, the last good policy; after too many, the end."""
+        """Stop the policy: base gains, calm, the last good policy; after too many stops, end the run."""
         where = self._where
         if self.exam is None:
             self.explorer.terminate(sample)

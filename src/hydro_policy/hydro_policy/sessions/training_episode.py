@@ -13,18 +13,18 @@ from hydro_policy.task.step_aggregator import Step
 
 
 class EpisodePlayer:
-    """Runs single episodes; the session decides which and when.
+    """Runs single episodes, chosen and scheduled by the session.
 
     Parameters
     ----------
     settings
-        Of the run.
+        Settings of the run.
     learner
         Running learner; its weights are taken over before each step.
     outputs
         The graph.
     progress
-        Of the run; steps are counted into it.
+        Progress of the run, which counts the steps.
     """
 
     def __init__(
@@ -42,7 +42,7 @@ class EpisodePlayer:
         return self.current.steps >= self._settings.task.steps_per_episode
 
     def begin(self) -> None:
-        """Begin the episode after those that are finished, or that one anew."""
+        """Begin the episode after the finished ones, or restart it."""
         done = self._progress.episode
         signal = self._settings.task.reference(done, self._settings.seed)
         self._outputs.reference(signal)
@@ -50,7 +50,7 @@ class EpisodePlayer:
         self.monitor.reset()
 
     def step(self, step: Step) -> str | None:
-        """One step under the newest policy; if the monitor wants a stop, why, and no step."""
+        """Make one step under the newest policy; if the monitor requests a stop, return why and make none."""
         reason = self.monitor.add(step)
         if reason is None:
             self.refresh_policy()
@@ -58,15 +58,15 @@ class EpisodePlayer:
         return reason
 
     def hold(self, gains: tuple[float, float], step: Step, *, episode: bool) -> None:
-        """One step under a person's gain changes; `episode`: an episode is under way, and it counts."""
+        """Make one step under a person's gain changes; `episode`: it counts as a step of the present episode."""
         reward = self.explorer.hold(gains, step)
         if episode:
             self._count(step, reward)
             self.current.overridden_steps += 1
-        self.monitor.reset()  # it judges policies
+        self.monitor.reset()  # it assesses policies
 
     def refresh_policy(self) -> None:
-        """Take over the learner's weights if there are newer ones."""
+        """Adopt the learner's weights if there are newer ones."""
         parameters = self._learner.new_weights()
         if parameters is not None:
             self.explorer.policy.load_flat(parameters)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Arming and disarming a plant, with retries; without a person only where that is allowed."""
+"""Arming and disarming of a plant, with retries; without a person only if allowed."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ class Arming:
     Parameters
     ----------
     outputs
-        Where to ask.
+        Outputs of the requests.
     rearm
-        Whether it may arm without a person.
+        Whether arming without a person is allowed.
     """
 
     def __init__(self, outputs: Outputs, rearm: bool) -> None:
         self._outputs, self.alone = outputs, rearm
-        self._arm_after = math.inf  # when to follow a disarm with an arm, s
-        self._asked = self._lowered = -math.inf  # when arming was asked for; when disarming was, s
-        self._prompted = ""  # the condition in which a person was asked to arm
+        self._arm_after = math.inf  # time to arm after a disarm, s
+        self._asked = self._lowered = -math.inf  # times of the last requests to arm and to disarm, s
+        self._prompted = ""  # condition in which a person was asked to arm
 
     def arm(self, now: float) -> None:
-        """Disarm, then arm: that ends a trip, clears the law's integral, and the reference fades in."""
+        """Disarm, then arm: this ends a trip, clears the law's integral, and fades the reference in."""
         self._outputs.arm(False)
         self._arm_after, self._asked, self._prompted = now + SETTLE, now, ""
 
     def under_way(self, now: float) -> bool:
-        """Whether arming was asked for from here, and may be what is seen now."""
+        """Whether this object requested arming, which may explain an armed plant."""
         return now - self._asked <= RETRY
 
     def seek(self, ready: bool, now: float) -> None:
         """Call on each tick while the plant is not armed; `ready`: it may be."""
         self._lowered = -math.inf
         if not ready:
-            if now - self._asked > RETRY:  # a person's word does not outlive the moment that it was given for
+            if now - self._asked > RETRY:  # a person's request is valid only in the condition it was made in
                 self._arm_after = math.inf
         elif now >= self._arm_after:
             self._arm_after = math.inf
@@ -53,11 +53,11 @@ class Arming:
             self.arm(now)
 
     def rest(self) -> None:
-        """Call on each tick while it is armed, or away: nothing is sought."""
+        """Request nothing; call on each tick while the plant is armed or absent."""
         self._arm_after, self._asked, self._prompted = math.inf, -math.inf, ""
 
     def lower(self, now: float, why: str) -> None:
-        """Disarm, reference 0 N, and say why; call on each tick as long as it stays armed."""
+        """Disarm with reference 0 N and report why; call on each tick as long as it stays armed."""
         if now - self._lowered <= RETRY:
             return
         if self._lowered == -math.inf:
@@ -67,12 +67,12 @@ class Arming:
         self._outputs.arm(False)
 
     def prompt(self, condition: str, ready: bool, now: float) -> str:
-        """What a person must do now, once for each condition of a plant that is not armed; else nothing."""
+        """Return what a person must do now, once for each condition of a plant that is not armed; else nothing."""
         if self.alone or not ready or condition == self._prompted or self.under_way(now):
             return ""
         self._prompted = condition
         return HOW_TO_ARM
 
     def prompt_anew(self) -> None:
-        """Ask the person again: what was said came to nothing."""
+        """Ask the person again, since the last answer had no effect."""
         self._prompted = ""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interfaces between acting and the learner process. No call blocks."""
+"""Interfaces of the acting process to the learner process. No call blocks."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ if TYPE_CHECKING:  # it needs torch, which takes seconds to import, and which ev
 
 
 class RollingLearner(Protocol):
-    """The learner as rollback needs it."""
+    """Interface of the learner for rollback."""
 
     def snapshot(self) -> bytes | None:
-        """The learner's whole state, half a second old at most."""
+        """Return the learner's whole state, at most half a second old."""
 
     def keep(self, good: bytes) -> None:
-        """Take this state for the last good one."""
+        """Store this state as the last good one."""
 
     def roll_back(self) -> None:
-        """Let the learner go back to the last good state."""
+        """Make the learner return to the last good state."""
 
 
 class ActingLearner(RollingLearner, Protocol):
-    """The learner as acting needs it: `LearnerSupervisor`, or `InlineLearner` in simulation."""
+    """Interface of the learner for acting: `LearnerSupervisor`, or `InlineLearner` in simulation."""
 
     replay: ReplayBuffer
 
@@ -39,13 +39,13 @@ class ActingLearner(RollingLearner, Protocol):
 
     @property
     def entropy_coefficient(self) -> float:
-        """alpha."""
+        """Entropy coefficient alpha."""
 
     def new_weights(self) -> FloatArray | None:
-        """The actor's flat parameters if there are newer ones."""
+        """Return the actor's flat parameters if there are newer ones."""
 
     def restart_if_dead(self) -> str | None:
-        """Restart it if it died; returns what to tell the user."""
+        """Restart it if it died; returns the message for the user."""
 
     def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        """Ask for a checkpoint."""
+        """Request a checkpoint."""

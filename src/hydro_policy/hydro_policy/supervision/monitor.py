@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The safety monitor: watches the bench under a policy and requests a stop before the box trips.
+"""Safety monitor: watches the bench under a policy and requests a stop before the box trips.
 
-peak error    |e|, averaged over a policy step: one sick sample is none
-chatter       RMS of u' over a window: what wears valve and hoses, and the first sign of a loop that cycles
+peak error    |e|, averaged over a policy step, so that a single bad sample does not count
+chatter       RMS of u' over a window: it wears valve and hoses, and is the first sign of a limit cycle
 violations    share of a window's samples whose certificate fails although the filter has corrected what it can
-NaN           a sample, or what the policy makes of it, is not finite
+NaN           a sample, or the policy's action for it, is not finite
 
-It judges a policy, not a person: overridden steps do not reach it, and steps for which the box held other gains than
-the policy's (`Step.held`: late commands, no fresh correction, MISMATCH) count for nothing.
+It assesses a policy, not a person: overridden steps do not reach it, and steps for which the box held other gains than
+the policy's (`Step.held`: late commands, no fresh correction, MISMATCH) are not counted.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _EVALUATED = frozenset(
 )
 _TOLERANCE = 1e-6  # 1/s, of M_c: as `hydro_filter.validation.trial.gammas`
 _RECOVERY = 20
-"""Steps after one that was held whose u' is not the policy's doing: the force comes back from what base gains left."""
+"""Steps after a held one whose u' is not due to the policy: the force recovers from the base gains' error."""
 _STEP = SAMPLES_PER_STEP * SAMPLE_PERIOD  # s
 
 
@@ -57,14 +57,14 @@ class SafetyMonitor:
         self.settings = settings or MonitorSettings()
         lengths = (self.settings.chatter_window, self.settings.violations_window)
         squares, violated = (max(round(length / _STEP), 1) for length in lengths)
-        self._squares: deque[tuple[float, int]] = deque(maxlen=squares)  # of u' [A/s], and of how many, per step
+        self._squares: deque[tuple[float, int]] = deque(maxlen=squares)  # of u' [A/s], and their number, per step
         self._violated: deque[tuple[int, int]] = deque(maxlen=violated)
         self._failed = self._answered = self._recovering = 0
         self.peak = 0.0
-        """N, largest |e| of a step since the reset."""
+        """Largest |e| of a step since the reset [N]."""
 
     def reset(self) -> None:
-        """Begin anew: another policy acts, or another reference runs."""
+        """Reset for another policy or another reference."""
         self._squares.clear()
         self._violated.clear()
         self._failed = self._answered = 0
@@ -72,24 +72,24 @@ class SafetyMonitor:
 
     @property
     def chatter(self) -> float:
-        """A/s, RMS of u' over the window so far; 0 at its beginning."""
+        """RMS of u' over the window so far [A/s]; 0 at its beginning."""
         count = sum(n for _, n in self._squares)
         return math.sqrt(sum(s for s, _ in self._squares) / count) if count else 0.0
 
     @property
     def violations(self) -> float:
-        """Share of the window's corrections whose certificate failed; 0 where none came."""
+        """Share of the window's corrections whose certificate failed; 0 without corrections."""
         count = sum(n for _, n in self._violated)
         return sum(v for v, _ in self._violated) / count if count else 0.0
 
     def on_correction(self, after: float, status: int) -> None:
-        """Take a correction: M_c [1/s] under it, and its status."""
+        """Add a correction: M_c [1/s] under it, and its status."""
         if status in _EVALUATED:
             self._answered += 1
             self._failed += after > _TOLERANCE
 
     def add(self, step: Step) -> str | None:
-        """Take a policy step; returns why the policy must be stopped, or None."""
+        """Add a policy step; returns why the policy must be stopped, or None."""
         if not np.isfinite(step.sample).all():
             return "a measurement is not finite"
         if step.held:

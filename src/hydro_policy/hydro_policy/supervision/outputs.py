@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Outputs of a session: the interface between the mathematics and ROS."""
+"""Outputs of a session: the interface between the algorithms and ROS."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ class Outputs(Protocol):
         """Publish gains [1/s], [1/s^2]."""
 
     def acted(self, step: int, mean: tuple[float, float], reward: float, weights: int) -> None:
-        """Tell what a policy that learns made of `step`, once its gains are out; see `PolicyStep.msg`.
+        """Report a learning policy's result of `step`, once its gains are sent; see `PolicyStep.msg`.
 
         Parameters
         ----------
@@ -24,7 +24,7 @@ class Outputs(Protocol):
         mean
             Gains of the mean action [1/s], [1/s^2].
         reward
-            For the step before; NaN where none was earned.
+            Reward of the previous step; NaN if there is none.
         weights
             Digest of the weights that acted.
         """
@@ -33,7 +33,7 @@ class Outputs(Protocol):
         """Publish the force to track."""
 
     def arm(self, arm: bool) -> None:
-        """Ask the plant to arm or disarm."""
+        """Request the plant to arm or disarm."""
 
     def say(self, sentence: str, warning: bool = False) -> None:
-        """Tell the user."""
+        """Report a sentence to the user."""

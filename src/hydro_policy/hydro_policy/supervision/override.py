@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Manual override: a person sets the gains in place of the controller, for as long as asked.
+"""Manual override: a person sets the gains in place of the controller, for a chosen time.
 
-It is in force from the next policy step on, whether a policy learns, is examined, waits or pauses. It lives in the node
-alone: no checkpoint holds it, no run begins with it. What the bench does under it is neither learnt from nor scored.
+It is in force from the next policy step on, whether a policy learns, is examined, waits or pauses. It exists in the
+node only: no checkpoint holds it, no run begins with it. The bench's behaviour under it is neither learnt nor scored.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class GainOverride:
     Parameters
     ----------
     reach
-        Gain changes that may be asked for: what the plant's guard lets through.
+        Gain changes that may be requested: those that the plant's guard passes.
     say
         Takes a sentence for each change.
     base
@@ -45,12 +45,12 @@ class GainOverride:
         self._held: _Held | None = None
 
     def hold(self, proportional: float, integral: float, seconds: float, now: float) -> str:
-        """Hold K_p [1/s] and K_i [1/s^2], base gains included, for `seconds` (0: until told otherwise); what was done.
+        """Hold K_p [1/s] and K_i [1/s^2], base gains included, for `seconds` (0: until released); returns a report.
 
         Raises
         ------
         ValueError
-            Not finite or out of reach; nothing has changed.
+            The gains are not finite or out of range; nothing has changed.
         """
         base, reach = self.base, self.reach
         change = (proportional - base[0], integral - base[1])
@@ -68,14 +68,14 @@ class GainOverride:
         return self._tell(f"gains overridden by hand: ({proportional:g}, {integral:g}) {how_long}")
 
     def release(self) -> str:
-        """Give the gains back; what was done."""
+        """Return the gains to the controller; returns a report."""
         if self._held is None:
             return "nothing was overridden"
         self._held = None
         return self._tell("override ended: the gains are the policy's again")
 
     def gains(self, now: float) -> tuple[float, float] | None:
-        """(delta_kp, delta_ki) to publish instead of anybody else's at time `now` [s], or None."""
+        """Return the (delta_kp, delta_ki) to publish instead of the controller's at time `now` [s], or None."""
         if self._held is not None and now >= self._held.until:
             self._held = None
             self._tell("override is over: the gains are the policy's again")
@@ -83,12 +83,12 @@ class GainOverride:
 
     @property
     def active(self) -> bool:
-        """Whether somebody holds the gains."""
+        """Whether a person holds the gains."""
         return self._held is not None
 
     @property
     def description(self) -> str:
-        """For /diagnostics: the gains held, or no."""
+        """Text for /diagnostics: the gains held, or no."""
         held, base = self._held, self.base
         return "no" if held is None else f"K_p {base[0] + held.delta_kp:g}, K_i {base[1] + held.delta_ki:g}"
 

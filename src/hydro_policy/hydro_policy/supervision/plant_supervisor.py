@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether the plant is present, armed and ready for a run; shared by training and evaluation.
+"""Supervision of the plant: present, armed and ready for a run; shared by training and evaluation.
 
-no state for 100 ms      lost: disarm is asked for, so that the cable's return finds nothing armed
-something is missing     nothing is armed (`hydro_bridge.safety.readiness`); found armed, or armed too early: disarmed
-disarmed or tripped      if allowed: disarm, then arm, once a second until the box says ARMED; else a person is asked to
-armed and idle           no controller has acted for `IDLE`: disarmed, and armed anew as above. Base gains wind up the
-                         law's integral against dry friction, which is a jump of the current with the next gains
+no state for 100 ms      lost: disarming is requested, so that a reconnected plant is not armed
+requirement missing      the plant is not armed (`hydro_bridge.safety.readiness`); if found armed: disarmed
+disarmed or tripped      if allowed: disarm, then arm, once a second until the box reports ARMED; else a person is asked
+armed and idle           no controller has acted for `IDLE`: disarmed, and armed again as above. Base gains wind up the
+                         law's integral against dry friction, and the next gains would make the current jump
 MISMATCH                 the filter's model is not this bench's: nothing is armed or begun until the filter decides
-                         again, and what has begun goes on under `FALLBACK`
-stopped                  a second of calm, armed, base gains, no reference, before anything begins: the force is still
-                         where what was stopped has left it, and would be held against whatever comes next. Where no
-                         person is needed for it the plant is then armed anew, too
+                         again, and a run in progress continues under `FALLBACK`
+stopped                  a second of calm, armed, base gains, no reference, before the next run, which would otherwise
+                         be charged with the force that the stopped one left. If no person is needed for it, the plant
+                         is then also armed again
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from hydro_policy.supervision.outputs import Outputs
 from hydro_policy.supervision.override import GainOverride
 
 FALLBACK = (NARROW.delta_kp_max, NARROW.delta_ki_max)
-"""Changes of K_p, K_i that are held while the filter says MISMATCH: the upper end of what the guard then lets pass, the
-paper's fixed (90, 15). A policy clamped to that range asks for less and tracks worse."""
+"""Changes of K_p, K_i held while the filter reports MISMATCH: the upper end of the range that the guard then passes,
+the paper's fixed (90, 15). A policy clamped to that range requests less and tracks worse."""
 
 CALM = 1.0
-"""s, armed, between a stop and what follows it."""
+"""s, armed, between a stop and the next run."""
 
 IDLE = 2.0
-"""s armed without a controller after which none may begin (decision 0056 has the measurements)."""
+"""s armed without a controller after which none may begin (measurements in decision 0056)."""
 
 LOST_AFTER = 0.1  # s without a sample
 
@@ -49,18 +49,18 @@ CALM_AGAIN = "calm again: disarmed and armed anew, so that the force law begins 
 
 
 class PlantSupervisor:
-    """Follows the box's flags and asks for arming.
+    """Tracks the box's flags and requests arming.
 
     Parameters
     ----------
     outputs
-        Where to ask.
+        Outputs of the requests.
     rearm
         Whether a disarmed or tripped box may be armed without the user (simulation: yes; bench: on purpose only).
     requirements
-        What must be there before the plant is armed, besides plant and filter.
+        Requirements before arming, besides plant and filter.
     override
-        Gains that a person holds: under them a plant is not idle.
+        Gains held by a person: under them a plant is not idle.
     """
 
     def __init__(
@@ -75,30 +75,30 @@ class PlantSupervisor:
         samples = needs.plant(lambda: not self.lost)
         answers = needs.corrections(lambda: self.mismatched or not self._flags & Flag.FILTER_STALE)
         fitting = needs.fitting_filter(lambda: not self.mismatched)
-        needed = (samples, *requirements, answers, fitting)  # the filter's answers after what takes longer
+        needed = (samples, *requirements, answers, fitting)  # the filter's answers, after longer waits
         self.readiness = Readiness(needed, lambda sentence: outputs.say(sentence, warning=True))
         self._seen = -math.inf
-        self._acted = -math.inf  # when a controller acted last, or the plant was armed
-        self._spoilt = TOO_EARLY  # why nothing may act on it as it is armed: nobody knows for how long it has been
+        self._acted = -math.inf  # time of the last action of a controller, or of arming
+        self._spoilt = TOO_EARLY  # why no controller may act: it has been armed for an unknown time
         self._flags = int(Flag.FILTER_STALE)
         self._told: str | None = None
-        self._calm_until: float | None = None  # math.inf: asked for, but not armed yet
+        self._calm_until: float | None = None  # math.inf: requested, but not armed yet
         self.mismatched = False
-        """Whether the filter's last word was that its model is not this bench's."""
+        """Whether the filter's last status was that its model is not this bench's."""
 
     @property
     def lost(self) -> bool:
-        """Whether no samples come."""
+        """Whether no samples arrive."""
         return self._seen == -math.inf
 
     @property
     def armed(self) -> bool:
-        """Whether samples come and the last one was armed."""
+        """Whether samples arrive and the last one was armed."""
         return not self.lost and bool(self._flags & Flag.ARMED)
 
     @property
     def condition(self) -> str:
-        """For people."""
+        """Condition of the plant as text."""
         if self.lost:
             return "no plant"
         if self._flags & Flag.ARMED:
@@ -110,11 +110,11 @@ class PlantSupervisor:
 
     @property
     def standing(self) -> str:
-        """For people: the condition, and what is waited for."""
+        """Condition and awaited requirements as text."""
         return self.condition + ("" if self.readiness.complete else f", waiting for {self.readiness.awaited}")
 
     def on_sample(self, flags: int, now: float) -> None:
-        """Take a sample's flags."""
+        """Process a sample's flags."""
         if flags & Flag.ARMED and not (self.armed or self.lost):
             wanted = self.readiness.complete or self._arming.under_way(now)
             self._acted, self._spoilt = now, "" if wanted else TOO_EARLY
@@ -126,21 +126,21 @@ class PlantSupervisor:
                 self._spoilt = CALM_AGAIN if self._arming.alone else self._spoilt
 
     def on_correction(self, status: int) -> None:
-        """Take the status of a correction."""
+        """Process the status of a correction."""
         if (status == CorrectionStatus.MISMATCH) != self.mismatched:
             self.mismatched = not self.mismatched
             self._outputs.say(MISMATCH if self.mismatched else FITS, warning=self.mismatched)
 
     def may_begin(self, now: float) -> bool:
-        """Whether an episode or a run may begin: armed, calm and fit for it, with all there that must be."""
+        """Return whether an episode or a run may begin: armed, calm, fit, and with all requirements met."""
         return self.armed and self.readiness.complete and not self.calming and not self.unready(now)
 
     def acted(self, now: float) -> None:
-        """A controller has chosen gains."""
+        """Record that a controller has chosen gains."""
         self._acted = now
 
     def unready(self, now: float) -> str:
-        """Why no controller may act on the plant as it is armed; empty if one may."""
+        """Return why no controller may act on the armed plant; empty if one may."""
         if not self._spoilt and now - self._acted > IDLE:
             waited = f"armed for {now - self._acted:.1f} s while no controller acted"
             return f"{waited}: it is disarmed, so that the force law begins anew"
@@ -148,27 +148,27 @@ class PlantSupervisor:
 
     @property
     def calming(self) -> bool:
-        """Whether something was stopped and its force is still being brought back: base gains, please."""
+        """Whether the force is still recovering from a stop, which requires base gains."""
         return self._calm_until is not None
 
     def calm(self) -> None:
-        """Something was stopped: `CALM` seconds, armed, before anything begins. No reference from now on."""
+        """Start the calm after a stop: `CALM` seconds, armed, before the next run; removes the reference."""
         self._calm_until = math.inf
         self._outputs.reference(ReferenceSignal())
 
     def take_over(self, before: PlantSupervisor) -> None:
-        """Go on where another session's watch ends: what that has left armed is no find, its calm is waited for."""
+        """Continue from another session's watch: its armed plant is accepted, and its calm is awaited."""
         self._acted, self._spoilt = before._acted, before._spoilt
         if before.calming:
             self.calm()
 
     def on_tick(self, now: float) -> None:
-        """Call some twenty times a second: notices a loss, asks for arming.
+        """Detect a loss and request arming; call some twenty times a second.
 
         Raises
         ------
         NotReadyError
-            Something without which nothing may be armed has not come within its time.
+            A requirement for arming was not met in time.
         """
         if not self.lost and now - self._seen > LOST_AFTER:
             self._seen, self._spoilt = -math.inf, UNSEEN
@@ -185,7 +185,7 @@ class PlantSupervisor:
         self._tell(now)
 
     def arm_now(self, now: float) -> None:
-        """A person wants it armed: done where all is ready, answered where it is not."""
+        """Arm at a person's request if all is ready; otherwise report what is missing."""
         if self.armed and not self.unready(now):
             self._outputs.say("the plant is armed already: nothing was done", warning=True)
         elif self.readiness.complete:

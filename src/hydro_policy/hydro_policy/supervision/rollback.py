@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Rollback: a policy that fails is replaced by the last one that passed an examination.
+"""Rollback: a failing policy is replaced by the last one that passed an examination.
 
 learner's state ──propose──> candidate ──accept──> last good ──(best score)──> best, on disk
                                  └────── stopped: roll_back to the last good one; after too many in a row: the end
@@ -18,11 +18,11 @@ class PolicyKeeper:
     Parameters
     ----------
     learner
-        Running.
+        Running learner.
     rollbacks_max
-        Rollbacks in a row that are bearable.
+        Maximum number of rollbacks in a row.
     best
-        The best state of the run that is continued, or None.
+        The best state of the resumed run, or None.
     """
 
     def __init__(self, learner: RollingLearner, rollbacks_max: int, best: bytes | None = None) -> None:
@@ -40,18 +40,18 @@ class PolicyKeeper:
         return self.in_a_row > self._max
 
     def start(self) -> None:
-        """What the run starts from is good until something better is known; call it when the learner is ready."""
+        """Accept the initial state as good until a better one is known; call when the learner is ready."""
         if self._good is None:
             self.propose()
             self.accept()
 
     def propose(self) -> FloatArray | None:
-        """Take the learner's present state as candidate; its actor's parameters, None if there is no state yet."""
+        """Take the learner's state as candidate; returns its actor's parameters, None if there is no state yet."""
         self._candidate = self._learner.snapshot()
         return None if self._candidate is None else actor_parameters(self._candidate)
 
     def accept(self, best: bool = False) -> None:
-        """The candidate has come through, `best`: better than any before."""
+        """Accept the candidate; `best`: it is better than any before."""
         if self._candidate is not None:
             self._good = self._candidate
             self._best = self._good if best else self._best
@@ -65,11 +65,11 @@ class PolicyKeeper:
 
     @property
     def best(self) -> FloatArray | None:
-        """Parameters of the best actor so far; before any was said to be, of the last good one."""
+        """Parameters of the best actor so far; before there is one, of the last good one."""
         return self.good if self._best is None else actor_parameters(self._best)
 
     def roll_back(self) -> FloatArray | None:
-        """Go back; parameters of the actor that acts from now on, None if there never was a state."""
+        """Roll back; returns the parameters of the actor that acts from now on, None if there never was a state."""
         self.in_a_row += 1
         if self._good is not None:
             self._learner.roll_back()

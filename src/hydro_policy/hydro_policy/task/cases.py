@@ -13,10 +13,10 @@ from hydro_bridge.signals import ReferenceSignal, Waveform
 
 @dataclass(frozen=True)
 class Case:
-    """A reference to track; a whole number of periods is measured (of a multisine, which has none: of its slowest)."""
+    """A reference to track, measured over whole periods (for a multisine, those of its slowest sine)."""
 
     name: str
-    """For tables: `2 Hz`, `multisine`, `steps`."""
+    """Name for tables: `2 Hz`, `multisine`, `steps`."""
     signal: ReferenceSignal
 
 
@@ -48,7 +48,7 @@ class EvaluationSettings:
 
     @property
     def cases(self) -> tuple[Case, ...]:
-        """All that is run, in this order."""
+        """Return all cases in order."""
         cases = [Case(f"{f:g} Hz", _signal(Waveform.SINE, self.amplitude, f)) for f in self.frequencies]
         if self.multisine:
             cases.append(Case("multisine", _signal(Waveform.MULTISINE, self.amplitude, 0.5)))
@@ -57,11 +57,11 @@ class EvaluationSettings:
         return tuple(cases)
 
     def measured(self, frequency: float) -> float:
-        """s measured at this frequency [Hz], whole periods."""
+        """Return the measured time [s] at this frequency [Hz], whole periods."""
         return max(math.ceil(self.measure * frequency - 1e-9), self.periods) / frequency
 
     def length(self, case: Case) -> float:
-        """s that a run takes."""
+        """Return the duration of a run [s]."""
         return self.settle + self.measured(case.signal.frequency)
 
 
@@ -84,7 +84,7 @@ class ExamSettings:
 
     @property
     def evaluation(self) -> EvaluationSettings:
-        """What is run."""
+        """Evaluation settings of an examination."""
         return EvaluationSettings(settle=self.settle, measure=self.measure, repeats=self.repeats)
 
 

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """The task as a Markov decision process: observation (eq. obs), reward (eq. reward), action (eq. policy_action).
 
-observation  13 numbers, each (value - center) / scale with the fixed numbers below, so that a policy's file is complete
+observation  13 numbers, each (value - center) / scale with the constants below, so that a policy's file is complete
 action       2 numbers in [-1, 1], mapped linearly to [delta_kp, delta_ki]
 step         10 box samples of 1 ms; an episode is 1800 steps, 18 s
 """
@@ -20,7 +20,7 @@ from hydro_bridge.signals import PLANT_FIELDS, STATE_FIELDS, FloatArray, Referen
 ACTIONS = 2
 
 BASE = (15.0, 5.0)
-"""K_p [1/s], K_i [1/s^2] of the paper's box (Table training_agent): what changes are added to. A box says its own."""
+"""Base gains K_p [1/s], K_i [1/s^2] of the paper's box (Table training_agent); a box reports its own."""
 
 _SPREAD: FloatArray = np.array((0.7548776662466927, 0.5698402909980532))  # 1 / p, 1 / p^2 with p^3 = p + 1
 
@@ -65,25 +65,25 @@ class GainRange:
     """Largest change of K_i, above delta_ki_min."""
 
     def shifted(self, kp: float, ki: float) -> GainRange:
-        """The range with so much added to its ends: the same gains in all on a box with that much lower base gains."""
+        """Return the range shifted by these amounts: equal total gains on a box with base gains lower by as much."""
         return GainRange(
             delta_kp_min=self.delta_kp_min + kp, delta_kp_max=self.delta_kp_max + kp,
             delta_ki_min=self.delta_ki_min + ki, delta_ki_max=self.delta_ki_max + ki,
         )  # fmt: skip
 
     def gains(self, action: FloatArray) -> tuple[float, float]:
-        """(delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""
+        """Return (delta_kp, delta_ki) of an action [2]; an action beyond [-1, 1] is clamped."""
         kp, ki = self.changes(action)
         return float(kp), float(ki)
 
     def changes(self, actions: FloatArray) -> FloatArray:
-        """`gains` of many actions: shape (..., 2) gives (..., 2)."""
+        """Return `gains` of many actions, shape (..., 2) to (..., 2)."""
         low = np.array((self.delta_kp_min, self.delta_ki_min))
         high = np.array((self.delta_kp_max, self.delta_ki_max))
         return np.asarray(low + 0.5 * (np.clip(actions, -1.0, 1.0) + 1.0) * (high - low))
 
     def action(self, delta_kp: float, delta_ki: float) -> FloatArray:
-        """The action [2] that gives these gains; not clamped."""
+        """Return the action [2] for these gains; not clamped."""
         low = np.array((self.delta_kp_min, self.delta_ki_min))
         high = np.array((self.delta_kp_max, self.delta_ki_max))
         return np.asarray(2.0 * (np.array((delta_kp, delta_ki)) - low) / (high - low) - 1.0)
@@ -118,25 +118,25 @@ class TaskSettings:
     gains: GainRange = field(default_factory=GainRange)
 
     def reward(self, error: FloatArray, error_rate: FloatArray) -> float:
-        """Eq. reward (at power 2) of means: e [n] in N and e' [n] in N/s of the samples that the action acted on.
+        """Return eq. reward (at power 2) of the means over the action's samples: e [n] in N and e' [n] in N/s.
 
-        The paper prints it at one instant. There the derivative's noise alone is worth -20 a step; in the mean over ten
-        samples, which is the change of e over the step, it is worth -2, and tracking weighs as before.
+        The paper evaluates it at one instant, where the derivative's noise alone contributes -20 per step. In the mean
+        over ten samples, which is the change of e over the step, it contributes -2; the weight of tracking is the same.
         """
         return float(self.rewards(error, error_rate))
 
     def rewards(self, error: FloatArray, error_rate: FloatArray) -> FloatArray:
-        """`reward` of many steps: e, e' of shape (..., n) give (...)."""
+        """Return `reward` of many steps: e, e' of shape (..., n) to (...)."""
         e, de = np.mean(error, axis=-1) / self.force_scale, np.mean(error_rate, axis=-1) / self.force_rate_scale
         return np.asarray(
             -((self.error_weight * e * e + self.error_rate_weight * de * de) ** (0.5 * self.reward_power))
         )
 
     def reference(self, episode: int, seed: int) -> ReferenceSignal:
-        """Sine of an episode: amplitude and frequency spread evenly over their ranges, from a random start.
+        """Return the sine of an episode: amplitude and frequency spread evenly over their ranges, from a random start.
 
         Independent draws leave corners of the ranges unvisited for dozens of episodes; this sequence (Roberts' R2, from
-        the plastic number) is uniform, too, and any eight episodes in a row cover the plane.
+        the plastic number) is also uniform, and any eight consecutive episodes cover the plane.
         """
         start = np.random.default_rng(seed).random(2)
         amplitude, frequency = (start + episode * _SPREAD) % 1.0
@@ -148,7 +148,7 @@ class TaskSettings:
 
 
 def observe(sample: FloatArray, previous_action: FloatArray) -> FloatArray:
-    """Eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (..., 13).
+    """Return eq. obs, normalized: o = [x, f_r, f_r', e, previous action], shape (..., 13).
 
     Parameters
     ----------

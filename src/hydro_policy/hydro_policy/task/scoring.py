@@ -20,10 +20,10 @@ class Score:
     case: str
     """Name of the reference."""
     frequency: float
-    """Hz, of the reference (of a multisine: its slowest sine)."""
+    """Frequency of the reference [Hz] (of a multisine: its slowest sine)."""
     repeat: int
     rmse: float = math.nan
-    """N; NaN if it was stopped."""
+    """Force RMSE [N]; NaN if the run was stopped."""
     peak: float = math.nan
     """N, largest |e|."""
     chatter: float = math.nan
@@ -37,7 +37,7 @@ class Score:
     held: int = 0
     """Samples for which the box held base gains (stale correction or command)."""
     stopped: str = ""
-    """Why the run came to no end: the box tripped, or the monitor stopped it; empty if it did not."""
+    """Why the run was not completed: the box tripped, or the monitor stopped it; empty if it was."""
 
     @property
     def tripped(self) -> bool:

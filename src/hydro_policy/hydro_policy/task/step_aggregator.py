@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From samples at 1 kHz to policy steps at 100 Hz, by sequence number: the policy runs on the plant's clock.
+"""Aggregation of samples at 1 kHz to policy steps at 100 Hz, by sequence number: the policy runs on the plant's clock.
 
 sequence   ... 19 | 20 21 22 23 24 25 26 27 28 29 | 30 ...
                     ^ step: observe, act            ^ step: reward of that action = mean over samples 21 to 30
@@ -15,19 +15,19 @@ from hydro_bridge.signals import SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArra
 from hydro_policy.task.mdp import LOAD_FORCE, LOAD_FORCE_RATE, REFERENCE, REFERENCE_RATE
 
 HELD = int(Flag.WATCHDOG | Flag.FILTER_STALE)
-"""With one of these the box held base gains: what followed was not the action's doing."""
+"""Flags with which the box held base gains, so that the result is not due to the action."""
 
 VALVE_CURRENT = STATE_FIELDS.index("valve_current")
 
 
 @dataclass(frozen=True)
 class Step:
-    """A policy step: the sample to act upon and what came of the action before it."""
+    """Policy step: the sample to act upon, and the results of the previous action."""
 
     sample: FloatArray  # the step's own sample, order of STATE_FIELDS, shape (14,)
     error: FloatArray  # e [N] of the samples since the last step, this one included, shape (n,)
     error_rate: FloatArray  # e' [N/s], shape (n,)
-    current: FloatArray  # u [A] that the valve got, in a row: where samples are missing, only those after the gap
+    current: FloatArray  # consecutive u [A] received by the valve: if samples are missing, only those after the gap
     whole: bool  # every sample arrived, armed, and the box applied the gains it was given
     held: int  # bits of HELD seen since the last step
 
@@ -35,7 +35,7 @@ class Step:
 class StepClock:
     """Collects samples; every tenth sequence number completes a step.
 
-    If exactly that sample is lost, the next one that arrives is the step: acting goes on, but the step is not `whole`.
+    If that very sample is lost, the next one to arrive is the step: acting continues, but the step is not `whole`.
     """
 
     def __init__(self) -> None:
@@ -50,7 +50,7 @@ class StepClock:
         """Sequence numbers that never arrived."""
 
     def add(self, sequence: int, sample: FloatArray, flags: int) -> Step | None:
-        """Take a sample; returns the step that it completes, if any. One seen before is ignored."""
+        """Add a sample; returns the step that it completes, if any. Repeated samples are ignored."""
         if sequence == self._last:
             return None
         if sequence != self._last + 1:

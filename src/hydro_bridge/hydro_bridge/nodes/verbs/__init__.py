@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verbs of `ros2` for where ROS 2 comes from wheels: `topic`, `node`, `param`, `service`, `bag info` and `launch`.
+"""Verbs of `ros2` for a ROS 2 from wheels: `topic`, `node`, `param`, `service`, `bag info` and `launch`.
 
-What they take and print follows upstream's; what differs is in the manual (ros2_verbs.md). Anything else needs a full
-ROS 2. `setup/ros2.py` calls `command`; where a full ROS 2 is sourced its own `ros2` is, and nothing of this runs.
+Arguments and output follow upstream's; ros2_verbs.md lists the differences. All other verbs need a full ROS 2.
+`setup/ros2.py` calls `command`; where a full ROS 2 is sourced, its own `ros2` is used instead.
 """

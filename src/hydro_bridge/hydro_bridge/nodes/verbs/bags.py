@@ -26,7 +26,7 @@ def _info(options: argparse.Namespace) -> None:
 
 
 def text(summary: RecordingSummary) -> str:
-    """A summary in the lines of upstream's `ros2 bag info`, then what is unusual about the recording."""
+    """Return a summary in the format of upstream's `ros2 bag info`, then the irregularities of the recording."""
     topics = [
         f"Topic: {topic} | Type: {kind} | Count: {count} | Serialization Format: cdr"
         for topic, (kind, count) in sorted(summary.topics.items())

@@ -13,7 +13,7 @@ from hydro_bridge.ros.companion import CompanionError
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser whose complaint is one sentence, and says where what it does not know is to be had."""
+    """Parser whose error is one sentence, which names where to find unsupported commands."""
 
     def error(self, message: str) -> NoReturn:
         """Refuse the command line; raises UserError."""
@@ -21,7 +21,7 @@ class Parser(argparse.ArgumentParser):
 
 
 def parser() -> argparse.ArgumentParser:
-    """The command line."""
+    """Build the parser of the command line."""
     result = Parser(prog="ros2", description=__doc__)
     groups = result.add_subparsers(dest="group", required=True, metavar="GROUP", parser_class=Parser)
     for module in (topics, names, parameters, services, bags):

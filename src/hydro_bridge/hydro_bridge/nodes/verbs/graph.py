@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A visitor in the graph: a hidden node for as long as one verb takes, and the patience to find the others."""
+"""Temporary access to the graph: a hidden node for the duration of one verb, and waiting for discovery."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.ros import start_ros
 
 SPIN_TIME = 1.0
-"""s that a list waits at least; and on, until nothing new has come for `_CALM`."""
+"""s, minimum wait of a list, which continues until nothing new has appeared for `_CALM`."""
 PATIENCE = 10.0
-"""s that what was named is waited for: on a busy machine announcements get lost, and come again each few seconds."""
+"""s, wait for a named item: on a busy machine announcements get lost and are repeated every few seconds."""
 _CALM = 0.5
 _LOOK = 0.05
 
 
 def add_spin_time(parser: argparse.ArgumentParser) -> None:
-    """Add `--spin-time S`, as upstream names it."""
+    """Add `--spin-time S`, upstream's option."""
     parser.add_argument(
         "--spin-time", type=float, default=SPIN_TIME, metavar="S", help=f"s to look around at least ({SPIN_TIME:g})"
     )
 
 
 def add_list_options(parser: argparse.ArgumentParser, things: str) -> None:
-    """Add the options of a list of `things`, as upstream names them."""
+    """Add upstream's options of a list of `things`."""
     parser.add_argument("-t", "--show-types", action="store_true", help="with their types")
     parser.add_argument("-c", f"--count-{things}", dest="count", action="store_true", help="only how many")
     parser.add_argument(
@@ -42,7 +42,7 @@ def add_list_options(parser: argparse.ArgumentParser, things: str) -> None:
 
 
 def print_list(options: argparse.Namespace, found: Iterable[tuple[str, list[str]]]) -> None:
-    """Print names, with their types where asked for; `options` are those of `add_list_options`."""
+    """Print names, with their types if requested; `options` are those of `add_list_options`."""
     shown = sorted((name, kinds) for name, kinds in found if options.include_hidden or not hidden(name))
     if options.count:
         print(len(shown))
@@ -53,7 +53,7 @@ def print_list(options: argparse.Namespace, found: Iterable[tuple[str, list[str]
 
 @contextmanager
 def visiting() -> Iterator[Node]:
-    """A node that offers nothing, and is hidden from lists by its name's `_`."""
+    """Yield a node that offers nothing and is hidden from lists by the leading `_` of its name."""
     start_ros()
     node = Node(f"_ros2cli_{os.getpid()}", start_parameter_services=False, enable_rosout=False)
     try:
@@ -64,7 +64,7 @@ def visiting() -> Iterator[Node]:
 
 
 def settle(node: Node, spin_time: float) -> None:
-    """Wait until the graph stands still: at least `spin_time` s, at most `PATIENCE` more."""
+    """Wait until the graph no longer changes: at least `spin_time` s, at most `PATIENCE` more."""
     begin = time.monotonic()
     seen, changed = -1, begin
     while (now := time.monotonic()) < begin + spin_time or (now < changed + _CALM and now < begin + PATIENCE):
@@ -84,7 +84,7 @@ def wait_for(condition: Callable[[], object], sentence: str, patience: float = P
 
 
 def answer_of(node: Node, answer: Future, who: str) -> object:
-    """What a service answers; raises UserError if it does not within `PATIENCE`."""
+    """Return the answer of a service; raises UserError if there is none within `PATIENCE`."""
     rclpy.spin_until_future_complete(node, answer, timeout_sec=PATIENCE)
     if not answer.done():
         raise UserError(f"{who} gave no answer within {PATIENCE:g} s")
@@ -97,10 +97,10 @@ def full_name(namespace: str, name: str) -> str:
 
 
 def absolute(name: str) -> str:
-    """A name with its first slash."""
+    """Return a name with its leading slash."""
     return name if name.startswith("/") else f"/{name}"
 
 
 def hidden(name: str) -> bool:
-    """Whether one of a name's parts begins with `_`."""
+    """Return whether one of a name's parts begins with `_`."""
     return any(part.startswith("_") for part in name.split("/"))

@@ -29,12 +29,12 @@ def add_verbs(verbs: Any) -> None:
 
 
 def node_names(node: Node) -> list[str]:
-    """Full names of all nodes, sorted."""
+    """Return the full names of all nodes, sorted."""
     return sorted(full_name(namespace, name) for name, namespace in node.get_node_names_and_namespaces())
 
 
 def find_node(node: Node, wanted: str) -> tuple[str, str]:
-    """Name and namespace of a node, once it is there; raises UserError."""
+    """Return name and namespace of a node once it is found; raises UserError."""
     wanted = absolute(wanted)
     wait_for(lambda: wanted in node_names(node), f"there is no node {wanted}")
     namespace, _, name = wanted.rpartition("/")

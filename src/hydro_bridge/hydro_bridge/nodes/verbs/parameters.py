@@ -68,7 +68,7 @@ def _list(options: argparse.Namespace) -> None:
                 print(f"{owner}:")
                 try:
                     names = sorted(_names(node, owner))
-                except UserError as error:  # a node may have none, and no service that says so
+                except UserError as error:  # a node without parameters may have no parameter services
                     names = [f"({error})"]
                 print(*(f"  {name}" for name in names), sep="\n")
 
@@ -94,7 +94,7 @@ def _set(options: argparse.Namespace) -> int:
         wanted = yaml.safe_load(options.value)
     except yaml.YAMLError:
         raise UserError(f"{options.value!r} is no YAML") from None
-    if wanted is None:  # it would take the parameter away
+    if wanted is None:  # that would remove the parameter
         raise UserError(f"{options.value!r} is no value of a parameter")
     with visiting() as node:
         owner = full_name(*reversed(find_node(node, options.node)))

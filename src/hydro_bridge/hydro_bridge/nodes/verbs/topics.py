@@ -31,7 +31,7 @@ from hydro_bridge.ros import spin
 GROUP, HELP = "topic", "topics of the running graph: list, info, type, echo, hz"
 _DEPTH = 1000
 _REPORT = 1.0  # s
-_PUBLISHER = 3.0  # s, for the first one to be found; one that comes later is heard, but not its latched word
+_PUBLISHER = 3.0  # s, for the first publisher to be discovered; a later one is heard, but not its latched message
 
 
 def add_verbs(verbs: Any) -> None:
@@ -96,7 +96,7 @@ def _echo(options: argparse.Namespace) -> None:
             return
         try:
             print(_shown(message, options), flush=True)
-        except Exception as error:  # raised here rclpy would print it, too
+        except Exception as error:  # raised here, rclpy would print it as well
             done.set_exception(error)
             return
         if options.once:
@@ -119,7 +119,7 @@ def _shown(message: Any, options: argparse.Namespace) -> str:
 
 
 def _hz(options: argparse.Namespace) -> None:
-    """Count serialized messages as they come: nothing is decoded."""
+    """Count serialized messages on arrival, without decoding them."""
     if options.window < 2:
         raise UserError(f"--window {options.window}: two messages or more make a rate")
     times: deque[float] = deque(maxlen=options.window)
@@ -136,7 +136,7 @@ def _hz(options: argparse.Namespace) -> None:
             return
         try:
             print(_rate(times) if new else "no new messages", flush=True)
-        except OSError as error:  # `| head` has seen enough; raised here rclpy would print it
+        except OSError as error:  # closed by `| head`; raised here, rclpy would print it
             done.set_exception(error)
         new = 0
 
@@ -162,15 +162,15 @@ def _rate(times: deque[float]) -> str:
 
 
 def _kinds(node: Node, topic: str) -> list[str]:
-    """Types of a topic, once somebody has said them; raises UserError."""
+    """Return the types of a topic once they are announced; raises UserError."""
     wait_for(lambda: topic in dict(node.get_topic_names_and_types()), f"nobody publishes or hears {topic}")
     return list(dict(node.get_topic_names_and_types())[topic])
 
 
 def _heard_as_offered(node: Node, topic: str) -> QoSProfile:
-    """What all publishers of now can serve: reliable, and latched, only if each of them is.
+    """Return the QoS that all present publishers can serve: reliable, or latched, only if each of them is.
 
-    Who hears a topic may be found before who publishes it: a latched word would then be missed for ever.
+    A subscriber may be discovered before the publisher: a latched message would then be missed for good.
     """
     with suppress(UserError):
         wait_for(lambda: node.count_publishers(topic), "", patience=_PUBLISHER)

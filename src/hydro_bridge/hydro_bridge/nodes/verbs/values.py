@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages by the name of their type; messages <-> plain types, as YAML shows them."""
+"""Message classes by type name, and conversion between messages and plain types for YAML."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _LONG = (bytes, bytearray, str)
 
 
 def interface(name: str, kind: str) -> type[Any]:
-    """Class of a type such as `std_srvs/srv/SetBool`; `kind` (msg or srv) may be left out of the name.
+    """Return the class of a type such as `std_srvs/srv/SetBool`; the name may omit `kind` (msg or srv).
 
     Raises
     ------
     UserError
-        There is none of that name here.
+        There is no type of that name.
     """
     package, _, rest = name.partition("/")
     last = rest.removeprefix(f"{kind}/")
@@ -34,7 +34,7 @@ def interface(name: str, kind: str) -> type[Any]:
 
 
 def plain(value: Any) -> Any:
-    """A message, or a value in one, as types that YAML knows."""
+    """Convert a message, or a value in one, to YAML types."""
     if hasattr(value, "get_fields_and_field_types"):
         return {name: plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
     if isinstance(value, Mapping):
@@ -47,18 +47,18 @@ def plain(value: Any) -> Any:
 
 
 def as_yaml(value: Any) -> str:
-    """A message or plain value as YAML, a field a line."""
+    """Return a message or plain value as YAML, one field per line."""
     text = yaml.safe_dump(plain(value), sort_keys=False, allow_unicode=True, width=float("inf"))
     return text.removesuffix("...\n")
 
 
 def as_csv(value: Any) -> str:
-    """A message's values in one line, in the order of its fields."""
+    """Return a message's values in one line, in the order of its fields."""
     return ",".join(str(entry) for entry in _flat(plain(value)))
 
 
 def without(value: Any, *, arrays: bool, strings: bool) -> Any:
-    """`plain` of a message; arrays and strings give way to a word on their length, where asked for."""
+    """Return `plain` of a message; if requested, arrays and strings are replaced by a note on their length."""
     if isinstance(value, dict):
         return {name: without(entry, arrays=arrays, strings=strings) for name, entry in value.items()}
     if isinstance(value, list) and arrays:
@@ -69,7 +69,7 @@ def without(value: Any, *, arrays: bool, strings: bool) -> Any:
 
 
 def part(message: Any, field: str) -> Any:
-    """A field of a message, such as `header.stamp` or `status[0].name`; raises UserError."""
+    """Return a field of a message, such as `header.stamp` or `status[0].name`; raises UserError."""
     value = message
     for name, index in re.findall(r"([^.\[\]]+)|\[(\d+)\]", field):
         try:
@@ -80,7 +80,7 @@ def part(message: Any, field: str) -> Any:
 
 
 def parsed(text: str) -> dict[str, Any]:
-    """A mapping written as YAML, `{}` for nothing; raises UserError."""
+    """Parse a mapping written as YAML, `{}` for none; raises UserError."""
     try:
         values = yaml.safe_load(text) if text.strip() else {}
     except yaml.YAMLError as error:
@@ -91,9 +91,9 @@ def parsed(text: str) -> dict[str, Any]:
 
 
 def fill(message: Any, values: Mapping[str, Any]) -> None:
-    """Set a message's fields; raises UserError for one that it does not have, or that takes another type.
+    """Set a message's fields; raises UserError for an unknown field or a value of the wrong type.
 
-    The message must have been made with `check_fields=True`: else ROS takes any value, and fails when it is sent.
+    The message must be created with `check_fields=True`: otherwise ROS accepts any value, and fails on sending.
     """
     kinds = message.get_fields_and_field_types()
     for name, value in values.items():
@@ -106,7 +106,7 @@ def fill(message: Any, values: Mapping[str, Any]) -> None:
 
 
 def _converted(before: Any, value: Any, kind: str) -> Any:
-    """`value` as the type that a field has; a message, or a list of them, made from mappings."""
+    """Convert `value` to the type of a field; messages, or lists of them, are made from mappings."""
     named = _ELEMENT.fullmatch(kind)
     if isinstance(before, float):
         return float(value)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Selects this process' enclave, that of its executable, however it was started (network.md).
+"""Selection of this process' enclave, which is its executable's, however it was started (network.md).
 
-Security is switched on by ROS's own variables, for a process and for those that it starts. ROS takes exactly `true` for
-on, and runs open without a word where a key is missing, unless the strategy is exactly `Enforce`: here a value that it
-would not understand is refused, and Enforce is what holds if nothing is said.
+ROS's own variables enable security, for a process and its children. ROS reads only `true` as on, and silently runs
+unsecured if a key is missing, unless the strategy is exactly `Enforce`. Here unrecognised values are refused, and
+Enforce is the default.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ _MEANT = {ENABLE: ("true", "false"), STRATEGY: (ENFORCE, "Permissive")}
 
 
 def enclave_arguments() -> list[str]:
-    """What names this process' enclave to ROS, if it runs one of our executables. Behind it the user's own word wins.
+    """Return the arguments that select this process' enclave, if it runs one of our executables; the user's own win.
 
-    They are named with keys and without, so that one way of starting is tried by all that starts.
+    The enclave is named with and without keys, so that both use the same start-up path.
     """
     executable = Path(sys.argv[0]).stem
     return ["--ros-args", "--enclave", enclave_of(executable)] if executable in RIGHTS else []
@@ -42,7 +42,7 @@ def security_enabled() -> bool:
     Raises
     ------
     SettingsError
-        A variable has a value that ROS would take for off.
+        A variable has a value that ROS would read as off.
     """
     for variable, meant in _MEANT.items():
         if (value := os.environ.get(variable, "")) and value not in meant:
@@ -54,12 +54,12 @@ def security_enabled() -> bool:
 
 
 def verify_keys() -> None:
-    """Join the graph and leave it, so that missing or rejected keys fail at the start.
+    """Join and leave the graph, so that missing or rejected keys fail at the start.
 
     Raises
     ------
     SettingsError
-        There are none for this enclave, or the middleware has no security.
+        This enclave has no keys, or the middleware has no security.
     """
     no_services = Parameter("start_type_description_service", value=False)
     try:
@@ -76,7 +76,7 @@ def verify_keys() -> None:
 
 
 def key_error(error: RuntimeError) -> SettingsError:
-    """ROS's error about unusable keys, as one sentence."""
+    """Return ROS's error about unusable keys as one sentence."""
     said = " ".join(re.sub(r",? at /\S+:\d+", "", str(error)).split())
     keystore = os.environ.get(KEYSTORE) or "not set"
     return SettingsError(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A keystore by the package sros2: keys, certificates and signed permissions of every enclave of a policy."""
+"""Keystore made by the package sros2: keys, certificates and signed permissions of every enclave of a policy."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from hydro_bridge.errors import UserError
 from hydro_bridge.files.atomic import flush_folder
 
 POLICY = "policy.xml"
-_ONLY_OWNER = 0o077  # as umask: who can read a key is whom it names
+_ONLY_OWNER = 0o077  # umask: whoever can read a key can act as its owner
 
 
 def make_keystore(folder: Path, policy: bytes, enclaves: Iterable[str]) -> None:
-    """Make `folder` with keys and permissions for the enclaves of `policy`, for its owner only: whole, or not at all.
+    """Create `folder`, private to its owner, with keys and permissions for all enclaves of `policy`, or not at all.
 
-    It holds for the domain of ROS_DOMAIN_ID. The policy is kept beside the keys.
+    It is valid for the domain of ROS_DOMAIN_ID. The policy is stored beside the keys.
 
     Raises
     ------
     UserError
-        The package sros2 is not there, or refuses; or the folder is there.
+        The package sros2 is missing or refuses, or the folder exists.
     """
     try:
         from sros2 import errors, keystore
@@ -37,26 +37,26 @@ def make_keystore(folder: Path, policy: bytes, enclaves: Iterable[str]) -> None:
         ) from None
     if folder.exists():
         raise UserError(f"{folder} is there already: name another folder, its keys will not know those of this one")
-    domain()  # sros2 would write down whatever stands there
+    domain()  # sros2 would copy any value unchecked
     with _growing(folder) as partial, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # sros2's own, about how it uses its libraries
+        warnings.simplefilter("ignore")  # sros2's own, about its library calls
         (partial / POLICY).write_bytes(policy)
         try:
             keystore.create_keystore(partial)
             for enclave in enclaves:
-                keystore.create_enclave(partial, enclave)  # allowed everything, until the policy is signed
+                keystore.create_enclave(partial, enclave)  # permits everything until the policy is signed
                 keystore.create_permission(partial, enclave, partial / POLICY)
         except (errors.SROS2Error, RuntimeError) as error:
             raise UserError(f"sros2 refuses: {error}") from None
 
 
 def domain() -> int:
-    """The domain that keys are made for: ROS_DOMAIN_ID, or 0.
+    """Return the domain that keys are made for: ROS_DOMAIN_ID, or 0.
 
     Raises
     ------
     UserError
-        It is no number that ROS takes.
+        It is not a number that ROS accepts.
     """
     text = os.environ.get("ROS_DOMAIN_ID") or "0"
     if not (text.isascii() and text.isdecimal() and int(text) <= 232):
@@ -66,7 +66,7 @@ def domain() -> int:
 
 @contextmanager
 def _growing(folder: Path) -> Iterator[Path]:
-    """A private folder beside `folder` that becomes it at the end, or is gone."""
+    """Yield a private temporary folder, renamed to `folder` on success and removed on failure."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     before = os.umask(_ONLY_OWNER)
     partial = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=folder.parent))

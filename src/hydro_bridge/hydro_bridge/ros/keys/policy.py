@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The table of rights as an SROS2 policy (version 0.2.0, policy.xsd of package sros2): an enclave per executable."""
+"""Table of rights as an SROS2 policy (version 0.2.0, policy.xsd of package sros2), one enclave per executable."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ VERSION = "0.2.0"
 
 
 def policy_xml(rights: Mapping[str, Mapping[str, Rights]] = RIGHTS) -> bytes:
-    """The policy as XML; what is not named in it is denied."""
+    """Return the policy as XML; anything not named in it is denied."""
     policy = ElementTree.Element("policy", version=VERSION)
     enclaves = ElementTree.SubElement(policy, "enclaves")
     for executable, nodes in rights.items():
@@ -29,7 +29,7 @@ def policy_xml(rights: Mapping[str, Mapping[str, Rights]] = RIGHTS) -> bytes:
 
 
 def _allow(profile: ElementTree.Element, kind: str, what: str, names: Iterable[str]) -> None:
-    """Add one list of expressions; the schema wants none that is empty."""
+    """Add one list of expressions; the schema forbids empty ones."""
     if listed := sorted(set(names)):
         expressions = ElementTree.SubElement(profile, f"{kind}s", {what: "ALLOW"})
         for name in listed:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The topics and services that each executable uses: the one table behind policies and keys.
+"""Topics and services that each executable uses: the single table behind policies and keys.
 
-A graph test holds the running nodes to it, endpoint by endpoint (tests/test_graph_rights.py): whoever adds a topic to a
-node adds it here.
+A graph test compares the running nodes with it, endpoint by endpoint (tests/test_graph_rights.py): a topic added to a
+node is added here as well.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ PARAMETER_SERVICES = (
     "set_parameters",
     "set_parameters_atomically",
 )
-"""Of each node, behind its name. They answer; nobody has the right to ask, for our parameters are read-only."""
+"""Parameter services of each node, below its name. No node may call them, since our parameters are read-only."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,18 +50,18 @@ class Rights:
     publishes: tuple[str, ...] = ()
     subscribes: tuple[str, ...] = ()
     answers: tuple[str, ...] = ()
-    """Services that it offers."""
+    """Services it offers."""
     calls: tuple[str, ...] = ()
-    """Services that it asks."""
+    """Services it calls."""
 
 
 def enclave_of(executable: str) -> str:
-    """Name of an executable's enclave."""
+    """Return the name of an executable's enclave."""
     return f"/hydro/{executable}"
 
 
 def node(name: str, rights: Rights) -> Rights:
-    """The rights, extended by those that rclpy needs for every ordinary node of that name."""
+    """Return the rights extended by those that rclpy needs for any ordinary node of that name."""
     return Rights(
         publishes=(*rights.publishes, LOG, PARAMETER_EVENTS),
         subscribes=rights.subscribes,
@@ -71,7 +71,7 @@ def node(name: str, rights: Rights) -> Rights:
 
 
 _ARMING = (ARM_SERVICE, CLAIM_SERVICE)
-"""What a plant answers. Our own programs ask by the second, with their names; the first is everybody's."""
+"""Services of a plant. Our own programs call the second, under their names; the first is open to all."""
 _PLANT = Rights(publishes=(STATE, BOX, AUTHORITY, DIAGNOSTICS), subscribes=COMMANDS, answers=_ARMING)
 
 RIGHTS: Mapping[str, Mapping[str, Rights]] = {
@@ -137,4 +137,4 @@ RIGHTS: Mapping[str, Mapping[str, Rights]] = {
     "override": {"override": node("override", Rights(calls=(OVERRIDE_SERVICE,)))},
     "watch": {"_ros2cli_*": node("_ros2cli_*", Rights(subscribes=(*GRAPH, CLOCK)))},
 }
-"""By executable, and by its nodes. `watch` is no executable of ours but a person's `ros2 topic echo`: it only reads."""
+"""Rights by executable and node. `watch` is not one of our executables but a user's read-only `ros2 topic echo`."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The command line of an evaluation as controllers, settings, and the range of gains that the guard must allow."""
+"""Conversion of an evaluation's command line to controllers, settings and the gain range that the guard must allow."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def make_controllers(options: argparse.Namespace, box: BoxIdentity) -> list[Cont
     Raises
     ------
     ValueError
-        One cannot be used.
+        A controller cannot be used.
     PairingError
         A policy was made for another box.
     """

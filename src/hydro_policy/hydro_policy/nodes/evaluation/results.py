@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files and page of an evaluation, also of one at the end of a training."""
+"""Files and page of an evaluation, including that at the end of a training."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def new_evaluation(parent: Path, name: str | None) -> Iterator[RunDirectory]:
     Raises
     ------
     FileExistsError
-        There is something of that name.
+        The name is taken.
     OSError
-        It cannot be made.
+        The folder cannot be created.
     """
     run = RunDirectory(parent / (name or f"evaluate-{datetime.now():%Y%m%d-%H%M%S}"))
     first = not parent.exists()
@@ -56,7 +56,7 @@ def remove_rejected_evaluation(run: RunDirectory, node: GraphNode) -> Iterator[N
     try:
         yield
     except CompanionError:
-        lost = node.companions.lost and not node.refused  # by itself: what was recorded of that is worth keeping
+        lost = node.companions.lost and not node.refused  # ended by itself: its recording is worth keeping
         if not lost and node.timing.response.count == 0:  # no gains have ever gone out
             shutil.rmtree(run.path, ignore_errors=True)
         raise
@@ -65,7 +65,7 @@ def remove_rejected_evaluation(run: RunDirectory, node: GraphNode) -> Iterator[N
 def conditions(options: argparse.Namespace, **more: Any) -> dict[str, Any]:
     """Conditions of the measurement: plant, filter and bench as given on the command line, and the code version."""
     told: dict[str, Any] = {"plant": options.plant}
-    if options.plant != "external":  # else they are as they run
+    if options.plant != "external":  # else those of the running graph
         told |= {"filter": options.filter or "the default one", "bench": str(options.bench or "the nominal one")}
     if options.plant == "emulator":
         told |= {"truth": str(options.truth or "the default one"), "faults of the line": options.faults or "none"}
@@ -78,7 +78,7 @@ def show_results(
     results: EvaluationSession, run: RunDirectory, notes: Mapping[str, Any], *,
     json: Path | None = None, plot: Path | None = None,
 ) -> None:  # fmt: skip
-    """Table on standard output; figures and plot into the run's folder, and to `json` and `plot`."""
+    """Print the table; write figures and plot into the run's folder, and to `json` and `plot`."""
     if not results.scores:
         return
     under = ", ".join(f"{name} {value}" for name, value in notes.items())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An evaluation on a live plant: start it, search fixed gains if asked for, run all controllers, show the results."""
+"""Evaluation on a live plant: start it, search fixed gains if requested, run all controllers, show the results."""
 
 from __future__ import annotations
 
@@ -45,15 +45,15 @@ from hydro_sim.files.pairing import BoxIdentity
 
 
 def evaluate(options: argparse.Namespace) -> int:
-    """Run the evaluation that the command line asks for; the exit status."""
-    make_controllers(options, expected_box(options))  # what cannot be used is refused before anything is made
+    """Run the evaluation of the command line; returns the exit status."""
+    make_controllers(options, expected_box(options))  # invalid input is refused before anything is created
     evaluation_settings(options)
     with new_evaluation(Path(options.runs), options.name) as run:
         return evaluate_in(run, options)
 
 
 def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
-    """Run the evaluation with its results in `run`; the exit status."""
+    """Run the evaluation with its results in `run`; returns the exit status."""
     box = expected_box(options)
     settings = evaluation_settings(options)
     grid = GridSettings(kp_max=options.kp_max) if options.grid else None
@@ -96,7 +96,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace) -> int:
         results = evaluate_on(
             node, controllers, rearm=may_rearm(options), settings=settings, after=before.watch if before else None
         )
-        if results.finished:  # one that was stopped hands nothing over
+        if results.finished:  # a stopped session hands nothing over
             node.successor = options.hand_over or ""
     notes = conditions(options, box=box.told, integral=box.integral or "not told")
     if options.plant in ("sim", "emulator"):
@@ -130,7 +130,7 @@ def start_plant(
 
 
 def search_on(node: GraphNode, grid: GridSettings, settings: EvaluationSettings, *, rearm: bool) -> GridSession:
-    """Search the best fixed gains on the plant by short runs; not `finished` if a signal came."""
+    """Search the best fixed gains on the plant by short runs; not `finished` after a signal."""
     short = replace(settings, settle=1.0, measure=2.0, periods=1, repeats=1)
     session = GridSession(grid, short, node, rearm=rearm, override=node.override, requirements=node.requirements)
     told = 0
@@ -159,7 +159,7 @@ def evaluate_on(
 ) -> EvaluationSession:
     """Run an evaluation on a running node; after a signal the results so far are returned.
 
-    `after` is the watch of the session before, if there was one.
+    `after` is the watch of the previous session, if there was one.
     """
     session = EvaluationSession(
         settings or EvaluationSettings(),

@@ -20,17 +20,17 @@ class RepeatFilter:
     Parameters
     ----------
     most
-        Of one sentence within `period`.
+        Maximum number of repeats of a sentence within `period`.
     period
         s.
     """
 
     def __init__(self, most: int, period: float = 10.0) -> None:
         self._most, self._period = most, period
-        self._said: dict[str, tuple[float, int]] = {}  # since when, and how often
+        self._said: dict[str, tuple[float, int]] = {}  # start of the period, and count
 
     def passed(self, sentence: str, now: float | None = None) -> str:
-        """The sentence, with how many like it were left out before; empty if it is one too many."""
+        """Return the sentence with the number of similar ones omitted before; empty if it is omitted itself."""
         now, kind = time.monotonic() if now is None else now, re.sub(r"[\d.]+", "", sentence)
         since, count = self._said.get(kind, (-math.inf, 0))
         if now - since > self._period:
@@ -46,13 +46,13 @@ class Announcer:
 
     def __init__(self) -> None:
         self.log: IO[str] | None = None
-        """Where sentences go besides the terminal."""
+        """Destination of sentences besides the terminal."""
         self.journal: Callable[[str, bool], None] = lambda sentence, warning: None
-        """Takes them for recordings."""
+        """Publisher of sentences for recordings."""
         self._flood = RepeatFilter(8)
 
     def say(self, sentence: str, warning: bool = False) -> None:
-        """Say it, with an exclamation mark if it is a warning."""
+        """Print a sentence, with an exclamation mark if it is a warning."""
         told = self._flood.passed(f"! {sentence}" if warning else sentence)
         if not told:
             return
@@ -62,7 +62,7 @@ class Announcer:
             self.keep(f"{time.strftime('%H:%M:%S')} {told}\n")
 
     def keep(self, line: str) -> None:
-        """Write a line into the log; a disk that refuses ends the log, and nothing else."""
+        """Write a line into the log; a write error ends the log only."""
         if self.log is None or self.log.closed:
             return
         log = self.log
@@ -70,13 +70,13 @@ class Announcer:
             log.write(line)
         except OSError as error:
             self.log = None
-            with suppress(OSError):  # it would try once more
+            with suppress(OSError):  # closing would write again
                 log.close()
             print_above_progress(f"! the log ends here: {error.strerror}")
 
 
 def print_above_progress(line: str) -> None:
-    """Print a line above the progress bar, if the terminal is still there."""
+    """Print a line above the progress bar, if the terminal still exists."""
     with suppress(OSError, ValueError):
         tqdm.write(line, file=sys.stderr)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Waiting for authority over a plant that another node commands, or that does not answer."""
+"""Wait for the authority over a plant that another node commands, or that does not answer."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from hydro_bridge.ros import STATE, Commander, publisher_conflicts
 from hydro_bridge.safety.readiness import NotReadyError
 
 ALONE_WITHIN = 600.0
-"""s that a newcomer waits for who commands the plant."""
+"""s that a new node waits for the present holder of the plant."""
 ANSWER_WITHIN = 30.0
-"""s, of the plant."""
+"""s, wait for the plant's answer."""
 UNANSWERED = "the plant does not say who may command it (/hydro/claim)"
 
 
@@ -24,9 +24,9 @@ class AuthorityWait:
     Parameters
     ----------
     node
-        Who waits.
+        Waiting node.
     commander
-        Asks the plant for the authority, and knows its answer.
+        Requests the authority from the plant, and holds its answer.
     warn
         Called with each reason.
     """
@@ -34,19 +34,19 @@ class AuthorityWait:
     def __init__(self, node: Node, commander: Commander, warn: Callable[[str], None]) -> None:
         self._node, self._commander, self._warn = node, commander, warn
         self._since = math.inf
-        self._two_plants, self._crowd, self._refusal = False, "", ""  # seen since the last look; what was told of it
+        self._two_plants, self._crowd, self._refusal = False, "", ""  # seen since the last check; already reported
 
     def note_two_plants(self) -> None:
-        """Samples of two plants came, of which none is believed."""
+        """Record that samples of two plants arrived, which are both ignored."""
         self._two_plants = True
 
     def look(self, now: float, sampled: bool) -> None:
-        """See who commands the plant; `sampled`: whether a sample has ever come. For every tick.
+        """Check who commands the plant, at every tick; `sampled`: whether any sample has arrived.
 
         Raises
         ------
         NotReadyError
-            It was waited for too long.
+            The wait exceeded its time-out.
         """
         crowd = publisher_conflicts(self._node, STATE) if self._two_plants else ""
         if crowd and not self._crowd:

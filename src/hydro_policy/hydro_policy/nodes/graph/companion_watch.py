@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Companion processes that end by themselves, and what that means for the session."""
+"""Detection of companion processes that end by themselves, and the consequences for the session."""
 
 from __future__ import annotations
 
@@ -7,21 +7,21 @@ import signal
 
 from hydro_bridge.ros import Companion
 
-_REFUSED = 2  # the exit status of all our commands for what they cannot use
+_REFUSED = 2  # exit status of all our commands for invalid input
 
 
 class CompanionWatch:
-    """Notices a companion that ended by itself, once."""
+    """Reports a companion that ended by itself, once."""
 
     def __init__(self, companions: list[Companion]) -> None:
         self._running = list(companions)
         self.refused = ""
-        """What a companion said that cannot use its input: it will not come back, and there is nothing to wait for."""
+        """Message of a companion that rejected its input: it will not return, so that waiting is pointless."""
         self.lost = ""
-        """Which companion ended that nothing can go on without, and what that means."""
+        """Message about an essential companion that ended, and its consequence."""
 
     def ended(self) -> list[str]:
-        """Sentences about those that ended since the last call."""
+        """Return sentences about those that ended since the last call."""
         gone = [companion for companion in self._running if not companion.running]
         self._running = [companion for companion in self._running if companion not in gone]
         for companion in gone:

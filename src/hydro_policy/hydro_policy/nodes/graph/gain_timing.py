@@ -16,9 +16,9 @@ class GainTiming:
         self.response = Latency()
         """From the sample's arrival in this process to the gains' publication."""
         self.age = Latency()
-        """From the sample's stamp to the gains' stamp: the whole way."""
+        """From the sample's stamp to the gains' stamp: total latency."""
         self.jitter = Latency()
-        """|interval between gains - 10 ms|; a pause of five intervals or more is none."""
+        """|interval between gains - 10 ms|; pauses of five intervals or more are excluded."""
         self._published = 0.0
 
     def add(self, arrived: float, published: float, age: float) -> None:

@@ -52,22 +52,22 @@ from hydro_policy.supervision.override import GainOverride
 
 TICK = 0.05  # s
 PRIORITY = 10
-"""Of SCHED_FIFO: below bridge and filter, which have a millisecond where gains have ten."""
-DISARM_TIMEOUT = 2.0  # s, for the last word to the plant
+"""Priority under SCHED_FIFO: below bridge and filter, whose deadline is 1 ms while that of gains is 10 ms."""
+DISARM_TIMEOUT = 2.0  # s, for the last request to the plant
 
 
 class GraphNode(Node):
     """Moves messages between the graph and one session at a time; implements `supervision.outputs.Outputs`.
 
-    It commands the plant only while it has the authority over it: a newcomer waits, and sends nothing, as long as the
-    plant says that somebody else has it. States of two plants are not believed.
+    It commands the plant only while it has the authority: a new node waits, and sends nothing, as long as the plant
+    reports another holder. States of two plants are ignored.
 
     Parameters
     ----------
     name
-        Of the node.
+        Name of the node.
     realtime
-        Ask for SCHED_FIFO while a session is driven; what it starts then (a learner anew) stays ordinary.
+        Request SCHED_FIFO while a session runs; processes started then (a restarted learner) stay ordinary.
     """
 
     def __init__(self, name: str, *, realtime: bool = True) -> None:
@@ -77,21 +77,21 @@ class GraphNode(Node):
         self._realtime = realtime
         self.companions = CompanionWatch([])
         self.requirements: list[Requirement] = []
-        """What must be there before a session of this node arms, besides what every session needs."""
+        """Requirements of this node's sessions before arming, besides those of every session."""
         self.timing = GainTiming()
         self.override = GainOverride(say=self.warn)
         self.box: KnownBox | None = None
-        """What the plant says of its box, once it was met."""
+        """Description of the plant's box, once received."""
         self.successor = ""
-        """Name of the node that is handed the plant in the end; empty: whoever asks first."""
+        """Name of the node that receives the plant at the end; empty: the first to ask."""
         self.box_fault: Callable[[KnownBox], str] = lambda box: ""
-        """Why a box is not the one that this run is for, in a sentence, or nothing; asked whenever a box is told of."""
+        """Returns why a box is not the one of this run, or nothing; called at each description of a box."""
         self._wrong_box, self._sampled = "", math.inf
-        self._meeting: Readiness | None = None  # while a plant is waited for that says what its box is
+        self._meeting: Readiness | None = None  # while waiting for a plant to describe its box
         self._session: Session | None = None
-        self._failure: Exception | None = None  # in a callback; raised there rclpy would print it, too
+        self._failure: Exception | None = None  # in a callback; raised there, rclpy would print it as well
         self._each_tick: Callable[[], None] = lambda: None
-        self._unarmed_since = math.inf  # since when the plant refuses to be armed, s
+        self._unarmed_since = math.inf  # start of the plant's refusal to be armed, s
         self._done = Future()
         self._gains_out = 0.0
         self._gains = Gains()
@@ -105,23 +105,23 @@ class GraphNode(Node):
         self.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def watch_companions(self, companions: list[Companion], recording: Path | None) -> None:
-        """Watch these companions; arming requires that the one that writes `recording` receives samples."""
+        """Watch these companions; arming requires that the recorder of `recording` receives samples."""
         self.companions = CompanionWatch(companions)
         for companion in companions:
             if recording is not None and companion.name == "recorder":
                 self.requirements.append(RecorderWatch(self, recording, companion).requirement)
 
     def wait_for_plant(self) -> bool:
-        """Wait for a plant that describes its box, and check that it is the expected one; False if a signal came.
+        """Wait for a plant that describes its box, and check that it is the expected one; False after a signal.
 
         Nothing is published and nothing is armed meanwhile.
 
         Raises
         ------
         CompanionError
-            It is not the right one, or a companion cannot use what it was given, or has ended.
+            The box is not the expected one, or a companion rejected its input or has ended.
         NotReadyError
-            No plant came within its time, or nobody says what it is.
+            No plant appeared in time, or its box was not described.
         """
         needed = (
             requirements.plant(lambda: self._sampled < math.inf),
@@ -138,14 +138,14 @@ class GraphNode(Node):
         return not broken
 
     def run_session(self, session: Session, each_tick: Callable[[], None]) -> bool:
-        """Run `session` until it is finished (True) or a signal comes (False); `each_tick` is called every 50 ms.
+        """Run `session` until it is finished (True) or a signal arrives (False); `each_tick` is called every 50 ms.
 
         Raises
         ------
         CompanionError
-            A companion cannot use what it was given, or has ended that nothing goes on without, or the box is another.
+            A companion rejected its input, an essential companion has ended, or the box is another one.
         NotReadyError
-            Something without which nothing may be armed did not come within its time.
+            A requirement for arming was not met in time.
         """
         self._refuse()
         self._session, self._each_tick, self._done = session, each_tick, Future()
@@ -184,7 +184,7 @@ class GraphNode(Node):
         self.create_subscription(Correction, CORRECTION, self._on_correction, CORRECTION_QOS)
 
     def tell_steps(self) -> None:
-        """From now on /hydro/policy says what the policy makes of each step."""
+        """Publish the policy's result of each step on /hydro/policy from now on."""
         self._steps = PolicySteps(self)
 
     def listen_for_enter(self) -> None:
@@ -222,11 +222,11 @@ class GraphNode(Node):
 
     @property
     def refused(self) -> str:
-        """Why this run cannot be on this plant: a companion cannot use what it was given, or the box is another one."""
+        """Return why this run cannot use this plant: a companion rejected its input, or the box is another one."""
         return self.companions.refused or self._wrong_box
 
     def _refuse(self) -> None:
-        """Raise what a session failed of, or what it cannot go on with."""
+        """Raise the error that ended a session, or that prevents it from continuing."""
         failure, self._failure = self._failure, None
         if failure is not None:
             raise failure
@@ -321,6 +321,6 @@ class GraphNode(Node):
             self.warn(f"the plant did not confirm that it is disarmed: {response.message}")
 
     def _read_keys(self) -> None:
-        with suppress(OSError, ValueError):  # the terminal has gone
+        with suppress(OSError, ValueError):  # the terminal was closed
             for line in sys.stdin:
                 self._keys.put(line)

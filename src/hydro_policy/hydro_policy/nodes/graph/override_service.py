@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The service /hydro/override: a person sets the gains while this node commands the plant."""
+"""Service /hydro/override, by which a person sets the gains while this node commands the plant."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ class OverrideService:
     Parameters
     ----------
     node
-        Whose service it is.
+        Node that offers the service.
     override
-        Gives what a request changes.
+        Override that a request changes.
     warn
         Called with a sentence when a request is refused.
     fail
-        Called with the error where the run's record cannot be written: nothing goes on then.
+        Called with the error if the run's record cannot be written, which ends the run.
     told
-        Called with what was asked and what was answered.
+        Called with the request and the answer.
     """
 
     def __init__(
@@ -44,12 +44,12 @@ class OverrideService:
         self._warn, self._fail, self._told = warn, fail, told
 
     def open(self) -> None:
-        """Offer the service, if it is not offered yet."""
+        """Offer the service unless it is already offered."""
         if self._service is None:
             self._service = self._node.create_service(OverrideGains, OVERRIDE_SERVICE, self._on_request)
 
     def close(self) -> None:
-        """Take it away: who commands the plant now may offer it."""
+        """Withdraw it, so that the plant's new holder may offer it."""
         if self._service is not None:
             self._node.destroy_service(self._service)
         self._service = None
@@ -69,7 +69,7 @@ class OverrideService:
         return answer
 
     def _carry_out(self, request: OverrideGains.Request) -> str:
-        """What was done, in a sentence; raises ValueError, OSError."""
+        """Execute a request and return a sentence about it; raises ValueError, OSError."""
         own = self._node.get_name()
         if request.whom not in ("", own):
             raise ValueError(f"{own} chooses the gains here, not {request.whom}")

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""/hydro/policy: what a policy that learns makes of each step, for recordings and people; no plant hears it."""
+"""Topic /hydro/policy: a learning policy's result of each step, for recordings and people; no plant subscribes."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from hydro_msgs.msg import PolicyStep
 
 
 class PolicySteps:
-    """Publishes `PolicyStep`, one message object for all: it comes a hundred times a second.
+    """Publishes `PolicyStep` a hundred times a second, with one reused message object.
 
     Parameters
     ----------
     node
-        Whose steps they are.
+        Node that acts.
     """
 
     def __init__(self, node: Node) -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Progress on the terminal, and the same on topics: TrainingStatus at 2 Hz, /diagnostics at 1 Hz."""
+"""Progress on the terminal and on topics: TrainingStatus at 2 Hz, /diagnostics at 1 Hz."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _REDRAW = 4  # ticks of 50 ms
 
 
 class TrainingProgress:
-    """Bar, topic and diagnostics of one training session."""
+    """Progress bar, topic and diagnostics of one training session."""
 
     def __init__(self, node: GraphNode, session: TrainingSession, learner: LearnerSupervisor) -> None:
         self._node, self._session, self._learner = node, session, learner
@@ -40,7 +40,7 @@ class TrainingProgress:
         self._diagnostics = DiagnosticsPublisher(node, self._status)
 
     def tick(self) -> None:
-        """Redraw now and then, and give each finished episode a line."""
+        """Redraw at intervals, and print a line for each finished episode."""
         progress = self._session.progress
         while self._told < progress.episode:
             self._node.say(_episode_line(progress.history[self._told], self._session.settings.episodes))
@@ -126,7 +126,7 @@ class TrainingProgress:
 
 
 class EvaluationProgress:
-    """Bar of one evaluation."""
+    """Progress bar of one evaluation."""
 
     def __init__(self, session: EvaluationSession) -> None:
         self._session = session
@@ -151,7 +151,7 @@ class EvaluationProgress:
 
 
 def _exam_line(result: dict[str, Any], session: TrainingSession) -> str:
-    """What an examination said: RMSE at each sine, and what that is worth beside the fixed gains."""
+    """Return an examination's result: RMSE at each sine, and relative to the fixed gains."""
     settings = session.settings.exam
     rmse = " ".join(f"{value:.1f}" for value in result["rmse"])
     fixed = f"({settings.reference_kp:g}, {settings.reference_ki:g})"
@@ -164,7 +164,7 @@ def _exam_line(result: dict[str, Any], session: TrainingSession) -> str:
 
 
 def _of(result: dict[str, Any]) -> str:
-    """Which weights an examination was of; runs of former versions did not say it."""
+    """Return the digest of the examined weights, if the run's record has it."""
     return f", policy {result['policy']}" if result.get("policy") else ""
 
 

@@ -25,14 +25,14 @@ PRETRAIN = "make one with `ros2 run hydro_policy pretrain` and its --box and --b
 
 
 def expected_box(options: argparse.Namespace) -> BoxIdentity:
-    """The expected box: by --bench and --base-gains, or the nominal ones; unknown for a plant that already runs.
+    """Return the expected box: by --bench and --base-gains, or the nominal one; unknown for a plant that already runs.
 
     Raises
     ------
     ValueError
         The bench file cannot be used.
     UserError
-        A plant that runs is told what its box is, or the model is no file.
+        The box of a running plant is specified, or the model is not a file.
     """
     plant_options(options)
     if options.model is not None and not options.model.is_file():
@@ -44,7 +44,7 @@ def expected_box(options: argparse.Namespace) -> BoxIdentity:
 
 
 def box_mismatch(plan: BoxIdentity, box: KnownBox) -> str:
-    """Why the box is not the expected one, with the options that would fit it; empty if it is."""
+    """Return why the box is not the expected one, with the options that would fit it; empty if it is."""
     if plan.digest and box.bench_digest and plan.digest != box.bench_digest:
         told = f"the box believes {BoxIdentity.of_box(box).told}, this run was planned for bench {plan.told}"
         return f"{told}: name the bench.yaml of this box by --bench"
@@ -78,7 +78,7 @@ def require_same_box(run: Path, made: MadeFor | None, box: BoxIdentity) -> None:
 
 
 def training_stamp(box: BoxIdentity) -> MadeFor:
-    """The stamp of a policy or run trained on this box."""
+    """Return the stamp of a policy or run trained on this box."""
     kp, ki = box.base_gains or (None, None)
     return MadeFor(box=box.digest, base_kp=kp, base_ki=ki, integral=box.integral)
 

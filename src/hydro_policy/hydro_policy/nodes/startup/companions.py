@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Companion processes: the nodes that a trainer or an evaluation starts itself, without `ros2 launch`.
+"""Companion processes: the nodes that a trainer or an evaluation starts, without `ros2 launch`.
 
 --plant sim         sim, filter, recorder
 --plant emulator    emulator, bridge, filter, recorder
@@ -60,12 +60,12 @@ def start_companions(
 ) -> list[Companion]:
     """Start the companions in order; `stack` stops them in reverse, so that the recorder sees everything.
 
-    `keep` takes each line that they say.
+    `keep` takes each line of their output.
 
     Raises
     ------
     CompanionError
-        One cannot be started: the packages are not built or sourced.
+        A companion cannot be started: the packages are not built or sourced.
     """
     output = CompanionOutput(keep)
     return [
@@ -75,7 +75,7 @@ def start_companions(
 
 
 def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tuple[str, str, list[str]]]:
-    """(package, executable, arguments) of each companion, in the order of starting."""
+    """Return (package, executable, arguments) of each companion, in starting order."""
     if options.plant == "external":
         return []
     bench = ["--bench", str(options.bench)] if options.bench else []
@@ -103,7 +103,7 @@ def commands(options: PlantOptions, gains: GainRange, folder: Path) -> list[tupl
 
 
 def _with_base_gains(parameters: list[str], base_gains: Sequence[float] | None) -> list[str]:
-    """ROS parameters of a simulation, with its box's base gains where they are given."""
+    """Return the ROS parameters of a simulation, with its box's base gains if given."""
     if base_gains is None:
         return parameters
     kp, ki = base_gains

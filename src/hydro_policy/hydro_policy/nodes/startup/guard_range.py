@@ -16,12 +16,12 @@ if TYPE_CHECKING:  # the filter's compiled code is not for --help or a slip
 
 
 def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[FilterChoice, Settings]:
-    """The filter that its command-line arguments ask for on this bench; invalid arguments end the program.
+    """Return the filter selected by its command-line arguments on this bench; invalid arguments end the program.
 
     Raises
     ------
     PairingError
-        Its metric and model are not this bench's: nothing is started, and no guard is opened on its word.
+        Its metric and model are not this bench's: nothing is started, and no guard is widened for it.
     """
     from hydro_filter.nodes.options import arguments
 
@@ -30,7 +30,7 @@ def requested_filter(words: Sequence[str], bench: Path | None = None) -> tuple[F
 
 
 def guard_range(gains: GainRange) -> GainRange:
-    """Gain changes that the plant's guard allows: its defaults, widened to the policy's range where that is wider."""
+    """Return the gain changes allowed by the plant's guard: its defaults, widened to the policy's range if larger."""
     default = GuardSettings()
     return GainRange(
         delta_kp_min=min(gains.delta_kp_min, default.delta_kp_min),
@@ -41,9 +41,9 @@ def guard_range(gains: GainRange) -> GainRange:
 
 
 def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
-    """ROS parameters that widen the plant's guard to the policy's range, where its defaults are narrower.
+    """Return the ROS parameters that widen the plant's guard to the policy's range, where its defaults are narrower.
 
-    The guard is told which filter the wider range relies on, and tells it: nothing opens it in silence.
+    The guard is given the filter on which the wider range relies, and reports it: it is never widened silently.
     """
     default, wanted = GuardSettings(), asdict(guard_range(gains))
     changed = {name: value for name, value in wanted.items() if value != getattr(default, name)}
@@ -52,7 +52,7 @@ def guard_parameters(gains: GainRange, relies_on: str) -> list[str]:
 
 
 def filter_command(words: Sequence[str]) -> str:
-    """The filter's command line with its metric named explicitly."""
+    """Return the filter's command line with its metric named explicitly."""
     from hydro_filter.controller.factory import DEFAULT
 
     named = any(word.split("=")[0] == "--metric" for word in words)
@@ -60,7 +60,7 @@ def filter_command(words: Sequence[str]) -> str:
 
 
 def protection_gap(gains: GainRange, words: Sequence[str], bench: Path | None = None) -> str:
-    """Why this filter does not protect against the whole range of gains; empty if it does (safety.md)."""
+    """Return why this filter does not protect against the whole range of gains; empty if it does (safety.md)."""
     choice, settings = requested_filter(words, bench)
     if guard_range(gains).delta_kp_max <= GuardSettings().delta_kp_max:
         return ""

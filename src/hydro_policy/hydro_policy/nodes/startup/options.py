@@ -19,7 +19,7 @@ from hydro_policy.nodes.startup.companions import PLANTS, PlantOptions
 from hydro_policy.runs.run import TrainingSettings
 
 SCRATCH = "scratch"
-"""What `--from` takes beside a run's folder: no agent."""
+"""Value of `--from` for no agent, besides a run's folder."""
 
 _PLANT_WORDS = ("plant", "port", "truth", "faults", "bench", "model", "base_gains", "filter", "rearm")
 _NEEDS = {
@@ -82,13 +82,13 @@ def add_plant_options(parser: argparse.ArgumentParser) -> None:
 
 
 def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
-    """The plant options as stored in YAML, with absolute paths."""
+    """Return the plant options as stored in YAML, with absolute paths."""
     words = {name: getattr(options, name) for name in _PLANT_WORDS}
     return {name: _absolute(value) for name, value in words.items() if value}
 
 
 def restore_plant_options(result: argparse.ArgumentParser, plant: dict[str, Any], said: Mapping[str, Any]) -> None:
-    """Make a run's original plant options, `plant`, the defaults, unless another plant is asked for."""
+    """Make a run's original plant options, `plant`, the defaults, unless another plant is requested."""
     if said.get("plant", plant.get("plant")) != plant.get("plant"):
         return
     words = {name: value for name, value in plant.items() if name in _PLANT_WORDS}
@@ -102,17 +102,17 @@ def _absolute(value: str | Path | list[float]) -> str | list[float]:
 
 
 def may_rearm(options: argparse.Namespace) -> bool:
-    """Whether the session may arm the plant without a person."""
+    """Return whether the session may arm the plant without a person."""
     return bool((options.rearm or ("auto" if options.plant in ("sim", "emulator") else "ask")) == "auto")
 
 
 def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
-    """Plant options from the command line; `more` are further fields.
+    """Return the plant options from the command line; `more` are further fields.
 
     Raises
     ------
     UserError
-        A word that this plant has no use for: better refused than ignored.
+        An option that does not apply to this plant: refused rather than ignored.
     """
     for name, plants in _NEEDS.items():
         if getattr(options, name) and options.plant not in plants:
@@ -124,7 +124,7 @@ def plant_options(options: argparse.Namespace, **more: Any) -> PlantOptions:
 
 
 def declare_settings(node: Node, settings: TrainingSettings) -> TrainingSettings:
-    """All settings of a run as ROS parameters: episodes, sac.discount, task.gains.delta_kp_max ..."""
+    """Declare all settings of a run as ROS parameters: episodes, sac.discount, task.gains.delta_kp_max ..."""
     gains = declare_parameters(node, settings.task.gains, "task.gains.")
     task = replace(declare_parameters(node, settings.task, "task."), gains=gains)
     sac = declare_parameters(node, settings.sac, "sac.")

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant when none is named: the one that runs or, after asking, the simulation.
+"""Choice of the plant if none is named: the running one or, after asking, the simulation.
 
-Without a terminal nobody can be asked: then it ends in one sentence, rather than wait for a plant for ever.
+Without a terminal nobody can be asked; the program then ends with one sentence instead of waiting forever.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from hydro_bridge.errors import UserError
 from hydro_bridge.ros import STATE
 
 LOOK = 5.0
-"""s for which a running plant is looked for before a person is asked; discovery takes half a second."""
+"""s of search for a running plant before a person is asked; discovery takes half a second."""
 
 WAIT = 20.0
-"""s without a terminal: what is started beside this command by a script takes its time."""
+"""s of search without a terminal: a plant started by the same script takes time."""
 
 NONE = "no plant runs: nobody publishes /hydro/state"
 
@@ -32,12 +32,12 @@ def choose_plant(node: Node, ask: Callable[[str], str] | None = None) -> str:
     node
         Looks for the publisher of /hydro/state.
     ask
-        Takes the question, gives the answer; by default `input` on a terminal, and nobody without one.
+        Takes the question and returns the answer; by default `input` on a terminal, and nothing without one.
 
     Raises
     ------
     UserError
-        None runs, and nobody wants the simulation.
+        No plant runs, and the simulation is not wanted.
     """
     if ask is None and sys.stdin is not None and sys.stdin.isatty():
         ask = input

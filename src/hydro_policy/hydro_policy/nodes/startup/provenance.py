@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Provenance of a recording: the bench file, and digests of all weights that took part."""
+"""Provenance of a recording: the bench file, and digests of all weights involved."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ if TYPE_CHECKING:
 
 
 def bench_file(given: Path | None) -> Path:
-    """Path of the bench.yaml in use: the one given, or the nominal one of hydro_sim."""
+    """Return the path of the bench.yaml in use: the one given, or the nominal one of hydro_sim."""
     return given or Path(str(resources.files("hydro_sim") / "data" / "bench.yaml"))
 
 
 def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Path | None = None) -> list[str]:
-    """key=value words: SHA-256 of the simulation's model and of each policy that the recording may show.
+    """Return key=value words: SHA-256 of the simulation's model and of each policy that the recording may contain.
 
-    The sim node runs the model that it is given, else the analytic model of a bench file, else the weights that come
-    with it.
+    The sim node runs the given model, else the analytic model of a bench file, else the weights shipped with it.
     """
     words = [f"policy_sha256_{path.stem}={_digest(path)}" for path in policies if path.is_file()]
     if plant == "sim":
@@ -35,19 +34,19 @@ def weights(plant: str, bench: Path | None, policies: Iterable[Path], model: Pat
 
 
 def of_filter(choice: FilterChoice) -> list[str]:
-    """key=value words: SHA-256 of the filter's metric and of the model it predicts with, or that it has none."""
+    """Return key=value words: SHA-256 of the filter's metric and of its prediction model, or that it has none."""
     return [f"filter_{name}_sha256={_digest(path)}" for name, path in choice.files.items()] or [
         f"filter_metric={choice.metric}"
     ]
 
 
 def describe_policy(path: Path) -> str:
-    """Which policy a file holds: the digest of its weights, as diagnostics give it, and the file's, as recordings do.
+    """Describe a file's policy: the digest of its weights, as in diagnostics, and of the file, as in recordings.
 
     Raises
     ------
     ValueError
-        It is no policy.
+        The file is not a policy.
     """
     return f"policy {path}: weights {load_policy(path)[0].digest()}, SHA-256 {_digest(path)}"
 

@@ -24,9 +24,9 @@ from hydro_policy.sessions.training import TrainingSession
 
 
 def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> list[Controller]:
-    """The paper's three controllers: I trained on the bench, II pretrained, III fixed; without II the base gains.
+    """Return the paper's controllers: I trained on the bench, II pretrained, III fixed; without II the base gains.
 
-    I is the best policy of the run, or the last one where none was better than the one that training started from.
+    I is the best policy of the run, or the last one if none was better than the initial one.
     """
     gains, best = session.settings.task.gains, session.keeper.best
     name = "I: last policy, trained here"
@@ -44,12 +44,12 @@ def paper_controllers(session: TrainingSession, start: InitialAgent | None) -> l
 
 
 def trained_a_better_one(session: TrainingSession) -> bool:
-    """Whether a policy trained here was examined better than the initial one, by more than noise."""
+    """Return whether a policy trained here scored better than the initial one, by more than noise."""
     return any(exam["best"] and exam["episode"] > 0 for exam in session.progress.exams)
 
 
 def timing(node: GraphNode, session: TrainingSession) -> dict[str, float]:
-    """Percentiles [s] of the timings that results.md reports."""
+    """Return percentiles [s] of the timings reported in results.md."""
     measured = {"jitter": node.timing.jitter, "inference": session.explorer.inference, "response": node.timing.response}
     return {f"{name}_p99": latency.percentile(99) for name, latency in measured.items()}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A training run: prepare, train, evaluate, disarm."""
+"""Training run: prepare, train, evaluate, disarm."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ from hydro_policy.supervision import requirements
 
 
 def say_policy(node: GraphNode, path: Path, *, resumed: bool) -> None:
-    """Say which policy is in the run's folder; one that is damaged is only told: checkpoints have what acts."""
+    """Report which policy is in the run's folder; a damaged one is only reported, since checkpoints hold the agent."""
     if not path.is_file():
         return
     try:
@@ -75,7 +75,7 @@ def train(options: argparse.Namespace) -> int:
         stack.callback(node.disarm)
         stack.callback(quiet.enter_context, undisturbed())  # first of all: a second Ctrl-C, or a closed terminal, waits
         finished, results = drive(options, node, session, learner, prepared.start)
-        if finished:  # a run that was stopped hands nothing over
+        if finished:  # a stopped run hands nothing over
             node.successor = options.hand_over or ""
         record.add("end", session.gave_up, **timing(node, session), complete=finished)
     notes = conditions(options, run=str(run.path), seed=settings.seed)  # once disarmed: it asks git
@@ -117,7 +117,7 @@ def drive(
     learner: LearnerSupervisor,
     start: InitialAgent | None,
 ) -> tuple[bool, EvaluationSession | None]:
-    """Train, then evaluate if asked for; returns whether all was completed, and the evaluation or None."""
+    """Train, then evaluate if requested; returns whether all was completed, and the evaluation or None."""
     if not may_rearm(options):
         node.listen_for_enter()
     if not node.wait_for_plant():
@@ -133,7 +133,7 @@ def drive(
         node.say("no policy trained here was better, by more than noise, than the one it started from: that is kept")
     if not finished or session.gave_up or not options.evaluate:
         return finished and not session.gave_up, None
-    wait_for(learner, node)  # a finished run that was resumed: nobody has yet
+    wait_for(learner, node)  # a finished run that was resumed: not done yet
     session.keeper.start()
     bar.phase = lambda: Phase.EVALUATING
     results = evaluate_on(node, paper_controllers(session, start), rearm=may_rearm(options), after=session.watch)
@@ -146,7 +146,7 @@ def drive(
 
 
 def wait_for(learner: LearnerSupervisor, node: GraphNode) -> None:
-    """Wait for the learner to be ready, with a timeout.
+    """Wait for the learner to be ready, with a time-out.
 
     Raises
     ------

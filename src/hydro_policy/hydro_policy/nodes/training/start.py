@@ -43,7 +43,7 @@ from hydro_policy.task.mdp import ACTIONS, BASE, OBSERVATIONS
 from hydro_sim.files.pairing import BoxIdentity
 
 UPDATES_PER_STEP = {"scratch": 8.0, "agent": 1.0}
-"""Bench time is dear: more than the paper's 1 from scratch. An agent that is good already unlearns by that."""
+"""Updates per step. From scratch: above the paper's 1, since bench time is costly; a good agent would degrade."""
 
 
 @dataclass(frozen=True)
@@ -55,16 +55,16 @@ class Prepared:
     checkpoint: Checkpoint | None
     start: InitialAgent | None
     made: bool = False
-    """Whether the run's folder was made for it."""
+    """Whether the run's folder was newly created."""
 
     @property
     def agent(self) -> bytes | None:
-        """The agent to start from; None: a new one, or the checkpoint's."""
+        """Agent to start from; None: a new one, or the checkpoint's."""
         return self.start.agent if self.start else None
 
     @property
     def best(self) -> bytes | None:
-        """The best agent of the run that is continued, if it had one."""
+        """Best agent of the resumed run, if it has one."""
         path = self.run.best / AGENT
         return path.read_bytes() if self.checkpoint is not None and path.is_file() else None
 
@@ -75,16 +75,16 @@ def remove_rejected_run(prepared: Prepared, node: GraphNode) -> Iterator[None]:
     try:
         yield
     except CompanionError:
-        lost = node.companions.lost and not node.refused  # by itself: the run may go on with --resume
+        lost = node.companions.lost and not node.refused  # ended by itself: the run may continue with --resume
         if prepared.made and not lost and node.timing.response.count == 0:  # no gains have ever gone out
-            shutil.rmtree(prepared.run.path, ignore_errors=True)  # whoever took it away was faster
+            shutil.rmtree(prepared.run.path, ignore_errors=True)  # already deleted
         raise
 
 
 def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
     """Prepare a new run with its folder and first checkpoint, or one to resume.
 
-    What cannot be used is refused before anything is created.
+    Invalid input is refused before anything is created.
     """
     start, box = None, expect_box(options, node)
     if options.resume is not None:
@@ -110,7 +110,7 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         settings = replace(settings, exam=replace(settings.exam, every=options.exam_every))
     settings = declare_settings(node, settings)
     refuse_unknown_parameters(node)
-    if not options.plant_named:  # last of all that may be refused: it takes seconds, or a person
+    if not options.plant_named:  # last of the checks: it takes seconds, or a person
         options.plant = choose_plant(node)
         box = expect_box(options, node)
         require_matching_agent(start, box)
@@ -128,12 +128,12 @@ def prepare(options: argparse.Namespace, node: GraphNode) -> Prepared:
         begin_checkpoint(run, settings, start)
     run.save_settings(
         settings, plant_options_as_yaml(options)
-    )  # last: a folder without it is no run, and its name is free
+    )  # last: a folder without it is not a run, and its name is free
     return Prepared(run, settings, checkpoint, start, made)
 
 
 def expect_box(options: argparse.Namespace, node: GraphNode) -> BoxIdentity:
-    """The expected box; the node then rejects any other, if the plant is started for this run."""
+    """Return the expected box; if the plant is started for this run, the node then rejects any other."""
     box = expected_box(options)
     if options.plant != "external":
         requested_filter(plant_options(options).filter, options.bench)
@@ -180,9 +180,9 @@ def wait_for_box(node: GraphNode) -> BoxIdentity:
     Raises
     ------
     KeyboardInterrupt
-        A signal came before there was one.
+        A signal arrived before there was one.
     CompanionError
-        Nobody says what the box is.
+        The box was not described.
     """
     if not node.wait_for_plant() or node.box is None:
         raise KeyboardInterrupt
@@ -201,14 +201,14 @@ def rebase_gains(settings: TrainingSettings, box: BoxIdentity, node: GraphNode) 
 
 
 def find_initial_agent(options: argparse.Namespace) -> InitialAgent | None:
-    """The agent named by --from, else the one shipped for this configuration, if any."""
+    """Return the agent named by --from, else the one shipped for this configuration, if any."""
     if options.start is not None:
         return None if str(options.start) == SCRATCH else load_initial_agent(options.start)
     return shipped_agent(options.configuration)
 
 
 def begin_record(node: GraphNode, prepared: Prepared, options: argparse.Namespace) -> RunRecord:
-    """Open run.json and record the start of the run; overrides are recorded there, too."""
+    """Open run.json and record the start of the run; overrides are recorded there as well."""
     record = RunRecord(prepared.run.record)
 
     def tell(sentence: str) -> None:
@@ -239,6 +239,6 @@ def start_plant(stack: ExitStack, options: argparse.Namespace, prepared: Prepare
 
 
 def _free(folder: Path) -> Path:
-    """`folder`, or the first of folder-2, folder-3 ... that is not there: a resumed run has a recording of its own."""
+    """Return `folder`, or the first free of folder-2, folder-3 ...: a resumed run gets a separate recording."""
     candidates = (folder.with_name(f"{folder.name}-{n}") for n in range(2, 10_000))
     return folder if not folder.exists() else next(path for path in candidates if not path.exists())

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 launch` for launch files as simple as ours.
+"""Subset of `ros2 launch` that covers this repository's launch files.
 
-`description` is what such a file is written in, under upstream's names; `modules` puts these names where the file looks
-for them; `processes` starts what it describes and ends it; `verb` is the command.
+`description` implements upstream's classes for such files; `modules` makes them importable under upstream's names;
+`processes` starts and stops the described processes; `verb` is the command.
 """

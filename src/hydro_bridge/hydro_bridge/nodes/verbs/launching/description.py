@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of `launch` and `launch_ros` that our launch files are written in, under upstream's names and arguments.
+"""Subset of `launch` and `launch_ros` used by our launch files, under upstream's names and arguments.
 
-An argument that is not listed here is refused by Python, a name by `modules`: nothing is quietly left out.
+Unsupported arguments are refused by Python, unsupported names by `modules`: nothing is silently ignored.
 """
 
 from __future__ import annotations
@@ -22,17 +22,17 @@ _YES, _NO = ("true", "1"), ("false", "0")
 
 
 class LaunchContext:
-    """Values of the arguments by now."""
+    """Present values of the arguments."""
 
     def __init__(self, values: dict[str, str]) -> None:
         self.launch_configurations = values
 
 
 class Substitution:
-    """Words that are known once the arguments are."""
+    """Text that is evaluated once the arguments are known."""
 
     def perform(self, context: LaunchContext) -> str:
-        """The words; raises UserError."""
+        """Return the text; raises UserError."""
         raise NotImplementedError
 
 
@@ -40,7 +40,7 @@ Words: TypeAlias = "str | int | float | Path | Substitution"
 
 
 def performed(words: Words, context: LaunchContext) -> str:
-    """Words as they are now; raises UserError."""
+    """Return the evaluated text; raises UserError."""
     if isinstance(words, Substitution):
         return words.perform(context)
     if isinstance(words, (str, int, float, Path)):
@@ -55,7 +55,7 @@ class LaunchConfiguration(Substitution):
     variable_name: str
 
     def perform(self, context: LaunchContext) -> str:
-        """Its value; raises UserError for one that is not set."""
+        """Return its value; raises UserError if it is not set."""
         if self.variable_name not in context.launch_configurations:
             raise UserError(f"{self.variable_name}:= is needed")
         return context.launch_configurations[self.variable_name]
@@ -68,23 +68,23 @@ class PathJoinSubstitution(Substitution):
     substitutions: Sequence[Words]
 
     def perform(self, context: LaunchContext) -> str:
-        """The path."""
+        """Return the path."""
         return os.path.join(*(performed(part, context) for part in self.substitutions))
 
 
 @dataclass
 class FindPackageShare(Substitution):
-    """Folder of what a package shares."""
+    """Share folder of a package."""
 
     package: str
 
     def perform(self, context: LaunchContext) -> str:
-        """The folder; raises UserError."""
+        """Return the folder; raises UserError."""
         return share_of(self.package)
 
 
 def share_of(package: str) -> str:
-    """Folder of what a package shares; raises UserError."""
+    """Return a package's share folder; raises UserError."""
     try:
         return str(get_package_share_directory(package))
     except (PackageNotFoundError, ValueError):
@@ -93,24 +93,24 @@ def share_of(package: str) -> str:
 
 @dataclass
 class ExecutableInPackage(Substitution):
-    """Of `ExecuteProcess`, the program: one of a package's executables."""
+    """Program of an `ExecuteProcess`: one of a package's executables."""
 
     executable: str
     package: str
 
     def perform(self, context: LaunchContext) -> str:
-        """Package and executable, for a message."""
+        """Return package and executable, for a message."""
         return f"{self.package} {self.executable}"
 
 
 @dataclass
 class IfCondition:
-    """Whether something is wanted."""
+    """Condition on an action."""
 
     predicate_expression: Words
 
     def evaluate(self, context: LaunchContext) -> bool:
-        """Raises UserError for what is neither yes nor no."""
+        """Return the condition's value; raises UserError if it is neither true nor false."""
         word = performed(self.predicate_expression, context).strip().lower()
         if word not in _YES + _NO:
             raise UserError(f"{word!r} is neither true nor false")
@@ -118,29 +118,29 @@ class IfCondition:
 
 
 class LaunchDescriptionEntity:
-    """One thing in a launch file; what it stands for is found out in the order of the file."""
+    """Entry of a launch file; entries are expanded in the order of the file."""
 
     condition: IfCondition | None = None
 
     def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """What it consists of; raises UserError."""
+        """Return the entries that it expands to; raises UserError."""
         return ()
 
 
 @dataclass
 class LaunchDescription(LaunchDescriptionEntity):
-    """A list of such things."""
+    """List of entries."""
 
     entities: Sequence[LaunchDescriptionEntity] = ()
 
     def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """The list."""
+        """Return the list."""
         return self.entities
 
 
 @dataclass
 class DeclareLaunchArgument(LaunchDescriptionEntity):
-    """An argument `name:=value`."""
+    """Declaration of an argument `name:=value`."""
 
     name: str
     default_value: Words | None = field(default=None, kw_only=True)
@@ -148,7 +148,7 @@ class DeclareLaunchArgument(LaunchDescriptionEntity):
     choices: Sequence[str] | None = field(default=None, kw_only=True)
 
     def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """Nothing; sets the default, and raises UserError for a value that is missing or refused."""
+        """Set the default and return nothing; raises UserError for a missing or invalid value."""
         values = context.launch_configurations
         if self.name not in values:
             if self.default_value is None:
@@ -162,20 +162,20 @@ class DeclareLaunchArgument(LaunchDescriptionEntity):
 
 @dataclass
 class PythonLaunchDescriptionSource:
-    """Another launch file."""
+    """Reference to another launch file."""
 
     launch_file_path: Words
 
 
 @dataclass
 class IncludeLaunchDescription(LaunchDescriptionEntity):
-    """What another launch file describes; its arguments stay set, as upstream's do."""
+    """Inclusion of another launch file; its arguments stay set, as upstream's do."""
 
     launch_description_source: PythonLaunchDescriptionSource
     launch_arguments: Iterable[tuple[str, Words]] = field(default=(), kw_only=True)
 
     def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """The other file's description; raises UserError."""
+        """Return the other file's description; raises UserError."""
         from hydro_bridge.nodes.verbs.launching.modules import load
 
         for name, words in self.launch_arguments:
@@ -185,12 +185,12 @@ class IncludeLaunchDescription(LaunchDescriptionEntity):
 
 @dataclass
 class OpaqueFunction(LaunchDescriptionEntity):
-    """A function of the arguments that gives more of it."""
+    """Function of the arguments that returns further entries."""
 
     function: Callable[[LaunchContext], Iterable[LaunchDescriptionEntity] | None] = field(kw_only=True)
 
     def visit(self, context: LaunchContext) -> Iterable[LaunchDescriptionEntity]:
-        """What the function gives; raises UserError with what it says."""
+        """Return the function's entries; raises UserError with its error message."""
         try:
             return self.function(context) or ()
         except (RuntimeError, TypeError, AttributeError) as error:
@@ -199,14 +199,14 @@ class OpaqueFunction(LaunchDescriptionEntity):
 
 @dataclass
 class Shutdown(LaunchDescriptionEntity):
-    """As `on_exit` of a process: all others end with it."""
+    """As `on_exit` of a process: ends all others with it."""
 
     reason: str = field(default="", kw_only=True)
 
 
 @dataclass
 class ExecuteProcess(LaunchDescriptionEntity):
-    """A program of a package that is no node."""
+    """Executable of a package that is not a node."""
 
     cmd: Sequence[Words] = field(kw_only=True)
     output: str = field(default="log", kw_only=True)
@@ -216,7 +216,7 @@ class ExecuteProcess(LaunchDescriptionEntity):
     condition: IfCondition | None = field(default=None, kw_only=True)
 
     def patience(self, context: LaunchContext) -> float:
-        """How long it may take to end [s]; raises UserError."""
+        """Time allowed for it to end [s]; raises UserError."""
         words = performed(self.sigterm_timeout, context)
         with suppress(ValueError):
             if 0.0 <= (seconds := float(words)) < inf:
@@ -224,7 +224,7 @@ class ExecuteProcess(LaunchDescriptionEntity):
         raise UserError(f"sigterm_timeout {words}: a number of seconds, 0 or more, is meant")
 
     def command(self, context: LaunchContext) -> tuple[str, str, list[str]]:
-        """Package, executable and its words; raises UserError."""
+        """Return package, executable and arguments; raises UserError."""
         program, *words = self.cmd
         if not isinstance(program, ExecutableInPackage):
             raise UserError(f"{performed(program, context)}: a process that is no executable of a package")
@@ -232,7 +232,7 @@ class ExecuteProcess(LaunchDescriptionEntity):
 
 
 class Node(ExecuteProcess):
-    """A node."""
+    """ROS node."""
 
     def __init__(self, *, package: str, executable: str, arguments: Sequence[Words] = (), **options: Any) -> None:
         super().__init__(cmd=[ExecutableInPackage(executable, package), *arguments], **options)

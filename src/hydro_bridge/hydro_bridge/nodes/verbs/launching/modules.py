@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Launch files are Python: the modules that they import, and their loading."""
+"""Loading of launch files, which are Python, and the modules that they import."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MODULES = {
 
 
 def provide() -> None:
-    """Let `import launch` and `import launch_ros` find the description's names, in this process."""
+    """Make the classes of `description` importable as `launch` and `launch_ros` in this process."""
     for name, names in _MODULES.items():
         module = ModuleType(name)
         module.__path__ = []
@@ -38,12 +38,12 @@ def provide() -> None:
 
 
 def load(path: Path) -> description.LaunchDescription:
-    """What a launch file describes.
+    """Load a launch file's description.
 
     Raises
     ------
     UserError
-        It is not there, is no launch file in Python, or uses what is not here.
+        The file is missing, is not a launch file in Python, or uses unsupported features.
     """
     scope: dict[str, object] = {"__name__": "launch_file", "__file__": str(path)}
     try:

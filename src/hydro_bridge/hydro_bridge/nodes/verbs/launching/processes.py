@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Starts what a launch file describes, and ends it: the last one first, so that who commands goes before the plant."""
+"""Start and stop of a launch file's processes; stopped in reverse order, so that controllers end before the plant."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _LOOK = 0.1  # s
 
 
 def processes(entity: LaunchDescriptionEntity, context: LaunchContext) -> Iterator[ExecuteProcess]:
-    """All processes of a description that are wanted, in its order; raises UserError."""
+    """Return all processes of a description whose conditions hold, in its order; raises UserError."""
     if entity.condition is not None and not entity.condition.evaluate(context):
         return
     if isinstance(entity, ExecuteProcess):
@@ -30,18 +30,18 @@ def processes(entity: LaunchDescriptionEntity, context: LaunchContext) -> Iterat
 
 
 def run(entity: LaunchDescriptionEntity, values: dict[str, str]) -> int:
-    """Start all processes, and wait until they, or one that shuts down the others, have ended.
+    """Start all processes, and wait until all of them, or one that shuts down the others, have ended.
 
     Returns
     -------
-    0, or 1 if one that ended by itself had another exit status than 0.
+    0, or 1 if a process that ended by itself had a non-zero exit status.
 
     Raises
     ------
     UserError
         An argument is missing or refused; nothing was started.
     CompanionError
-        An executable is not there; what was started has ended.
+        An executable is missing; the processes already started have been ended.
     """
     context = LaunchContext(values)
     wanted = list(processes(entity, context))

@@ -33,7 +33,7 @@ def _launch(options: argparse.Namespace) -> int:
 
 
 def _file(package: str, rest: list[str]) -> tuple[Path, list[str]]:
-    """The launch file and what stands behind it; raises UserError."""
+    """Return the launch file and the words after it; raises UserError."""
     if Path(package).is_file():
         return Path(package), rest
     if not rest or ":=" in rest[0]:
