@@ -20,8 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hydro_bridge.files.tensors import UnsoundError, check_numbers
 from hydro_bridge.files.atomic import flush_folder, write_whole
+from hydro_bridge.files.tensors import UnsoundError, check_numbers
 from hydro_policy.sac.replay import ReplayBuffer
 
 

@@ -8,8 +8,8 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from hydro_policy.sac.policy import load_policy
 from hydro_policy.runs.run import RunDirectory, TrainingSettings
+from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.sac.snapshot import as_beginning, settings_of
 from hydro_policy.task.mdp import GainRange

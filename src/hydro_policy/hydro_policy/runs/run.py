@@ -21,13 +21,13 @@ from typing import Annotated, Any
 
 import yaml
 
-from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_bridge.files.atomic import write_whole
 from hydro_bridge.files.settings_file import from_mapping, read_yaml
-from hydro_policy.task.cases import ExamSettings
-from hydro_policy.supervision.monitor import MonitorSettings
+from hydro_bridge.settings import SettingsError, check, quantity
 from hydro_policy.sac.settings import SacSettings
-from hydro_policy.task.mdp import BASE, GainRange, TaskSettings
+from hydro_policy.supervision.monitor import MonitorSettings
+from hydro_policy.task.cases import ExamSettings
+from hydro_policy.task.mdp import BASE, TaskSettings
 from hydro_sim.files.pairing import MadeFor
 
 
