@@ -199,7 +199,7 @@ def test_an_agent_that_is_the_one_that_came_is_said_to_be(tmp_path: Path) -> Non
     quick.piece("rmse-default-paper-II-0", lambda: {"rmse": [4.0, 5.0, 8.0, 9.0]})
     quick.piece("rmse-default-paper-I-0", lambda: {"rmse": [4.0, 5.0, 8.0, 9.0], "last": [8.0, 10.0, 16.0, 18.0]})
     page = report.text(Store(tmp_path, FULL), quick)
-    assert "no difference (0 of 4, 4 equal; 1 of 2 seeds) | *quick*: RMSE after 2 episodes, to II's: I +0 %" in page
+    assert "| 0 of 4, 4 equal; 1 of 2 seeds | *quick*: RMSE after 2 episodes, to II's: I +0 %" in page
     assert "its last policy +100 %. In 1 of 1 I is II" in page
     assert "| default | I, paper, last policy | 8.00 | 10.00 | 16.00 | 18.00 | 1 |" in page
 
