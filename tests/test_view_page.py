@@ -44,7 +44,7 @@ def slide(page: Page, time: float) -> None:
 
 
 def test_it_opens_from_disk_without_errors_and_loads_nothing(page: Page) -> None:
-    assert page.text("state") == "disarmed"
+    page.wait("document.getElementById('state').textContent == 'disarmed'")  # drawn once the data are unpacked
     assert "0.00 s of 30.0" in page.text("at").replace("29.99", "30.0").replace("30.00", "30.0")
     assert not page.driver.get_log("browser")
     loaded = page.run("return performance.getEntriesByType('resource').map((one) => one.name)")
