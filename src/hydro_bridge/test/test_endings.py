@@ -8,6 +8,7 @@ import pty
 import signal
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -62,6 +63,42 @@ def main():
 main()
 """)
     assert (ended.returncode, ended.stderr) == (128 + signal.SIGTERM, "")
+
+
+def test_an_import_is_not_interrupted_but_followed_by_the_end(tmp_path: Path) -> None:
+    (tmp_path / "slow.py").write_text("""
+import os, signal, time
+os.kill(os.getpid(), signal.SIGTERM)
+time.sleep(0.2)
+print("imported")
+""")
+    ended = run(f"""
+sys.path.insert(0, {str(tmp_path)!r})
+
+@command()
+def main():
+    import slow
+    time.sleep(10)
+main()
+""")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "imported\n", "")
+
+
+def test_what_waits_for_the_end_of_an_import_does_not_disturb_putting_in_order(tmp_path: Path) -> None:
+    (tmp_path / "quick.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGTERM)")
+    ended = run(f"""
+sys.path.insert(0, {str(tmp_path)!r})
+
+@command()
+def main():
+    import quick
+    with endings.undisturbed():
+        time.sleep(0.2)
+        print("put in order")
+    time.sleep(10)
+main()
+""")
+    assert (ended.returncode, ended.stdout, ended.stderr) == (128 + signal.SIGTERM, "put in order\n", "")
 
 
 def test_putting_in_order_is_not_disturbed() -> None:

@@ -2,8 +2,8 @@
 """Termination by signals: SIGINT (Ctrl-C), SIGTERM, SIGHUP (the terminal or ssh session was closed).
 
 All three mean the same: disarm, save, end the companions, exit with status 128 + number. During imports
-`leaves_at_once` applies; after that each signal raises `Ended`, a KeyboardInterrupt, or is handled by the spinning
-executor. Clean-up runs `undisturbed`.
+`leave` applies; after that each signal raises `Ended`, a KeyboardInterrupt, or is handled by the spinning executor.
+A module that is imported later is imported to its end first. Clean-up runs `undisturbed`.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from typing import Any
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _INSIST_AFTER = 0.05  # s
+_IMPORT_SYSTEM = "<frozen importlib._bootstrap>"  # file of its code objects
 Handlers = Mapping[int, Any]
 """Handler of each signal, as returned by `signal.signal`."""
 
@@ -51,10 +52,18 @@ def restore(before: Handlers) -> None:
 
 
 def end(number: int, _: FrameType | None = None) -> None:
-    """Signal handler of a running program: raise `Ended`. A forked child dies, as by default."""
+    """Signal handler of a running program: raise `Ended`. A forked child dies, as by default.
+
+    During an import the exception is raised after it: compiled modules do not expect one in their initialisation
+    (torch's terminates the process). So it is where signals are ignored meanwhile.
+    """
     if os.getpid() != _program:
         signal.signal(number, signal.SIG_DFL)
         os.kill(os.getpid(), number)
+    if _importing() or signal.getsignal(signal.SIGTERM) is signal.SIG_IGN:
+        _raise_later(number)
+        return
+    signal.setitimer(signal.ITIMER_REAL, 0.0)
     let_go_of_terminal()
     raise Ended(number)
 
@@ -88,15 +97,14 @@ def raised() -> Iterator[None]:
         if not isinstance(error, Ended):
             dropped(what)
             return
-        number = error.number
-        signal.signal(signal.SIGALRM, lambda *_: end(number))
-        signal.setitimer(signal.ITIMER_REAL, _INSIST_AFTER)
+        _raise_later(error.number)
 
     sys.unraisablehook = insist
     try:
         yield
     finally:
         sys.unraisablehook = dropped
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         restore(before)
 
 
@@ -128,6 +136,21 @@ def complain(sentence: str) -> None:
     """Print the reason why the program ends to standard error, if that is still writable."""
     with suppress(OSError, ValueError):
         print(f"error: {sentence}", file=sys.stderr, flush=True)
+
+
+def _importing() -> bool:
+    """Whether the main thread is inside an import statement."""
+    frame: FrameType | None = sys._getframe()
+    while frame is not None:
+        if frame.f_code.co_filename == _IMPORT_SYSTEM:
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _raise_later(number: int) -> None:
+    signal.signal(signal.SIGALRM, lambda *_: end(number))
+    signal.setitimer(signal.ITIMER_REAL, _INSIST_AFTER)
 
 
 _program = os.getpid()
