@@ -108,7 +108,7 @@ def metric(model: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
     code = "from hydro_filter.training.learn_metric import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
     if done.returncode:
-        raise ValueError(done.stderr.strip().splitlines()[-1])
+        raise ValueError(done.stderr.strip().splitlines()[-1].removeprefix("error: "))
     rows = yaml.safe_load(table.read_text(encoding="utf-8"))["rows"]
     violated = next(row["violated"] for row in rows if row["metric"] == "solved" and row["gains"] == "certified")
     span = done.stderr.rpartition("certified range: K_p ")[2].split(" 1/s")[0]
@@ -127,24 +127,34 @@ def row(plant: TruthPlant, gains: tuple[float, float], corrector: Corrector | No
     return {"gains": f"{gains[0]:g}, {gains[1]:g}", **figures, "mismatch": wrong, "corrected": corrected}
 
 
+def made_for(name: str, folder: Path) -> tuple[LoopFilter, dict[str, Any]] | None:
+    """The filter on a case's bench file and what is said of its metric; None, and why on stderr: it has none."""
+    model = bench_file(CASES[name], folder / f"{name.translate(FILE_NAME)}.yaml")
+    try:
+        file, said = metric(model, folder)
+    except ValueError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        return None
+    choice = FilterChoice(bench=Bench.nominal(), metric=str(file), model=model)
+    if trouble := choice.trouble():
+        print(f"{name}: {trouble}", file=sys.stderr)
+        return None
+    made = choice.make(choice.default_settings())
+    assert isinstance(made, LoopFilter)
+    warm_up(made, choice.bench)
+    return made, said
+
+
 def table_of(names: list[str], folder: Path) -> Table:
     """All rows."""
     table, nothing = Table(COLUMNS, title="The filter on a bench file"), dict.fromkeys(list(COLUMNS)[9:], np.nan)
     for name in progress(names, label="benches", unit="bench"):
-        case = CASES[name]
-        model = bench_file(case, folder / f"{name.translate(FILE_NAME)}.yaml")
-        file, said = metric(model, folder)
-        choice = FilterChoice(bench=Bench.nominal(), metric=str(file), model=model)
-        trouble = choice.trouble()
-        if trouble:
-            raise ValueError(trouble)
-        made = choice.make(choice.default_settings())
-        assert isinstance(made, LoopFilter)
-        warm_up(made, choice.bench)
-        plant = TruthPlant(modified_truth(case[0]))
+        filtering = made_for(name, folder)
+        plant = TruthPlant(modified_truth(CASES[name][0]))
         for gains in ((90.0, 15.0), (250.0, 15.0), (300.0, 30.0)):
             table.add(bench=name, filter="none", **row(plant, gains, None), **nothing)
-            if gains[0] > 90.0:
+            if filtering is not None and gains[0] > 90.0:
+                made, said = filtering
                 timed = Timed(made)
                 found = row(plant, gains, timed)
                 p50, p99 = 1e6 * np.quantile(timed.took, (0.5, 0.99))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, StateArray, Waveform
-from hydro_filter.metric.design import rest_loop
+from hydro_filter.metric.design import MetricDesign, rest_loop
 from hydro_filter.model.bench_loop import SUBSTEPS
 from hydro_filter.model.bench_parts import BenchLoop
 from hydro_filter.model.loop import follow, loop_of, memories, settle
@@ -33,20 +33,32 @@ NOISE: FloatArray = np.array([0.6, 0.6, 6e3, 6e3, 3e-7])
 PRESLIDING = "friction_presliding"
 COULOMB: Mapping[str, Any] = {"id": "friction_coulomb", "parameters": {"force": 10.0}}
 SIZES = {
-    "ratio": 0.95, "current": 2e-4, "time": 2.3e-3, "bandwidth": 80.0, "damping": 0.8, "half_width": 2e-4,
+    "ratio": 0.95, "current": 2e-4, "time": 2.34e-3, "bandwidth": 80.0, "damping": 0.8, "half_width": 2e-4,
     "half_width_negative": 1e-4, "softness": 5e-5, "rate": 0.02, "resistance": 5e9, "time_constant": 0.02,
     "volume_fraction": 0.01, "force": 10.0, "force_positive": 12.0, "force_negative": 8.0, "breakaway_force": 5.0,
     "velocity": 0.01, "stiffness": 3e4, "position": 0.041, "width": 5e-4, "pressure": 5e4, "mass": 0.3,
     "coefficient_positive": 50.0, "coefficient_negative": -20.0, "leakage": 1e-12, "spring": 5e6, "friction": 40.0,
     "valve": 3e-10,
 }  # fmt: skip
-"""Of parameters; coefficients by the effect's first word."""
+"""Of parameters; coefficients by the effect's first word. At whole steps of 0.1 ms the dead time has two slopes."""
+SENSOR_BANDWIDTH = 20.0
+"""Hz: a sensor of 80 Hz is not told from a faster one by runs whose power lies below 10 Hz."""
 
 pytestmark = [pytest.mark.study, pytest.mark.exhaustive]
-REFUSED = pytest.param(
-    "transport_delay",
-    marks=pytest.mark.xfail(reason="the certificate has no place for a dead time", raises=ValueError, strict=True),
-)
+_OUTSIDE: Mapping[str, tuple[str, type[Exception]]] = {
+    "transport_delay": ("the certificate has no place for a dead time", ValueError),
+    **{
+        f"sensor_lag sensor=pressure_{chamber}": ("the filter takes the reading for the pressure", AssertionError)
+        for chamber in "ab"
+    },
+}
+"""Not in the metric's model, and why."""
+IN_METRIC = [
+    pytest.param(name, marks=pytest.mark.xfail(reason=_OUTSIDE[name][0], raises=_OUTSIDE[name][1], strict=True))
+    if name in _OUTSIDE
+    else name
+    for name in CATALOGUE
+]
 
 
 def having(label: str) -> Bench:
@@ -54,6 +66,8 @@ def having(label: str) -> Bench:
     word, *options = label.split()
     names = [one.name for one in CATALOGUE[label].parameters]
     sizes = {name: SIZES[word.split("_")[0] if name == "coefficient" else name] for name in names}
+    if word == "sensor_lag":
+        sizes["bandwidth"] = SENSOR_BANDWIDTH
     effect = {"id": word, **dict(option.split("=") for option in options), "parameters": sizes}
     return replace(BENCH, effects=(COULOMB, effect) if word == PRESLIDING else (effect,))
 
@@ -110,7 +124,7 @@ def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
     """On the bench file's own simulation, with sensors' noise: within 5 % or the interval, which must be narrow."""
     truth = having(label)
     data = recordings.split({"run": driven(truth, 10.0, noise=1.0, seed=1)})
-    result = learn(moved(truth, 1.2), data, count=30)
+    result = learn(moved(truth, 1.2), data)
     values = [value for effect in truth.effects for value in kind_of(effect)[1]]
     for found, value in zip(result.parameters, values, strict=True):
         assert found.seen and found.high - found.low < 0.5 * abs(value), found
@@ -118,16 +132,20 @@ def test_learn_finds_its_parameters_from_a_fifth_off(label: str) -> None:
 
 
 @pytest.mark.proves("in the metric's model")
-@pytest.mark.parametrize("label", [REFUSED if name == "transport_delay" else name for name in CATALOGUE])
+@pytest.mark.parametrize("label", IN_METRIC)
 def test_the_filters_loop_decays_and_follows_its_hidden_states(label: str) -> None:
-    """What the filter follows beside a bench with the effect is where that bench is."""
+    """What the filter follows beside a bench with the effect is where that bench is.
+
+    At the lowest gain that a filter certifies: a box that believes in a piston 5 % too large feeds back too much
+    velocity, and without friction its loop does not decay from some 16 1/s on, in this linearization and in simulation.
+    """
     lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
     bench = having(label)
     if not label.startswith("valve_lag"):
         bench = replace(bench, effects=(lag, *bench.effects))
     loop = loop_of(bench, BENCH)
     assert isinstance(loop, BenchLoop)
-    free, push, feedback = rest_loop(loop, 30.0)
+    free, push, feedback = rest_loop(loop, MetricDesign().gain_low)
     assert np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max() < 1.0
     model, p, memory = BenchModel(bench, substeps=SUBSTEPS), loop.model, memories(loop)[0]
     k, y, z = model.begin(model.values)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 
 from hydro_bridge.cli.console import UserError
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Flag, FloatArray, StateArray
-from hydro_filter.metric.design import MetricDesign, rest_loop
+from hydro_filter.metric.design import MetricDesign, decaying_range, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop_model import LoopModel, loop_model
 from hydro_filter.training.data import (
@@ -121,6 +122,19 @@ def test_a_solved_metric_decays_with_its_loop(loop: LoopModel, bench: Bench) -> 
     for gain in metric.gains:
         free, push, feedback = rest_loop(loop, float(gain))
         assert decay_rate(free + np.outer(push, feedback), metric.matrix(x, float(gain))) > 0.1
+
+
+def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: LoopModel) -> None:
+    def slowest(gain: float) -> float:
+        free, push, feedback = rest_loop(loop, gain)
+        return float(np.abs(np.linalg.eigvals(free + np.outer(push, feedback))).max())
+
+    asked = replace(MetricDesign(), gain_high=200.0)
+    found = decaying_range(loop, asked)
+    assert slowest(found.gain_high) < 1.0 <= slowest(found.gain_high + asked.gain_step)
+    assert decaying_range(loop, found) == found
+    with pytest.raises(ValueError, match="does not decay at K_p = 150 1/s"):
+        decaying_range(loop, replace(asked, gain_low=150.0))
 
 
 def test_the_law_makes_the_loop_nearly_the_same_everywhere(windows: Windows) -> None:

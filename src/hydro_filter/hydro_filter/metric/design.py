@@ -10,7 +10,7 @@ elsewhere.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -84,6 +84,27 @@ def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> Float
     return np.asarray(solve_discrete_lyapunov(sped.T, np.diag(weights)))
 
 
+def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
+    """Return the design with the upper end of its range where the loop at rest still decays.
+
+    Dry friction, which the linearized loop has none of, holds a real bench still at gains beyond that.
+
+    Raises
+    ------
+    ValueError
+        If the loop does not decay at the range's lower end.
+    """
+    gains = _gains(design)
+    decays = [slowest < 1.0 for slowest in (float(np.abs(np.linalg.eigvals(_closed(loop, g))).max()) for g in gains)]
+    count = len(gains) if all(decays) else decays.index(False)
+    if not count:
+        raise ValueError(
+            f"the loop does not decay at K_p = {gains[0]:g} 1/s, the lower end of the certified range: the bench file "
+            "is not of this box, or its valve is too slow for it"
+        )
+    return design if count == len(gains) else replace(design, gain_high=float(gains[count - 1]))
+
+
 def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: float) -> tuple[FloatArray, FloatArray]:
     """Return P, shape (8, 8), and the feedback [per unit of `push`], shape (8,), of the best correction."""
     column = push[:, np.newaxis]
@@ -94,17 +115,12 @@ def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: flo
 
 def design_table(loop: Loop, design: MetricDesign) -> Table:
     """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`)."""
-    gains = np.arange(design.gain_low, design.gain_high + 0.5 * design.gain_step, design.gain_step)
-    rows = []
-    for gain in gains:
-        free, push, feedback = rest_loop(loop, float(gain))
-        rows.append(lyapunov(free + np.outer(push, feedback), np.ones(LOOP), design.own_decay))
+    gains = _gains(design)
+    rows = [lyapunov(_closed(loop, gain), np.ones(LOOP), design.own_decay) for gain in gains]
     free, push, _ = rest_loop(loop, float(gains[0]))
     unit = 0.14 * loop.current_max
     rows.append(riccati(free, unit * push, np.array(design.foreign_weights), design.effort)[0])
-    return Table(
-        np.asarray(gains, np.float64), np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor
-    )
+    return Table(gains, np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor)
 
 
 def correcting_feedback(loop: Loop, design: MetricDesign) -> FloatArray:
@@ -112,6 +128,18 @@ def correcting_feedback(loop: Loop, design: MetricDesign) -> FloatArray:
     free, push, _ = rest_loop(loop, design.gain_low)
     unit = 0.14 * loop.current_max
     return unit * riccati(free, unit * push, np.array(design.foreign_weights), design.effort)[1]
+
+
+def _gains(design: MetricDesign) -> FloatArray:
+    """K_p [1/s] of the table."""
+    last = design.gain_high + 0.5 * design.gain_step
+    return np.asarray(np.arange(design.gain_low, last, design.gain_step), np.float64)
+
+
+def _closed(loop: Loop, proportional_gain: float) -> FloatArray:
+    """F + G K at rest."""
+    free, push, feedback = rest_loop(loop, float(proportional_gain))
+    return free + np.outer(push, feedback)
 
 
 def factor_entries(weight: FloatArray) -> FloatArray:

@@ -19,7 +19,7 @@ from tqdm import tqdm
 from hydro_bridge.cli.console import progress
 from hydro_bridge.settings import check
 from hydro_bridge.signals import FloatArray
-from hydro_filter.metric.design import MetricDesign, correcting_feedback, rest_loop
+from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, rest_loop
 from hydro_filter.metric.learned import LearnedMetric, Thresholds
 from hydro_filter.model.loop import Loop, loop_of
 from hydro_filter.model.loop_model import Q_SPOOL_RATE
@@ -75,8 +75,8 @@ def learn(options: argparse.Namespace) -> None:
     plant, clean = make_plant(options.model), make_plant(options.model, noise=0.0)
     material = collect_rollouts(plant, bench, loop, data)
     low, high = certified_range(material.rollouts)
-    _say(f"{_told(material.rollouts)}; certified range: K_p {low:.0f} to {high:.0f} 1/s")
-    design = replace(MetricDesign(), gain_low=round(low), gain_high=round(high))
+    design = decaying_range(loop, replace(MetricDesign(), gain_low=round(low), gain_high=round(high)))
+    _say(f"{_told(material.rollouts)}; certified range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s")
     metric = _polished(LearnedMetric.designed(loop, bench, design, seed=options.seed), material, loop, design, settings)
     correcting, push = correction(loop, design)
     how = settings.loss
