@@ -30,6 +30,7 @@ STUDIES = frozenset(
         "model_mismatch",
         "pairings",
         "paper",
+        "relearned_filter",
         "sac_peers",
         "training_seeds",
         "view_recording",

@@ -27,6 +27,7 @@ setup(
             "filter = hydro_bridge.process.start:main_of.hydro_filter.nodes.filter",
             "filter_header = hydro_bridge.process.start:main_of.hydro_filter.controller.header",
             "learn_metric = hydro_bridge.process.start:main_of.hydro_filter.training.learn_metric",
+            "relearn = hydro_bridge.process.start:main_of.hydro_filter.training.relearn",
             "validate = hydro_bridge.process.start:main_of.hydro_filter.validation.validate",
         ],
     },
