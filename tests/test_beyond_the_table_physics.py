@@ -209,9 +209,8 @@ def test_a_sealed_kind_follows_the_law_it_says(kind: Kind) -> None:
     """Its residual is the law's, number and all; and no equation but its own leaves more than on a clean bench."""
     log, clean = logged(kind), residuals(logged(None))
     equation, law = EXPECTED[kind.name]
-    found, left = residuals(log), law(signals(log, halfway=equation.startswith("pressure")), *kind.size[1:], kind.shape)
-    residual = found[equation][QUIET:-QUIET]
-    left = left[QUIET:-QUIET]
-    print(kind.name, residual @ left / (left @ left), np.std(residual - left) / np.sqrt(np.mean(left**2)))
-    for other in found.keys() - set(kind.equations):
+    found, left = residuals(log), law(signals(log, halfway=equation.startswith("pressure")), kind.size[1], kind.shape)
+    residual, left = found[equation][QUIET:-QUIET], left[QUIET:-QUIET]
+    print("LAW", kind.name, residual @ left / (left @ left), np.sqrt(np.mean((residual - left)**2)) / np.sqrt(np.mean(left**2)))
+    for other in sorted(found.keys() - set(kind.equations)):
         print("   ", other, np.std(found[other][QUIET:-QUIET]) / np.std(clean[other][QUIET:-QUIET]), np.std(clean[other][QUIET:-QUIET]))

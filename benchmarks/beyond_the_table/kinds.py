@@ -91,7 +91,7 @@ KINDS: tuple[Kind, ...] = (
     # spool = u - size max(u - shape, 0): a spring stop that the spool meets early on one side
     _kind("spool_stop", "sealed", _FLOW, (0.2, 0.6), "-", 2.5e-3, "current", degree=1.0),
     # spool = u + size w, w' = (|u| / u_n - w) / shape: null moves as throttled oil warms the valve
-    _kind("null_warms", "sealed", _FLOW, (3e-3, 1e-2), "A", 4.0, "current", memory=True),
+    _kind("null_warms", "sealed", _FLOW, (1e-3, 3e-3), "A", 4.0, "current", memory=True),
     # the edge to the tank sees p_t + size q^2: a clogged return filter
     _kind("return_filter", "sealed", _FLOW, (5e14, 3e15), "Pa s2/m6", 0.0, "current pressure_a pressure_b"),
     # load += size max(x - shape, 0): a second spring, reached on the way
@@ -101,9 +101,9 @@ KINDS: tuple[Kind, ...] = (
     # load += size k |x - rest| tanh(v / shape): leaves that rub the more the more they are bent
     _kind("leaf_spring", "sealed", "load", (0.02, 0.08), "-", 5e-3, "position velocity", degree=1.0),
     # hydraulic cell reads F + size u: its cable lies beside the valve's
-    _kind("cell_pickup", "sealed", "sensor", (600.0, 3000.0), "N/A", 0.0, "current", degree=1.0),
+    _kind("cell_pickup", "sealed", "sensor", (1000.0, 6000.0), "N/A", 0.0, "current", degree=1.0),
     # gauge B reads p_b + size (1 - exp(-t / shape)): its zero drifts until it is warm
-    _kind("gauge_warms", "sealed", "sensor", (4e4, 2e5), "Pa", 8.0, "time"),
+    _kind("gauge_warms", "sealed", "sensor", (8e4, 4e5), "Pa", 8.0, "time"),
     # gauge B reads w, w' = (p_b - w) / (0.5 ms rising, size falling): a snubber with a check valve
     _kind("gauge_snubber", "sealed", "sensor", (5e-3, 2e-2), "s", 0.0, "pressure_b", memory=True),
 )  # fmt: skip

@@ -33,7 +33,8 @@ def memory_rate(kind, size, shape, bench, current, slope, state):
     """Rate of the kind's own state; `slope` is the current's [A/s]."""
     rate = valve.memory_rate(kind, size, shape, bench, current, slope, state)
     rate += chambers.memory_rate(kind, shape, bench, current, state) + motion.memory_rate(kind, shape, state)
-    return rate + load.memory_rate(kind, size, shape, bench, state) + sensors.memory_rate(kind, size, shape, bench, state)
+    rate += load.memory_rate(kind, size, shape, bench, state)
+    return rate + sensors.memory_rate(kind, size, shape, bench, state)
 
 
 @njit
