@@ -73,9 +73,9 @@ KINDS: tuple[Kind, ...] = (
     _kind("flexible_mount", "dev", "load", (0.02, 0.08), "-", 0.08, "position", memory=True),
     # hydraulic cell reads F + size F^2
     _kind("cell_curve", "dev", "sensor", (3e-5, 1.2e-4), "1/N", 0.0, "hydraulic_force", degree=2.0),
-    # ... - size exp(-(w / 50 mm/s)^2) sign v, w' = (v - w) / shape: the film forms and breaks late
+    # ... - size exp(-(w / 50 mm/s)^2) tanh(v / 2 mm/s), w' = (v - w) / shape: the film follows late
     _kind("friction_lag", "sealed", "motion", (8.0, 30.0), "N", 0.02, "velocity", memory=True),
-    # ... - size exp(-((x - 43 mm) / shape)^2) sign v: a scored length of the bore
+    # ... - size exp(-((x - 43 mm) / shape)^2) tanh(v / 2 mm/s): a scored length of the bore
     _kind("bore_score", "sealed", "motion", (8.0, 30.0), "N", 3e-3, "position velocity"),
     # ... - size v / (1 + |v| / shape): oil whose long molecules align in a fast film
     _kind("shear_thinning", "sealed", "motion", (100.0, 400.0), "N s/m", 0.03, "velocity"),
@@ -86,7 +86,7 @@ KINDS: tuple[Kind, ...] = (
     # A to B: q = size w (p_a - p_b), w' = (|u| / u_n - w) / shape: throttled oil warms and the leak with it
     _kind("hot_leak", "sealed", _CHAMBERS, (2e-12, 6e-12), "m3/s/Pa", 3.0, "current pressure_a pressure_b",
           memory=True),
-    # out of B: q = size A_b max(v, 0): a grooved rod carries oil out, and its scraper keeps it there
+    # out of B: q = size A_b max(v, 0): a grooved rod carries oil out, the scraper takes it off on the way in
     _kind("rod_film", "sealed", "pressure_b", (0.01, 0.04), "-", 0.0, "velocity", degree=1.0),
     # spool = u - size max(u - shape, 0): a spring stop that the spool meets early on one side
     _kind("spool_stop", "sealed", _FLOW, (0.2, 0.6), "-", 2.5e-3, "current", degree=1.0),
