@@ -14,6 +14,7 @@ import pytest
 from benchmarks.beyond_the_table import plant
 from benchmarks.beyond_the_table.cases import Case, drawn
 from benchmarks.beyond_the_table.form import TEXTS, right_form
+from benchmarks.beyond_the_table.gap import gaps
 from benchmarks.beyond_the_table.kinds import HALVES, KINDS, NAMES, Kind
 from benchmarks.beyond_the_table.recordings import simulated
 from benchmarks.beyond_the_table.score import scored, summary
@@ -41,6 +42,16 @@ def test_each_kind_shows(kind: Kind) -> None:
     gap = np.sqrt(np.mean((there - missing)[:, [0, 2, 4, 5]] ** 2, axis=0)) / [0.6, 0.6, 6e3, 6e3]
     assert gap.max() > 1.0
     assert np.std(there[500:, 10] - there[500:, 2]) < 100.0
+
+
+def test_the_gap_is_the_noise_where_nothing_is_missing() -> None:
+    clean, kind = Case("clean", None, seed=5), KIND["cell_pickup"]
+    there = Case(kind.name, kind, kind.size[0], seed=5)
+    none, some = (gaps([simulated(case, number, 8.0) for number in (0, 1)]) for case in (clean, there))
+    assert set(none) == {"piston_position", "pressure_a", "pressure_b", "hydraulic_force", "load_force"}
+    assert all(0.8 < gap < 1.3 for gap in none.values())
+    assert some["hydraulic_force"] > 3.0
+    assert all(some[name] == pytest.approx(none[name], rel=0.05) for name in none if name != "hydraulic_force")
 
 
 @pytest.mark.parametrize("half", HALVES)
