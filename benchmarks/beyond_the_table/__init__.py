@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Physics that the table of causes has no name for, alone and beside causes that it has, on a plant written apart.
 
-The kinds, their halves and what counts as their right form were fixed before their author had seen the diagnosis'
-grammar of closures.
+Each half's kinds, and what counts as their right form, were fixed before their author had seen the diagnosis' grammar
+of closures. `gap` shows, without a diagnosis, that they show.
 
     kinds -> cases -> physics -> recordings -> `diagnose` -> score
 """

@@ -57,22 +57,55 @@ KINDS: tuple[Kind, ...] = (
     # hydraulic cell reads F + size w, w' = (F - w) / shape
     _kind("cell_creep", "dev", "sensor", (0.06, 0.15), "-", 1.5, "hydraulic_force", memory=True),
     # ... - size |p_a - p_b| tanh(v / shape): a lip that the pressure presses on the rod
-    _kind("seal_drop", "sealed", "motion", (1.5e-6, 4e-6), "N/Pa", 2e-3, "pressure_a pressure_b velocity", degree=1.0),
+    _kind("seal_drop", "dev", "motion", (1.5e-6, 4e-6), "N/Pa", 2e-3, "pressure_a pressure_b velocity", degree=1.0),
     # ... - size max(x - shape, 0) v: a throttle that closes towards the end
-    _kind("cushion_damping", "sealed", "motion", (2e4, 8e4), "N s/m2", 0.043, "position velocity", degree=2.0),
+    _kind("cushion_damping", "dev", "motion", (2e4, 8e4), "N s/m2", 0.043, "position velocity", degree=2.0),
     # ... - size exp(-w) v, w' = |v| / shape - w / 10 s: oil thins as it warms
-    _kind("oil_heat", "sealed", "motion", (80.0, 250.0), "N s/m", 0.25, "velocity", memory=True),
+    _kind("oil_heat", "dev", "motion", (80.0, 250.0), "N s/m", 0.25, "velocity", memory=True),
     # spool' = u - spool at 300 Hz, but no faster than size
-    _kind("spool_rate", "sealed", _FLOW, (0.2, 0.4), "A/s", 300.0, "current", memory=True),
+    _kind("spool_rate", "dev", _FLOW, (0.2, 0.4), "A/s", 300.0, "current", memory=True),
     # sqrt(dp) becomes dp / sqrt(|dp| + size): laminar below, turbulent above
-    _kind("flow_transition", "sealed", _FLOW, (4e5, 2e6), "Pa", 0.0, "current pressure_a pressure_b"),
+    _kind("flow_transition", "dev", _FLOW, (4e5, 2e6), "Pa", 0.0, "current pressure_a pressure_b"),
     # q = size (p_a - p_b) while the piston moves out: a lip that opens one way
-    _kind("leak_by_motion", "sealed", _CHAMBERS, (6e-14, 2e-13), "m3/s/Pa", 2e-3, "pressure_a pressure_b velocity",
+    _kind("leak_by_motion", "dev", _CHAMBERS, (6e-14, 2e-13), "m3/s/Pa", 2e-3, "pressure_a pressure_b velocity",
           degree=1.0),
     # foot y of the spring: y' = (size load / k - y) / shape
-    _kind("flexible_mount", "sealed", "load", (0.02, 0.08), "-", 0.08, "position", memory=True),
+    _kind("flexible_mount", "dev", "load", (0.02, 0.08), "-", 0.08, "position", memory=True),
     # hydraulic cell reads F + size F^2
-    _kind("cell_curve", "sealed", "sensor", (3e-5, 1.2e-4), "1/N", 0.0, "hydraulic_force", degree=2.0),
+    _kind("cell_curve", "dev", "sensor", (3e-5, 1.2e-4), "1/N", 0.0, "hydraulic_force", degree=2.0),
+    # ... - size exp(-(w / 50 mm/s)^2) tanh(v / 2 mm/s), w' = (v - w) / shape: the film follows late
+    _kind("friction_lag", "sealed", "motion", (8.0, 30.0), "N", 0.02, "velocity", memory=True),
+    # ... - size exp(-((x - 43 mm) / shape)^2) tanh(v / 2 mm/s): a scored length of the bore
+    _kind("bore_score", "sealed", "motion", (8.0, 30.0), "N", 3e-3, "position velocity"),
+    # ... - size v / (1 + |v| / shape): oil whose long molecules align in a fast film
+    _kind("shear_thinning", "sealed", "motion", (100.0, 400.0), "N s/m", 0.03, "velocity"),
+    # out of A to the tank: q = size max(p_a - shape, 0): a port relief valve set too low
+    _kind("port_relief", "sealed", "pressure_a", (2e-13, 8e-13), "m3/s/Pa", 6.3e6, "pressure_a", degree=1.0),
+    # A to B: q = size (p_a - p_b) exp(-((x - 45 mm) / shape)^2): a barrel worn where it works most
+    _kind("worn_bore", "sealed", _CHAMBERS, (1e-13, 4e-13), "m3/s/Pa", 4e-3, "position pressure_a pressure_b"),
+    # A to B: q = size w (p_a - p_b), w' = (|u| / u_n - w) / shape: throttled oil warms and the leak with it
+    _kind("hot_leak", "sealed", _CHAMBERS, (2e-12, 6e-12), "m3/s/Pa", 3.0, "current pressure_a pressure_b",
+          memory=True),
+    # out of B: q = size A_b max(v, 0): a grooved rod carries oil out, the scraper takes it off on the way in
+    _kind("rod_film", "sealed", "pressure_b", (0.01, 0.04), "-", 0.0, "velocity", degree=1.0),
+    # spool = u - size max(u - shape, 0): a spring stop that the spool meets early on one side
+    _kind("spool_stop", "sealed", _FLOW, (0.2, 0.6), "-", 2.5e-3, "current", degree=1.0),
+    # spool = u + size w, w' = (|u| / u_n - w) / shape: null moves as throttled oil warms the valve
+    _kind("null_warms", "sealed", _FLOW, (1e-3, 3e-3), "A", 4.0, "current", memory=True),
+    # the edge to the tank sees p_t + size q^2: a clogged return filter
+    _kind("return_filter", "sealed", _FLOW, (5e14, 3e15), "Pa s2/m6", 0.0, "current pressure_a pressure_b"),
+    # load += size max(x - shape, 0): a second spring, reached on the way
+    _kind("stop_spring", "sealed", "load", (1e3, 6e3), "N/m", 0.045, "position", degree=1.0),
+    # load += size max(v, 0)^2: a shock absorber with a check valve
+    _kind("rebound_damper", "sealed", "load", (400.0, 1500.0), "N s2/m2", 0.0, "velocity", degree=2.0),
+    # load += size k |x - rest| tanh(v / shape): leaves that rub the more the more they are bent
+    _kind("leaf_spring", "sealed", "load", (0.02, 0.08), "-", 5e-3, "position velocity", degree=1.0),
+    # hydraulic cell reads F + size u: its cable lies beside the valve's
+    _kind("cell_pickup", "sealed", "sensor", (1000.0, 6000.0), "N/A", 0.0, "current", degree=1.0),
+    # gauge B reads p_b + size (1 - exp(-t / shape)): its zero drifts until it is warm
+    _kind("gauge_warms", "sealed", "sensor", (8e4, 4e5), "Pa", 8.0, "time"),
+    # gauge B reads w, w' = (p_b - w) / (0.5 ms rising, size falling): a snubber with a check valve
+    _kind("gauge_snubber", "sealed", "sensor", (5e-3, 2e-2), "s", 0.0, "pressure_b", memory=True),
 )  # fmt: skip
 NAMES = tuple(kind.name for kind in KINDS)
 """Compiled code knows a kind by its place here; -1 is none."""

@@ -9,7 +9,9 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from benchmarks.beyond_the_table.physics import HOSE, MEMORY, all_rates, misread
+from benchmarks.beyond_the_table.physics.places import MEMORY
+from benchmarks.beyond_the_table.physics.rates import all_rates, rested
+from benchmarks.beyond_the_table.physics.sensors import misread
 from benchmarks.foreign_truth.bench import Numbers, numbers
 from benchmarks.foreign_truth.box import PERIOD, command, sense
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY, rub
@@ -45,15 +47,15 @@ def _step(kind, size, shape, bench, time, current, slope, state, step, work):
 
 
 @njit
-def _run(kind, size, shape, bench, box, reference, gains, noise, quantum, start, memory, substeps, out):
+def _run(kind, size, shape, bench, box, reference, gains, noise, quantum, start, substeps, out):
     step, integral, last = PERIOD / substeps, 0.0, 0.0
     state, work = np.zeros(STATES), np.zeros((3, STATES))
     state[PRESSURE_A], state[PRESSURE_B] = start, start / bench.area_ratio
-    state[POSITION], state[MEMORY] = bench.spring_rest_position, memory
+    state[POSITION], state[MEMORY] = bench.spring_rest_position, rested(kind, bench, start)
     for k in range(len(out)):
         row, before = out[k], out[max(k - 1, 0)]
         sense(bench, state, noise[k], quantum, row)
-        misread(kind, size, bench, state, row)
+        misread(kind, size, shape, bench, k * PERIOD, last, state, row)
         for force in (0, 2):
             row[force + 1] = before[force + 1] + 0.2 * ((row[force] - before[force]) / PERIOD - before[force + 1])
         row[7] = before[7] + 0.5 * ((row[6] - before[6]) / PERIOD - before[7])
@@ -96,10 +98,7 @@ def run(bench: Numbers, kind: int, size: float, shape: float, reference: FloatAr
         The states are no longer finite.
     """
     out = np.zeros((len(reference), LOGGED))
-    memory = start if kind == HOSE else 0.0
-    done = _run(
-        kind, size, shape, bench, numbers(), reference, (gain, 15.0), noise, quantum, start, memory, substeps, out
-    )
+    done = _run(kind, size, shape, bench, numbers(), reference, (gain, 15.0), noise, quantum, start, substeps, out)
     if done < len(out):
         raise ArithmeticError(f"the plant diverges after {done} ms")
     return out

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Oil that leaves the chambers by ways that the valve does not know."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from benchmarks.beyond_the_table.physics.places import (
+    HOSE,
+    HOT_LEAK,
+    LEAK_BY_MOTION,
+    LEAK_ORIFICE,
+    MEMORY,
+    PORT_RELIEF,
+    ROD_FILM,
+    WORN_BORE,
+)
+from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, root
+
+WORN = 0.045
+"""m, where the barrel is worn most."""
+
+
+@njit
+def lost_flows(kind, size, shape, bench, state):
+    """Flows [m3/s] out of chamber A and out of chamber B."""
+    a, b, velocity = state[PRESSURE_A], state[PRESSURE_B], state[VELOCITY]
+    if kind == HOSE:
+        return size * (a - state[MEMORY]) / shape, 0.0
+    if kind == PORT_RELIEF:
+        return size * max(a - shape, 0.0), 0.0
+    if kind == ROD_FILM:
+        return 0.0, size * bench.area_ratio * bench.piston_area * max(velocity, 0.0)
+    flow = across(kind, size, shape, a, b, state)
+    return flow, -flow
+
+
+@njit
+def across(kind, size, shape, a, b, state):
+    """Flow [m3/s] from chamber A to chamber B."""
+    if kind == LEAK_ORIFICE:
+        return size * root(a - b)
+    if kind == LEAK_BY_MOTION:
+        return size * (a - b) * max(math.tanh(state[VELOCITY] / shape), 0.0)
+    if kind == WORN_BORE:
+        return size * (a - b) * math.exp(-(((state[POSITION] - WORN) / shape) ** 2))
+    return size * (a - b) * state[MEMORY] if kind == HOT_LEAK else 0.0
+
+
+@njit
+def memory_rate(kind, shape, bench, current, state):
+    """Rate of the hose's inner pressure [Pa/s], and of the warmth that a throttling valve leaves in the oil."""
+    if kind == HOSE:
+        return (state[PRESSURE_A] - state[MEMORY]) / shape
+    if kind == HOT_LEAK:
+        return (abs(current) / bench.valve_nominal_current - state[MEMORY]) / shape
+    return 0.0

@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rates of the foreign plant's states with one kind of unnamed physics."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from benchmarks.beyond_the_table.physics import chambers, load, motion, sensors, valve
+from benchmarks.beyond_the_table.physics.places import GAUGE_SNUBBER, HOSE, MEMORY
+from benchmarks.foreign_truth.equations import (
+    CELL_RATE,
+    POSITION,
+    PRESSURE_A,
+    PRESSURE_B,
+    VELOCITY,
+    rates,
+    stiffness,
+)
+
+
+@njit
+def rested(kind, bench, start):
+    """The kind's own state where chamber A has stood at a pressure [Pa] and B balances it."""
+    if kind == GAUGE_SNUBBER:
+        return start / bench.area_ratio
+    return start if kind == HOSE else 0.0
+
+
+@njit
+def memory_rate(kind, size, shape, bench, current, slope, state):
+    """Rate of the kind's own state; `slope` is the current's [A/s]."""
+    rate = valve.memory_rate(kind, size, shape, bench, current, slope, state)
+    rate += chambers.memory_rate(kind, shape, bench, current, state) + motion.memory_rate(kind, shape, state)
+    rate += load.memory_rate(kind, size, shape, bench, state)
+    return rate + sensors.memory_rate(kind, size, shape, bench, state)
+
+
+@njit
+def all_rates(kind, size, shape, bench, time, current, slope, state, out):
+    """Time derivatives of the states with the kind's physics, dry friction left out."""
+    given = valve.drawn(kind, size, shape, current, state[MEMORY])
+    rates(bench, time, given, state, out)
+    volume_a = bench.dead_volume_a + bench.piston_area * state[POSITION]
+    volume_b = bench.dead_volume_b + bench.area_ratio * bench.piston_area * (bench.stroke - state[POSITION])
+    lost_a, lost_b = chambers.lost_flows(kind, size, shape, bench, state)
+    blocked_a, blocked_b = valve.blocked_flows(kind, size, bench, time, given, state)
+    out[PRESSURE_A] -= stiffness(bench, state[PRESSURE_A]) / volume_a * (lost_a + blocked_a)
+    out[PRESSURE_B] -= stiffness(bench, state[PRESSURE_B]) / volume_b * (lost_b + blocked_b)
+    added = load.extra_load(kind, size, shape, bench, state)
+    out[VELOCITY] += (motion.extra_force(kind, size, shape, bench, state) - added) / bench.moving_mass
+    out[CELL_RATE] += (2.0 * math.pi * bench.load_cell_bandwidth) ** 2 * added
+    out[MEMORY] = memory_rate(kind, size, shape, bench, current, slope, state)

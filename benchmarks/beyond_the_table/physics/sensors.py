@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Readings that are not what they read."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+from benchmarks.beyond_the_table.physics.places import (
+    CELL_CREEP,
+    CELL_CURVE,
+    CELL_PICKUP,
+    GAUGE_SNUBBER,
+    GAUGE_WARMS,
+    MEMORY,
+)
+from benchmarks.foreign_truth.equations import PRESSURE_A, PRESSURE_B
+
+RISING = 5e-4
+"""s, lag of a snubber whose check valve is open."""
+
+
+@njit
+def hydraulic_force(bench, state):
+    """Force [N] of both pressures."""
+    return bench.piston_area * (state[PRESSURE_A] - bench.area_ratio * state[PRESSURE_B])
+
+
+@njit
+def misread(kind, size, shape, bench, time, current, state, row):
+    """Add to a row's readings what the kind does to them; `current` [A] acts while they are taken."""
+    if kind == CELL_CREEP:
+        row[0] += size * state[MEMORY]
+    if kind == CELL_CURVE:
+        row[0] += size * hydraulic_force(bench, state) ** 2
+    if kind == CELL_PICKUP:
+        row[0] += size * current
+    if kind == GAUGE_WARMS:
+        row[5] += size * (1.0 - math.exp(-time / shape))
+    if kind == GAUGE_SNUBBER and size > 0.0:
+        row[5] += state[MEMORY] - state[PRESSURE_B]
+
+
+@njit
+def memory_rate(kind, size, shape, bench, state):
+    """Rate of what the cell has crept by [N/s], and of the pressure [Pa/s] behind the snubber."""
+    if kind == CELL_CREEP:
+        return (hydraulic_force(bench, state) - state[MEMORY]) / shape
+    if kind == GAUGE_SNUBBER:
+        above = state[PRESSURE_B] - state[MEMORY]
+        return above / (RISING if above > 0.0 else max(size, RISING))
+    return 0.0
