@@ -23,6 +23,7 @@ TABLES = {
     "rmse": "agents.run",
     "outside": "agents.run_outside",
     "chatter": "agents.run_chatter",
+    "sensitivity": "sensitivity.run",
 }
 """What runs each; imported when it does: torch and compiled code take seconds, and --show needs neither."""
 

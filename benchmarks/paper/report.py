@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.paper import captions, reasons, times
+from benchmarks.paper import captions, choices, reasons, times
 from benchmarks.paper.claims import CLAIMS
 from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, LOSSES, PRINTED, TIMES, Result, Store
 from benchmarks.paper.verdicts import Claim
@@ -45,7 +45,14 @@ def text(full: Store, quick: Store) -> str:
     for store in (full, quick):
         parts.append(_sizes(store))
         if any(store.folder.glob("*.json")):
-            parts += [_models(store), _metrics(store), _validation(store), _rmse(store), _chatter(store)]
+            parts += [
+                _models(store),
+                _metrics(store),
+                _validation(store),
+                _rmse(store),
+                _chatter(store),
+                _sensitivity(store),
+            ]
     return "\n".join(parts)
 
 
@@ -156,6 +163,16 @@ def _chatter(store: Store) -> str:
             rows.append([chosen, cell([one["chatter"] for one in found], 4), str(trips), str(done), str(len(found))])
     body = markdown(["filter", "u' RMS [A/s]", "trips", "episodes", "seeds"], rows) if rows else "not run yet\n"
     return captions.CHATTER + "\n" + body
+
+
+def _sensitivity(store: Store) -> str:
+    rows = []
+    for name in (choices.CHOSEN, *choices.CHOICES):
+        if found := choices.scores(store, name):
+            rows.append([name, *cells(found, 3), str(len(found))])
+    told = len(rows) > 1
+    head = ["choice", "best score", "last score", "seeds"]
+    return captions.SENSITIVITY + "\n" + (markdown(head, rows) if told else "not run yet\n")
 
 
 def _any(rows: Rows) -> bool:
