@@ -124,6 +124,26 @@ def test_a_solved_metric_decays_with_its_loop(loop: LoopModel, bench: Bench) -> 
         assert decay_rate(free + np.outer(push, feedback), metric.matrix(x, float(gain))) > 0.1
 
 
+def test_windows_stay_off_the_end_stops(rollouts: list[Rollout], loop: LoopModel) -> None:
+    rollout = rollouts[0]
+    free = windows_of(rollout, loop, DATA, 0)
+    assert free is not None
+    states = rollout.states.copy()
+    states["piston_position"][len(states) // 2 :] = 0.0
+    half = windows_of(replace(rollout, states=states), loop, DATA, 0)
+    assert half is not None
+    assert 0 < len(half.x) < len(free.x)
+    assert (half.x[:, :, 6] > 0.0).all()
+    states["piston_position"] = 0.08
+    assert windows_of(replace(rollout, states=states), loop, DATA, 0) is None
+
+
+def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: LoopModel, bench: Bench) -> None:
+    metric = LearnedMetric.designed(loop, bench, MetricDesign())
+    assert metric.unfit("own") == replace(metric, training={"violated": 3.0}).unfit("own") == ""
+    assert "own is no certificate: 93 % of the held-out" in replace(metric, training={"violated": 93.0}).unfit("own")
+
+
 def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: LoopModel) -> None:
     def slowest(gain: float) -> float:
         free, push, feedback = rest_loop(loop, gain)

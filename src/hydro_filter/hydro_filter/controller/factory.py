@@ -98,16 +98,22 @@ class FilterChoice:
         learn = f"learn one from its recordings with `ros2 run hydro_sim learn`, {WAYS_ON}"
         learn_metric = f"make one with `ros2 run hydro_filter learn_metric` and its --bench and --model, {WAYS_ON}"
         path = self.files["model"]  # a bench file's metric is made for that bench
-        return ("" if is_bench_file(path) else mismatch(f"the model {path.name}", model, box, learn)) or mismatch(
-            f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest
+        return (
+            ("" if is_bench_file(path) else mismatch(f"the model {path.name}", model, box, learn))
+            or mismatch(f"the metric {self.files['metric'].name}", metric, box, learn_metric, model=digest)
+            or self.stored_metric.unfit(self.files["metric"].name)
         )
 
     @cached_property
     def stamps(self) -> tuple[MadeFor | None, MadeFor | None, str]:
         """Stamps of model and metric and the model's digest, read from the files at first access."""
-        model, metric = self.files["model"], self.files["metric"]
-        made = LearnedMetric.load(metric).made
-        return None if is_bench_file(model) else Learned.load(model).made, made, digest(model)
+        model = self.files["model"]
+        return None if is_bench_file(model) else Learned.load(model).made, self.stored_metric.made, digest(model)
+
+    @cached_property
+    def stored_metric(self) -> LearnedMetric:
+        """The metric's file, read at first access."""
+        return LearnedMetric.load(self.files["metric"])
 
     def foreign(self, box: KnownBox) -> str:
         """Return why this filter does not belong to a running box; empty if it does, or if this is unknown."""

@@ -33,6 +33,8 @@ from hydro_sim.neural import mlp
 
 STRUCTURE = "metric"
 ARRAYS = ("center", "scale", "low", "high", "gains", "table")
+UNFIT = 50.0
+"""%, held-out samples of the certified range that do not decay, beyond which the filter refuses a metric."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,6 +89,16 @@ class LearnedMetric:
             low=np.full(STATES, -np.inf), high=np.full(STATES, np.inf),
             gains=solved.gains, table=solved.table, floor=solved.floor,
         )  # fmt: skip
+
+    def unfit(self, name: str) -> str:
+        """Return why the metric of this file name is no certificate; empty if it is, or where the file says nothing."""
+        violated = self.training.get("violated", 0.0)
+        if violated <= UNFIT:
+            return ""
+        return (
+            f"the metric {name} is no certificate: {violated:.0f} % of the held-out samples of its range do not decay; "
+            "make it anew on a model that predicts this bench (`ros2 run hydro_sim validate` says how well)"
+        )
 
     @property
     def parts(self) -> MetricParts:

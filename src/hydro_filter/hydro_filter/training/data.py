@@ -147,8 +147,7 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
     if count < 100 + 2 * span:
         return None
     starts = np.sort(np.random.default_rng(seed).integers(100, count - span, settings.windows))
-    if isinstance(loop, BenchLoop):
-        starts = starts[_between_stops(rollout.states["piston_position"], starts, span, loop.model.positions)]
+    starts = starts[_between_stops(rollout.states["piston_position"], starts, span, _stroke(loop))]
     if not len(starts):
         return None
     shape = (len(starts), span)
@@ -164,14 +163,17 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
     return made
 
 
-def _between_stops(
-    positions: FloatArray, starts: npt.NDArray[np.int64], span: int, ends: FloatArray
-) -> npt.NDArray[np.bool_]:
-    """Return which windows stay off the end stops: a piston that rests on one is not part of the loop.
+def _stroke(loop: Loop) -> float:
+    """Stroke [m]; a bench file's load curve goes from a twentieth of it before its ends to as much behind."""
+    if isinstance(loop, BenchLoop):
+        return float(loop.model.positions[-1] - loop.model.positions[0]) / 1.1
+    return float(loop.bench["stroke"][0])
 
-    `ends`: from a twentieth of the stroke before it to as much behind it [m].
-    """
-    stroke = (ends[-1] - ends[0]) / 1.1
+
+def _between_stops(
+    positions: FloatArray, starts: npt.NDArray[np.int64], span: int, stroke: float
+) -> npt.NDArray[np.bool_]:
+    """Return which windows stay off the end stops: a piston that rests on one is not part of the loop."""
     inside = (positions > OFF_STOPS) & (positions < stroke - OFF_STOPS)
     return np.array([bool(inside[k : k + span].all()) for k in starts], np.bool_)
 

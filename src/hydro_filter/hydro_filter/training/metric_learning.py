@@ -85,23 +85,28 @@ def learn(options: argparse.Namespace) -> None:
     last, best = _train(metric, samples, held_out, data.horizon, settings, options)
     sizes = noise_sizes(best, loop, plant, clean)
     allowance = integral_allowance(loop, plant, bench)
+    still = LearnedMetric.designed(loop, bench, design)
+    stages = {"still": still, "solved": metric, "learned": best}
+    table = certificate_table(
+        stages, lambda one: certificate_queries(material.held_out, one, correcting, push, how), how
+    )
+    violated = next(row["violated"] for row in table.rows if (row["metric"], row["gains"]) == ("learned", "certified"))
     facts = {
         "command": " ".join(["learn_metric", *sys.argv[1:]]), "data": asdict(data), "settings": asdict(settings),
         "design": asdict(design), "model": _digest(model), "epochs": last.epoch, "best_epoch": last.best_epoch,
         "validation_loss": last.best_loss, "seconds": round(time.monotonic() - began, 1),
-        "history": [list(row) for row in last.history],
+        "history": [list(row) for row in last.history], "violated": violated,
     }  # fmt: skip
     levels = Thresholds(noise_size=sizes[0], foreign_noise_size=sizes[1], integral_allowance=allowance)
-    replace(best, thresholds=levels, training=facts, made=made).save(out)
+    final = replace(best, thresholds=levels, training=facts, made=made)
+    final.save(out)
     draw_metric_curves(np.array(last.history), out.with_suffix(".png"))
     out.with_suffix(".checkpoint").unlink(missing_ok=True)
-    still = LearnedMetric.designed(loop, bench, design)
-    stages = {"still": still, "solved": metric, "learned": best}
-    certificate_table(stages, lambda one: certificate_queries(material.held_out, one, correcting, push, how), how).show(
-        options.json
-    )
+    table.show(options.json)
     told = f"noise is v'Mv up to {sizes[0]:.2g} and {sizes[1]:.2g}"
     print(f"{out}: best of {last.epoch} epochs is {last.best_epoch}; {told}")
+    if reason := final.unfit(out.name):
+        _say(f"{reason}; the filter refuses it")
 
 
 def collect_rollouts(plant: Plant, bench: Bench, loop: Loop, data: DataSettings) -> TrainingData:
