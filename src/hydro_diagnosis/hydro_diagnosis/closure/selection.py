@@ -36,6 +36,10 @@ CONDENSED = 0.05
 """Share of a smooth function's gain by which a law may fall short of it."""
 INSIDE = 0.1
 """Percentiles of its variable that a table leaves out at either end."""
+QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+"""Of a threshold's signal: where thresholds are looked for."""
+EDGE = 0.02
+"""Share of a threshold's signal that is left on either side of it."""
 
 
 @dataclass(frozen=True)
@@ -99,26 +103,48 @@ def _terms(found: Fit) -> int:
 
 
 def _laws(problem: Problem) -> list[Closure]:
-    return [effect for effect in (closure(law, problem.bench) for law in grammar.LAWS) if _visible(effect, problem)]
+    """Laws that these recordings can show, their thresholds within what was recorded."""
+    return [placed for law in grammar.LAWS if (placed := _placed(law, problem)) is not None]
+
+
+def _placed(law: Law, problem: Problem) -> Closure | None:
+    effect = closure(law, problem.bench)
+    over = next((number.over for number in law.numbers if number.over), "")
+    if not over or not _visible(effect, problem):
+        return effect if not over and _visible(effect, problem) else None
+    low, *probes, high = np.quantile(_recorded(problem, over), (EDGE, *QUANTILES, 1.0 - EDGE)).tolist()
+    return closure(law, problem.bench, (low, high), tuple(probes)) if high > low else None
 
 
 def _tables(problem: Problem) -> list[Claim]:
     tables = []
     for table in grammar.TABLES:
-        if not _visible(closure(table, problem.bench), problem):
-            continue
-        values = np.concatenate([variable_of(model, table.variable)[model.settle :] for model in problem.models])
-        low, high = np.percentile(values, [INSIDE, 100.0 - INSIDE])
-        if high > low:
-            tables += _nothing(closure(table, problem.bench, (float(low), float(high))))
+        if _visible(closure(table, problem.bench), problem):
+            low, high = np.percentile(_recorded(problem, table.variable, table.where), [INSIDE, 100.0 - INSIDE])
+            if high > low:
+                tables += _nothing(closure(table, problem.bench, (float(low), float(high))))
     return tables
 
 
+_SIZES = {"speed": "velocity", "opening": "current"}
+
+
+def _recorded(problem: Problem, name: str, channel: str = "") -> FloatArray:
+    """Recorded values of a signal that laws and tables run over; `channel`: of the sensor that it is."""
+    variable = channel or _SIZES.get(name, name)
+    values = np.concatenate([variable_of(model, variable)[model.settle :] for model in problem.models])
+    return np.abs(values) if name in _SIZES else values
+
+
 def _visible(effect: Closure, problem: Problem) -> bool:
-    pressures = all({"pressure_a", "pressure_b"} <= set(model.channels) for model in problem.models)
-    text = effect.law.text if isinstance(effect.law, Law) else f"{effect.law.variable} {effect.law.form}"
-    needed = "p_" in text or "pressure" in text
-    return bool(effect.touches & set(problem.blocks)) and (pressures or not needed)
+    have = set.intersection(*(set(model.channels) for model in problem.models))
+    law = effect.law
+    text = law.text if isinstance(law, Law) else f"{law.variable} {law.form}"
+    if law.where == "load_force" or ("p_" not in text and "pressure" not in text):
+        needed = {law.where} - {"", "edges"}
+    else:
+        needed = {"pressure_a", "pressure_b"}
+    return bool(effect.touches & set(problem.blocks)) and needed <= have
 
 
 def _nothing(effect: Closure) -> list[Claim]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dahl's element along a path: a force that follows the direction of motion over a distance, without overshoot."""
+"""Elements that run along a record: Dahl's, over a path, and one that follows its signal no faster than a rate."""
 
 from __future__ import annotations
 
@@ -20,3 +20,19 @@ def along(position, stiffness, limit):
         fade = np.exp(-stiffness * abs(moved) / max(abs(limit[k]), 1e-6))
         force[k] = goal + (force[k - 1] - goal) * fade
     return force
+
+
+@njit(cache=True)
+def limited(signal, reach):
+    """Means over each sample, shape (n,), of what follows a held signal by at most `reach` per sample; at rest first.
+
+    Exact: a straight line up to where the signal is reached.
+    """
+    mean = np.empty(len(signal))
+    now = signal[0]
+    for k in range(len(signal)):
+        off = signal[k] - now
+        within = min(abs(off) / reach, 1.0)
+        mean[k] = signal[k] - off * within + np.sign(off) * 0.5 * reach * within * within
+        now += min(max(off, -reach), reach)
+    return mean

@@ -42,7 +42,8 @@ class ChamberObserver(SegmentRecord):
         spool = self._kept_back("spool", moving, self._spool)
         p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
         position = self._kept_back("position", (), self._middle_position)
-        return Oil(self.time, position, (p_a, p_b), spool)
+        velocity = self._kept_back("velocity", (), lambda claims: chambers.middle(self.v))
+        return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
         return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
@@ -103,7 +104,7 @@ class ChamberObserver(SegmentRecord):
                 integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
                 swallowed = integral - self.reading(channel, integral, late)
                 pressures[index] = chambers.middle(self.true_signal(channel, others) + swallowed)
-        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool)
+        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
 
     def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
