@@ -38,7 +38,8 @@ def claimed(law: Law | Table) -> Claim:
     """A term at its typical size; a table goes up and down."""
     effect = closure(law, BENCH, LIMITS[law.variable] if isinstance(law, Table) else (0.0, 1.0))
     amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
-    sizes = {one.name: one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
+    sign = -1.0 if law.form == "saturation" else 1.0  # a valve that opens further makes this loop swing
+    sizes = {one.name: sign * one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
     starts = effect.nothing() * 2
     placed = isinstance(law, Law) and any(number.over for number in law.numbers)
     return Claim(effect, {**starts[1 if placed else -2], **sizes})  # a threshold that this motion passes

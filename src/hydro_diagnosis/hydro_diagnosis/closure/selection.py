@@ -34,6 +34,8 @@ LEAST = 0.02
 """Share of the possible gain that a term must bring: less is mimicry of another form."""
 CONDENSED = 0.05
 """Share of a smooth function's gain by which a law may fall short of it."""
+PATIENCE = 24
+"""Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
 INSIDE = 0.1
 """Percentiles of its variable that a table leaves out at either end."""
 QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
@@ -75,6 +77,8 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     """Laws beside the names that stand; if they leave something, names and laws that together leave nothing."""
     laws = _laws(problem)
     grown, gain = _grown(problem, base, [one for effect in laws for one in _nothing(effect)])
+    if gain > 0.0 and len((kept := paying(problem, grown)).claims) < len(grown.claims):
+        grown, gain = kept, held_out_gain(problem, base, kept)  # names or terms that stood for another's numbers
     one_by_one = Closed(grown, "law", gain, problem)
     if not names or (gain > 0.0 and not noticeable(problem, grown.residual)):
         return one_by_one
@@ -168,7 +172,7 @@ def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, fl
         chosen = candidates[best]
         others = [k for k, one in enumerate(candidates) if one.effect.label != chosen.effect.label]
         candidates, columns = [candidates[k] for k in others], [columns[k] for k in others]
-        better = fit(problem, (*current.claims, chosen))
+        better = fit(problem, (*current.claims, chosen), iterations=PATIENCE)
         if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
             continue
         gained += before - after[best]

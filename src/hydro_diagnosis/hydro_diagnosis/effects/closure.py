@@ -217,7 +217,7 @@ class ValveClosure(Closure):
         if self.element is not None and self.element.kind == "path":
             at = replace(at, memory=along(path, 1.0 / values["path"], np.ones_like(path)).reshape(spool.shape))
         elif self.element is not None:
-            at = replace(at, memory=limited(path, values["rate"] * substep).reshape(spool.shape))
+            at = replace(at, memory=limited(path, substep, values["rate"], values["time"]).reshape(spool.shape))
         return spool + self.given(at, values)
 
 

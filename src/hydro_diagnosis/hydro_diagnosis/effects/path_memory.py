@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elements that run along a record: Dahl's, over a path, and one that follows its signal no faster than a rate."""
+"""Elements that run along a record: Dahl's, over a path, and a lag of limited rate."""
 
 from __future__ import annotations
 
@@ -23,16 +23,20 @@ def along(position, stiffness, limit):
 
 
 @njit(cache=True)
-def limited(signal, reach):
-    """Means over each sample, shape (n,), of what follows a held signal by at most `reach` per sample; at rest first.
+def limited(signal, step, rate, time):
+    """Means over each step [s], shape (n,), of w' = (s - w) / time within +-rate, for a held signal; at rest first.
 
-    Exact: a straight line up to where the signal is reached.
+    Exact: w goes straight while it is further than rate times time from the signal, then exponentially.
     """
     mean = np.empty(len(signal))
     now = signal[0]
     for k in range(len(signal)):
         off = signal[k] - now
-        within = min(abs(off) / reach, 1.0)
-        mean[k] = signal[k] - off * within + np.sign(off) * 0.5 * reach * within * within
-        now += min(max(off, -reach), reach)
+        distance = abs(off)
+        fast = min(max(distance / rate - time, 0.0), step)
+        near = distance - rate * fast
+        left = np.exp((fast - step) / time)
+        area = 0.5 * (distance + near) * fast + near * time * (1.0 - left)
+        mean[k] = signal[k] - np.sign(off) * area / step
+        now = signal[k] - np.sign(off) * near * left
     return mean

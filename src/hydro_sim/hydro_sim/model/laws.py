@@ -17,7 +17,7 @@ threshold lies, or over what a state `w` follows a signal `s`; a piston at rest 
     lag   w' = (s - w) / T
     path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
     heat  w' = |s'| / D - w / T        0 at first: what work has warmed and time cools
-    rate  w' = what brings w to s, within [-R, R]
+    rate  w' = (s - w) / T, within [-R, R]
 """
 
 from __future__ import annotations

@@ -140,22 +140,28 @@ class Bending(Closure):
 
 
 class Limited(Closure):
-    """A law of a spool that moves no faster than a rate."""
+    """A law of a spool that lags, and moves no faster than a rate."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         return {"where": signals["spool"]}
 
     def command(self, spool: Symbol) -> Symbol:
-        reach = self.rate * self.at.step
-        self.next["where"] = self.where + eq.clip(spool - self.where, -reach, reach)
+        off, near, left = self._course(spool)
+        self.next["where"] = spool - np.sign(off) * near * left
         return super().command(spool)
 
     def _remembered(self, signal: Symbol) -> Symbol:
-        """Mean over the step, exact for a signal that is held: a straight line up to where it is reached."""
+        """Mean over the step, exact for a signal that is held."""
+        off, near, left = self._course(signal)
+        fast = (np.abs(off) - near) / self.rate
+        area = 0.5 * (np.abs(off) + near) * fast + near * self.time * (1.0 - left)
+        return signal - np.sign(off) * area / self.at.step
+
+    def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
+        """How far off the signal is, how far after what it goes at full rate, and what an exponential leaves of it."""
         off = signal - self.where
-        reach = self.rate * self.at.step
-        within = np.fmin(np.abs(off) / reach, 1.0)  # share of the step until it is reached
-        return signal - off * within + np.sign(off) * 0.5 * reach * within * within
+        fast = eq.clip(np.abs(off) / self.rate - self.time, 0.0, self.at.step)
+        return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
 
 
 def _made(law: Law | Table) -> type[Closure]:

@@ -22,12 +22,12 @@ LAWS: tuple[Law, ...] = (
     Law("actuation", "saturation", "-", "sign(u) max(|u| - threshold, 0)",
         "Flow that follows the current otherwise beyond an opening: typical of ports of two widths, or a torque motor "
         "near its limit.",
-        0.2, lambda at, n: above(at.current, at.number) - above(-at.current, at.number),
+        0.05, lambda at, n: above(at.current, at.number) - above(-at.current, at.number),
         numbers=threshold("opening", "A", 3e-4, 1e-3, 2e-3, 4e-3, 8e-3)),
-    Law("actuation", "rate limit", "-", "(w - u), w' = what brings w to u, at most rate",
-        "A spool that moves no faster than a rate: typical of a pilot stage that saturates; 1: nothing passes it.",
+    Law("actuation", "rate limit", "-", "(w - u), w' = (u - w) / time within +-rate",
+        "A spool that lags, and moves no faster than a rate: typical of a pilot stage that saturates; 1: all of it.",
         1.0, lambda at, n: at.memory - at.current, Element("rate", "current"),
-        (Number("rate", "A/s", (0.03, 0.1, 0.3, 1.0)),)),
+        (Number("rate", "A/s", (0.03, 0.1, 0.3, 1.0)), Number("time", "s", (2e-4, 1e-3, 5e-3)))),
     Law("actuation", "laminar edges", "-", "q (1 - sqrt(|dp| / (|dp| + transition)))",
         "Edges that pass less at small pressure drops: typical of flow that is laminar below and turbulent above; "
         "1: all of it.",
