@@ -21,8 +21,8 @@ from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
 from hydro_sim.model import grammar, laws, tables
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law
-from hydro_sim.model.tables import Table
 from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.tables import Table
 from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.closure.evidence import HeldOutBlocks, column
+from hydro_diagnosis.closure.evidence import HeldOutBlocks, column, definite
 from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
@@ -34,6 +34,8 @@ LEAST = 0.02
 """Share of the possible gain that a term must bring: less is mimicry of another form."""
 CONDENSED = 0.05
 """Share of a smooth function's gain by which a law may fall short of it."""
+PROMISING = 5
+"""Laws that a joint search with names tries, of those beside names alone and of those beside the laws found first."""
 PATIENCE = 24
 """Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
 INSIDE = 0.1
@@ -75,13 +77,14 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     """Laws beside the names that stand; if they leave something, names and laws that together leave nothing."""
-    laws = _laws(problem)
-    grown, gain = _grown(problem, base, [one for effect in laws for one in _nothing(effect)])
+    tried = _Tried(problem, base, [one for effect in _laws(problem) for one in _nothing(effect)])
+    grown, gain = _grown(problem, base, tried)
     if gain > 0.0 and len((kept := paying(problem, grown)).claims) < len(grown.claims):
         grown, gain = kept, held_out_gain(problem, base, kept)  # names or terms that stood for another's numbers
     one_by_one = Closed(grown, "law", gain, problem)
     if not names or (gain > 0.0 and not noticeable(problem, grown.residual)):
         return one_by_one
+    laws = tried.promising(problem, (base, grown))
     weighed = copy(problem)  # its weights are its own, all else is shared
     found = together(weighed, names, laws)
     room = min(TERMS, CLOSURES - len(problem.bench.closures))
@@ -96,7 +99,7 @@ def _by_table(below: Closed) -> Closed:
     Names stay: a table takes the form of any of them.
     """
     problem, before = below.problem, below.fit
-    fitted = paying(problem, _grown(problem, before, _tables(problem))[0], names_stay=True)
+    fitted = paying(problem, _grown(problem, before, _Tried(problem, before, _tables(problem)))[0], names_stay=True)
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
         return Closed(before, "smooth", 0.0, problem)  # no table, or none that pays
     return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem)
@@ -155,27 +158,53 @@ def _nothing(effect: Closure) -> list[Claim]:
     return [Claim(effect, values) for values in effect.nothing()]
 
 
-def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, float]:
+class _Tried:
+    """Terms that may join a fit, and what each does to the residual there."""
+
+    def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
+        self.terms = list(terms)
+        self.columns: list[FloatArray] = [column(problem, base, one) for one in terms]
+
+    def without(self, label: str) -> _Tried:
+        """All but the terms of one law."""
+        kept, left = copy(self), [k for k, one in enumerate(self.terms) if one.effect.label != label]
+        kept.terms, kept.columns = [self.terms[k] for k in left], [self.columns[k] for k in left]
+        return kept
+
+    def gains(self, problem: Problem, base: Fit) -> tuple[FloatArray, float]:
+        """Held-out deviance that each term gains, and that which there is to gain."""
+        blocks = HeldOutBlocks(problem, base, self.columns)
+        before = blocks.deviance(())
+        there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
+        return before - np.array([blocks.deviance((k,)) for k in range(len(self.terms))]), there_is
+
+    def promising(self, problem: Problem, bases: Sequence[Fit]) -> list[Effect]:
+        """The laws that gain most beside each of these fits, and enough."""
+        found: dict[str, Effect] = {}
+        for base in bases:
+            gains, _ = self.gains(problem, base)
+            ranked = [self.terms[k].effect for k in np.argsort(-gains) if gains[k] >= THRESHOLD]
+            found |= dict(list({effect.label: effect for effect in ranked}.items())[:PROMISING])
+        return list(found.values())
+
+
+def _grown(problem: Problem, base: Fit, tried: _Tried) -> tuple[Fit, float]:
     """The fit with the terms that pay, and the held-out deviance that they gain."""
-    candidates = list(terms)
-    columns: list[FloatArray] = [column(problem, base, one) for one in terms]
     current, gained, taken = base, 0.0, 0
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
-    while taken < room and candidates and noticeable(problem, current.residual):
-        blocks = HeldOutBlocks(problem, current, columns)
-        before = blocks.deviance(())
-        after = [blocks.deviance((k,)) for k in range(len(candidates))]
-        best = int(np.argmin(after))
-        there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
-        if before - after[best] < max(THRESHOLD, LEAST * there_is):
+    while taken < room and tried.terms and noticeable(problem, current.residual):
+        gains, there_is = tried.gains(problem, current)
+        best = int(np.argmax(gains))
+        if gains[best] < max(THRESHOLD, LEAST * there_is):
             break
-        chosen = candidates[best]
-        others = [k for k, one in enumerate(candidates) if one.effect.label != chosen.effect.label]
-        candidates, columns = [candidates[k] for k in others], [columns[k] for k in others]
+        chosen = tried.terms[best]
+        tried = tried.without(chosen.effect.label)
         better = fit(problem, (*current.claims, chosen), iterations=PATIENCE)
         if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
             continue
-        gained += before - after[best]
+        if not definite(problem, better, better.claims[-1]):
+            continue
+        gained += float(gains[best])
         taken += 1
         current = better
     return current, gained

@@ -26,14 +26,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
-
 from hydro_sim.model.equations import Symbol, orifice
 
 SIGN_VELOCITY = 1e-3
 """Velocity [m/s] over which a force that follows the sign of the velocity reverses."""
 WIDEST = 1e9
 """SI unit, of where a table or a threshold may lie."""
+
 
 @dataclass(frozen=True)
 class Signals:

@@ -28,8 +28,8 @@ def _of_cell(channel: str, symbol: str, place: str) -> tuple[Law, ...]:
 
 def _of_gauge(chamber: str) -> Law:
     return Law("sensor", f"quadratic reading of pressure_{chamber}", "1/Pa", f"p_{chamber}^2",
-               f"The pressure sensor of chamber {chamber.upper()} reads a curve instead of a line: typical of a membrane "
-               "that is bent too far.",
+               f"The pressure sensor of chamber {chamber.upper()} reads a curve instead of a line: typical of a "
+               "membrane that is bent too far.",
                1e-9, _SQUARES[chamber], where=f"pressure_{chamber}")  # fmt: skip
 
 

@@ -31,8 +31,8 @@ LAWS: tuple[Law, ...] = (
     Law("actuation", "laminar edges", "-", "q (1 - sqrt(|dp| / (|dp| + transition)))",
         "Edges that pass less at small pressure drops: typical of flow that is laminar below and turbulent above; "
         "1: all of it.",
-        1.0, lambda at, n: 1.0 - np.sqrt((np.abs(at.drop) + LAMINAR) / (np.abs(at.drop) + LAMINAR + at.number)), where="edges",
-        numbers=(Number("transition", "Pa", (1e5, 3e5, 1e6, 3e6)),)),
+        1.0, lambda at, n: 1.0 - np.sqrt((np.abs(at.drop) + LAMINAR) / (np.abs(at.drop) + LAMINAR + at.number)),
+        where="edges", numbers=(Number("transition", "Pa", (1e5, 3e5, 1e6, 3e6)),)),
     Law("actuation", "flow force", "1/Pa", "q |dp|",
         "Edges that pass less the larger the pressure drop: typical of flow forces that close the spool, or of oil "
         "that cavitates.",
