@@ -182,7 +182,7 @@ def _made(law: Law | Table) -> type[Closure]:
 def _number(number: Number) -> dict[str, Any]:
     """A law's further number."""
     middle = number.probes[len(number.probes) // 2]
-    return parameter(number.unit, *number.bounds, scale=abs(middle), neutral=middle)  # type: ignore[no-any-return]
+    return parameter(number.unit, *number.bounds, scale=abs(middle), neutral=middle)
 
 
 def _states(element: Element) -> dict[str, Any]:
