@@ -102,7 +102,6 @@ def test_a_curved_gauge_is_undone() -> None:
         ("motion", "drag outwards", {"coefficient": 800.0}, 0.03),
         ("pressure", "leak while moving out", {"coefficient": 8e-14}, 0.03),
         ("pressure_b", "relief", {"coefficient": 1e-13, "threshold": 9.5e6}, 0.05),
-        ("actuation", "rate limit", {"coefficient": 1.0, "rate": 0.25, "time": 6e-4}, 0.1),
         ("actuation", "laminar edges", {"coefficient": 1.0, "transition": 8e5}, 0.05),
         ("load", "second spring outwards", {"coefficient": 2e3, "threshold": 0.045}, 0.03),
         ("sensor", "quadratic reading of load_force", {"coefficient": 8e-5}, 0.02),

@@ -34,8 +34,8 @@ LEAST = 0.02
 """Share of the possible gain that a term must bring: less is mimicry of another form."""
 CONDENSED = 0.05
 """Share of a smooth function's gain by which a law may fall short of it."""
-PROMISING = 5
-"""Laws that a joint search with names tries, of those beside names alone and of those beside the laws found first."""
+PROMISING = 6
+"""Laws that a joint search with names tries, beside names alone and beside the laws that were found first."""
 PATIENCE = 24
 """Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
 INSIDE = 0.1
@@ -84,7 +84,7 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     one_by_one = Closed(grown, "law", gain, problem)
     if not names or (gain > 0.0 and not noticeable(problem, grown.residual)):
         return one_by_one
-    laws = tried.promising(problem, (base, grown))
+    laws = list({law.label: law for fitted in (base, grown) for law in tried.promising(problem, fitted)}.values())
     weighed = copy(problem)  # its weights are its own, all else is shared
     found = together(weighed, names, laws)
     room = min(TERMS, CLOSURES - len(problem.bench.closures))
@@ -178,33 +178,57 @@ class _Tried:
         there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
         return before - np.array([blocks.deviance((k,)) for k in range(len(self.terms))]), there_is
 
-    def promising(self, problem: Problem, bases: Sequence[Fit]) -> list[Effect]:
-        """The laws that gain most beside each of these fits, and enough."""
-        found: dict[str, Effect] = {}
-        for base in bases:
-            gains, _ = self.gains(problem, base)
-            ranked = [self.terms[k].effect for k in np.argsort(-gains) if gains[k] >= THRESHOLD]
-            found |= dict(list({effect.label: effect for effect in ranked}.items())[:PROMISING])
+    def promising(self, problem: Problem, base: Fit) -> list[Effect]:
+        """The laws of a forward selection beside a fit, to first order: each gains most beside those before it."""
+        blocks, chosen, laws = HeldOutBlocks(problem, base, self.columns), [], dict[str, Effect]()
+        while len(laws) < PROMISING:
+            left = [k for k, one in enumerate(self.terms) if one.effect.label not in laws]
+            if not left:
+                break
+            chosen.append(min(left, key=lambda k: blocks.deviance((*chosen, k))))
+            effect = self.terms[chosen[-1]].effect
+            laws[effect.label] = effect
+        return list(laws.values())
+
+    def starts(self, best: int, gains: FloatArray) -> list[Claim]:
+        """The best term, and of a law with several further numbers the best with each other value of the first."""
+        effect, found = self.terms[best].effect, {}
+        names = [one.name for one in effect.parameters if one.smallest == 0.0]
+        for k in np.argsort(-gains):
+            one = self.terms[k]
+            if one.effect.label == effect.label and (len(names) > 1 or k == best):
+                found.setdefault(one.values[names[0]] if len(names) > 1 else 0.0, one)
         return list(found.values())
 
 
 def _grown(problem: Problem, base: Fit, tried: _Tried) -> tuple[Fit, float]:
     """The fit with the terms that pay, and the held-out deviance that they gain."""
-    current, gained, taken = base, 0.0, 0
+    current, gained, taken, disguised = base, 0.0, 0, 0.0
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
     while taken < room and tried.terms and noticeable(problem, current.residual):
         gains, there_is = tried.gains(problem, current)
         best = int(np.argmax(gains))
-        if gains[best] < max(THRESHOLD, LEAST * there_is):
+        if gains[best] < max(THRESHOLD, LEAST * there_is, (1.0 - CONDENSED) * disguised):
             break
-        chosen = tried.terms[best]
-        tried = tried.without(chosen.effect.label)
-        better = fit(problem, (*current.claims, chosen), iterations=PATIENCE)
+        starts = tried.starts(best, gains)
+        tried = tried.without(starts[0].effect.label)
+        better = _fitted(problem, current, starts)
         if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
             continue
         if not definite(problem, better, better.claims[-1]):
+            disguised = float(gains[best])  # what gains less would stand in for the name or law that this one is
             continue
         gained += float(gains[best])
         taken += 1
-        current = better
+        current, disguised = better, 0.0
     return current, gained
+
+
+def _fitted(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
+    """The fit with a term from the first start at which its further numbers come to be known, else from the best."""
+    fits = []
+    for start in starts:
+        fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
+        if definite(problem, fits[-1], fits[-1].claims[-1]):
+            return fits[-1]
+    return fits[0]

@@ -147,6 +147,11 @@ class Effect:
         return ""
 
     @property
+    def curves(self) -> str:
+        """Channel whose readings are no straight line of its signal by this effect."""
+        return ""
+
+    @property
     def label(self) -> str:
         """Id and options: unique among the candidates."""
         return ":".join([self.id, *self.options.values()])

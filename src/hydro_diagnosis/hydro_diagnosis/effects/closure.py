@@ -200,6 +200,10 @@ class SensorClosure(Closure):
 class GaugeClosure(SensorClosure):
     """What a pressure sensor shows more than the pressure, which the flows follow."""
 
+    @property
+    def curves(self) -> str:
+        return self.law.where
+
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
         for _ in range(_INVERSIONS if channel == self.law.where else 0):
