@@ -92,6 +92,13 @@ def test_laws_with_a_state_are_of_the_right_form() -> None:
     assert not right_form(KIND["spring_hysteresis"], loop)
 
 
+def test_further_numbers_behind_a_law_are_no_part_of_its_form() -> None:
+    fading = "v exp(-w), w' = |v| / path - w / time, path = 0.25 m, time = 10 s"
+    assert right_form(KIND["oil_heat"], closure("motion", fading))
+    assert right_form(KIND["cushion_damping"], closure("motion", "v max(x - threshold, 0), threshold = 0.043 m"))
+    assert not right_form(KIND["cushion_damping"], closure("motion", "max(x - threshold, 0), threshold = 0.043 m"))
+
+
 def test_a_kind_that_the_table_names_after_all_is_of_the_right_form_by_that_name() -> None:
     case, names = Case("leak_orifice_0", KIND["leak_orifice"]), ["leakage_internal"]
     found = report(1.0, names, [])

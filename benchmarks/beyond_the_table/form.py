@@ -48,6 +48,37 @@ TEXTS = {
     "w, w' = (v - |v| w) / path": _form("position velocity", 1.0, memory=True),
     "(x - w), w' = (x - w) / time": _form("position", 1.0, memory=True),
     "w, w' = (f_h - w) / time": _form("hydraulic_force", 1.0, memory=True),
+    "max(v, 0)^2": _form("velocity", 2.0),
+    "-max(-v, 0)^2": _form("velocity", 2.0),
+    "sign(v) p_a": _form("pressure_a velocity", 1.0),
+    "sign(v) p_b": _form("pressure_b velocity", 1.0),
+    "sign(v) max(|v| - threshold, 0)": _form("velocity", 1.0),
+    "v max(x - threshold, 0)": _form("position velocity", 2.0),
+    "v max(threshold - x, 0)": _form("position velocity", 2.0),
+    "v exp(-w), w' = |v| / path - w / time": _form("velocity", 1.0, memory=True),
+    "sign(v) exp(-w), w' = |v| / path - w / time": _form("velocity", 0.0, memory=True),
+    "max(x - threshold, 0)": _form("position", 1.0),
+    "-max(threshold - x, 0)": _form("position", 1.0),
+    "(p_a - p_b) where v > 0": _form("pressure_a pressure_b velocity", 1.0),
+    "(p_a - p_b) where v < 0": _form("pressure_a pressure_b velocity", 1.0),
+    "max(p_a - p_b, 0)": _form("pressure_a pressure_b", 1.0),
+    "-max(p_b - p_a, 0)": _form("pressure_a pressure_b", 1.0),
+    "max(p_a - p_b - threshold, 0)": _form("pressure_a pressure_b", 1.0),
+    "-max(threshold - (p_a - p_b), 0)": _form("pressure_a pressure_b", 1.0),
+    "max(p_a - threshold, 0)": _form("pressure_a", 1.0),
+    "max(p_b - threshold, 0)": _form("pressure_b", 1.0),
+    "p_b where v > 0": _form("pressure_b velocity", 1.0),
+    "p_b where v < 0": _form("pressure_b velocity", 1.0),
+    "sign(u) max(|u| - threshold, 0)": _form("current", 1.0),
+    "(w - u), w' = (u - w) / time within +-rate": _form("current", 1.0, memory=True),
+    "q (1 - sqrt(|dp| / (|dp| + transition)))": _form("current pressure_a pressure_b", 1.0),
+    "q |dp|": _form("current pressure_a pressure_b", 2.5),
+    "f_h^2": _form("hydraulic_force", 2.0),
+    "f_h |f_h|": _form("hydraulic_force", 2.0),
+    "f_h^3": _form("hydraulic_force", 3.0),
+    "f_l^2": _form("load_force", 2.0),
+    "f_l |f_l|": _form("load_force", 2.0),
+    "f_l^3": _form("load_force", 3.0),
 }
 """By the text of a law."""
 
@@ -57,7 +88,7 @@ def right_form(kind: Kind, closure: Mapping[str, Any]) -> bool:
     if closure["form"] != "law" or closure["equation"] not in places(kind):
         return False
     text = closure["expression"].partition(" * ")[2]
-    form = next((form for known, form in TEXTS.items() if text in (known, f"{known},{text.rpartition(',')[2]}")), None)
+    form = next((form for known, form in TEXTS.items() if text == known or text.startswith(f"{known}, ")), None)
     if form is None or form.variables != kind.variables or form.memory != kind.memory:
         return False
     return kind.degree is None or form.degree == kind.degree

@@ -18,15 +18,17 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
-from hydro_sim.model import grammar, laws
+from hydro_sim.model import grammar, laws, tables
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import Law, Table
+from hydro_sim.model.laws import Law
 from hydro_sim.model.plant import AnalyticPlant
+from hydro_sim.model.tables import Table
 from hydro_sim.simulation.offline import Schedule, simulate
 
 BENCH = Bench.nominal()
 LIMITS = {
     "position": (0.02, 0.06), "velocity": (-0.3, 0.3), "pressure_difference": (-5e6, 5e6), "current": (-0.02, 0.02),
+    "force": (-400.0, 400.0), "pressure_a": (3e6, 9e6), "pressure_b": (3e6, 9e6),
 }  # fmt: skip
 BEGINS, LENGTH = np.arange(300, 1100, 100), 40
 TERMS = [pytest.param(law, id=f"{law.equation} {law.form}") for law in grammar.ALL.values()]
@@ -36,8 +38,11 @@ def claimed(law: Law | Table) -> Claim:
     """A term at its typical size; a table goes up and down."""
     effect = closure(law, BENCH, LIMITS[law.variable] if isinstance(law, Table) else (0.0, 1.0))
     amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
-    sizes = {one.name: one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
-    return Claim(effect, {**effect.nothing()[-2 if effect.element else 0], **sizes})
+    sign = -1.0 if law.form == "saturation" else 1.0  # a valve that opens further makes this loop swing
+    sizes = {one.name: sign * one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
+    starts = effect.nothing() * 2
+    placed = isinstance(law, Law) and any(number.over for number in law.numbers)
+    return Claim(effect, {**starts[1 if placed else -2], **sizes})  # a threshold that this motion passes
 
 
 def entry(claim: Claim) -> dict[str, object]:
@@ -49,7 +54,8 @@ def entry(claim: Claim) -> dict[str, object]:
 def test_simulation_and_diagnosis_mean_the_same_term(law: Law | Table) -> None:
     claim = claimed(law)
     bench = replace(BENCH, closures=(entry(claim),))
-    reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=280.0, frequency=0.9)
+    amplitude = 560.0 if "from A to B" in law.form else 280.0  # p_a is below p_b for the most part
+    reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=0.9)
     run = simulate(
         AnalyticPlant(bench, noise=0.0), BENCH, Schedule(reference=reference, gains=(60.0, 10.0), seconds=1.2)
     )
@@ -129,11 +135,11 @@ def test_a_table_is_the_same_number_by_number(table: Table) -> None:
 
 def test_a_table_is_constant_beyond_what_was_seen() -> None:
     table = grammar.ALL["motion", "table over velocity"]
-    numbers = [-0.1, 0.2, *np.arange(laws.KNOTS, dtype=float)]
+    numbers = [-0.1, 0.2, *np.arange(tables.KNOTS, dtype=float)]
     inside = table.value(laws.Signals(velocity=np.array([-0.1, 0.05, 0.2])), BENCH, numbers)
     beyond = table.value(laws.Signals(velocity=np.array([-9.0, 9.0])), BENCH, numbers)
-    np.testing.assert_allclose(inside, [1.0, 0.5 * (laws.KNOTS - 1), laws.KNOTS - 2])
-    np.testing.assert_allclose(beyond, [1.0, laws.KNOTS - 2])
+    np.testing.assert_allclose(inside, [1.0, 0.5 * (tables.KNOTS - 1), tables.KNOTS - 2])
+    np.testing.assert_allclose(beyond, [1.0, tables.KNOTS - 2])
 
 
 @pytest.mark.parametrize(

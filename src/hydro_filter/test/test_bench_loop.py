@@ -78,11 +78,19 @@ def test_sensors_that_are_off_and_a_shifted_null_leave_the_still_loop_as_it_is(b
 
 @pytest.mark.parametrize("law", [law for law in LAWS if law.element is not None], ids=lambda law: law.form)
 def test_a_closure_that_remembers_is_refused_in_a_sentence(law: Law) -> None:
-    assert law.element is not None
-    parameters = {"coefficient": law.typical, law.element.number: law.element.probes[0]}
-    closure = {"equation": law.equation, "form": law.form, "parameters": parameters}
     with pytest.raises(ValueError, match=f"no place for what closures remember: take {law.form} out"):
-        loop_of(replace(Bench.nominal(), closures=(closure,)), Bench.nominal())
+        loop_of(replace(Bench.nominal(), closures=(_entry(law),)), Bench.nominal())
+
+
+def test_a_sensor_that_is_not_straight_is_refused_in_a_sentence() -> None:
+    law = next(law for law in LAWS if law.equation == "sensor" and law.element is None)
+    with pytest.raises(ValueError, match=f"no place for sensors that are not straight: take {law.form} out"):
+        loop_of(replace(Bench.nominal(), closures=(_entry(law),)), Bench.nominal())
+
+
+def _entry(law: Law) -> dict[str, object]:
+    numbers = {one.name: one.probes[0] for one in law.numbers}
+    return {"equation": law.equation, "form": law.form, "parameters": {"coefficient": law.typical, **numbers}}
 
 
 def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(

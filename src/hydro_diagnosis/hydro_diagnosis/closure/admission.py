@@ -123,8 +123,7 @@ def _report(claim: Claim, effect: Closure, bounds: Sequence[Interval], found: Ad
 
 def _expression(claim: Claim, effect: Closure) -> str:
     if isinstance(effect.law, Law):
-        element = effect.law.element
-        over = f", {element.number} = {claim.values[element.number]:.4g} {element.unit}" if element else ""
+        over = "".join(f", {one.name} = {claim.values[one.name]:.4g} {one.unit}" for one in effect.law.numbers)
         return f"{claim.values['coefficient']:.4g} {effect.law.unit} * {effect.law.text}{over}"
     factor = f"{effect.law.factor.text} " if effect.law.factor else ""
     count = len(effect.parameters)

@@ -14,9 +14,14 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, spreads
+from hydro_diagnosis.estimation.intervals import QUANTILE
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 
+EDGE = 1e-3
+"""Share of a number's size or range, within which of a bound it stands there."""
 FOLDS = 4
+VAGUE = 0.5
+"""95 % reach of a law's further number, over its size or its range, from which it says nothing."""
 BLOCK = 1.0
 """Length of a held-out block [s]: many times the memory of any residual."""
 
@@ -75,3 +80,21 @@ def column(problem: Problem, found: Fit, claim: Claim) -> FloatArray:
             probe = Claim(claim.effect, {**claim.values, one.name: one.neutral + one.span})
             slopes.append(problem.residual((*found.claims, probe)) - found.residual)
     return np.column_stack(slopes) if slopes else np.zeros((len(found.residual), 0))
+
+
+def definite(problem: Problem, found: Fit, claim: Claim) -> bool:
+    """Return whether each further number of a law is known, and off its bounds.
+
+    Where one is not, the law is another in disguise: friction that warms over an endless path is dry friction.
+    """
+    weight = 1.0 / spreads(problem, found.residual)[problem.layout.channel]
+    normal = found.jacobian.T @ (found.jacobian * weight[:, None])
+    deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, hermitian=True)), 0.0))
+    at = sum(len(one.effect.parameters) for one in found.claims[: found.claims.index(claim)])
+    for one, deviation in zip(claim.effect.parameters, deviations[at:], strict=False):
+        value, width = claim.values[one.name], one.high - one.low
+        size = abs(value) if one.low > 0.0 else width
+        inside = one.low + EDGE * min(size, width) < value < one.high - EDGE * min(size, width)
+        if one.smallest == 0.0 and not (inside and QUANTILE * deviation * one.span < VAGUE * size):
+            return False
+    return True

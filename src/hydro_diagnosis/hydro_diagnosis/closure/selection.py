@@ -14,19 +14,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.closure.evidence import HeldOutBlocks, column
+from hydro_diagnosis.closure.candidates import Candidates, laws, tables
+from hydro_diagnosis.closure.evidence import definite
 from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
-from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import score
 from hydro_diagnosis.selection.verdict import Assessment, coincidence
-from hydro_sim.model import grammar
 from hydro_sim.model.effects.catalogue import CLOSURES
-from hydro_sim.model.laws import Law
 
 TERMS = 3
 """Largest number of terms of a law."""
@@ -34,8 +32,8 @@ LEAST = 0.02
 """Share of the possible gain that a term must bring: less is mimicry of another form."""
 CONDENSED = 0.05
 """Share of a smooth function's gain by which a law may fall short of it."""
-INSIDE = 0.1
-"""Percentiles of its variable that a table leaves out at either end."""
+PATIENCE = 24
+"""Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
 
 
 @dataclass(frozen=True)
@@ -69,13 +67,16 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     """Laws beside the names that stand; if they leave something, names and laws that together leave nothing."""
-    laws = _laws(problem)
-    grown, gain = _grown(problem, base, [one for effect in laws for one in _nothing(effect)])
+    tried = Candidates(problem, base, laws(problem))
+    grown, gain = _grown(problem, base, tried)
+    if gain > 0.0 and len((kept := paying(problem, grown)).claims) < len(grown.claims):
+        grown, gain = kept, held_out_gain(problem, base, kept)  # names or terms that stood for another's numbers
     one_by_one = Closed(grown, "law", gain, problem)
     if not names or (gain > 0.0 and not noticeable(problem, grown.residual)):
         return one_by_one
+    likely = list({law.label: law for fitted in (base, grown) for law in tried.promising(problem, fitted)}.values())
     weighed = copy(problem)  # its weights are its own, all else is shared
-    found = together(weighed, names, laws)
+    found = together(weighed, names, likely)
     room = min(TERMS, CLOSURES - len(problem.bench.closures))
     if noticeable(weighed, found.residual) or coincidence(found.claims) or not 0 < _terms(found) <= room:
         return one_by_one  # where something remains, names may be there for want of what is missing: none is forced
@@ -88,7 +89,7 @@ def _by_table(below: Closed) -> Closed:
     Names stay: a table takes the form of any of them.
     """
     problem, before = below.problem, below.fit
-    fitted = paying(problem, _grown(problem, before, _tables(problem))[0], names_stay=True)
+    fitted = paying(problem, _grown(problem, before, Candidates(problem, before, tables(problem)))[0], names_stay=True)
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
         return Closed(before, "smooth", 0.0, problem)  # no table, or none that pays
     return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem)
@@ -98,54 +99,34 @@ def _terms(found: Fit) -> int:
     return sum(isinstance(claim.effect, Closure) for claim in found.claims)
 
 
-def _laws(problem: Problem) -> list[Closure]:
-    return [effect for effect in (closure(law, problem.bench) for law in grammar.LAWS) if _visible(effect, problem)]
-
-
-def _tables(problem: Problem) -> list[Claim]:
-    tables = []
-    for table in grammar.TABLES:
-        if not _visible(closure(table, problem.bench), problem):
-            continue
-        values = np.concatenate([variable_of(model, table.variable)[model.settle :] for model in problem.models])
-        low, high = np.percentile(values, [INSIDE, 100.0 - INSIDE])
-        if high > low:
-            tables += _nothing(closure(table, problem.bench, (float(low), float(high))))
-    return tables
-
-
-def _visible(effect: Closure, problem: Problem) -> bool:
-    pressures = all({"pressure_a", "pressure_b"} <= set(model.channels) for model in problem.models)
-    text = effect.law.text if isinstance(effect.law, Law) else f"{effect.law.variable} {effect.law.form}"
-    needed = "p_" in text or "pressure" in text
-    return bool(effect.touches & set(problem.blocks)) and (pressures or not needed)
-
-
-def _nothing(effect: Closure) -> list[Claim]:
-    return [Claim(effect, values) for values in effect.nothing()]
-
-
-def _grown(problem: Problem, base: Fit, terms: Sequence[Claim]) -> tuple[Fit, float]:
+def _grown(problem: Problem, base: Fit, tried: Candidates) -> tuple[Fit, float]:
     """The fit with the terms that pay, and the held-out deviance that they gain."""
-    candidates = list(terms)
-    columns: list[FloatArray] = [column(problem, base, one) for one in terms]
-    current, gained, taken = base, 0.0, 0
+    current, gained, taken, disguised = base, 0.0, 0, 0.0
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
-    while taken < room and candidates and noticeable(problem, current.residual):
-        blocks = HeldOutBlocks(problem, current, columns)
-        before = blocks.deviance(())
-        after = [blocks.deviance((k,)) for k in range(len(candidates))]
-        best = int(np.argmin(after))
-        there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
-        if before - after[best] < max(THRESHOLD, LEAST * there_is):
+    while taken < room and tried.terms and noticeable(problem, current.residual):
+        gains, there_is = tried.gains(problem, current)
+        best = int(np.argmax(gains))
+        if gains[best] < max(THRESHOLD, LEAST * there_is, (1.0 - CONDENSED) * disguised):
             break
-        chosen = candidates[best]
-        others = [k for k, one in enumerate(candidates) if one.effect.label != chosen.effect.label]
-        candidates, columns = [candidates[k] for k in others], [columns[k] for k in others]
-        better = fit(problem, (*current.claims, chosen))
+        starts = tried.starts(best, gains)
+        tried = tried.without(starts[0].effect.label)
+        better = _fitted(problem, current, starts)
         if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
             continue
-        gained += before - after[best]
+        if not definite(problem, better, better.claims[-1]):
+            disguised = float(gains[best])  # what gains less would stand in for the name or law that this one is
+            continue
+        gained += float(gains[best])
         taken += 1
-        current = better
+        current, disguised = better, 0.0
     return current, gained
+
+
+def _fitted(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
+    """The fit with a term from the first start at which its further numbers come to be known, else from the best."""
+    fits = []
+    for start in starts:
+        fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
+        if definite(problem, fits[-1], fits[-1].claims[-1]):
+            return fits[-1]
+    return fits[0]

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hydro_diagnosis.closure.evidence import HeldOutBlocks
+from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
@@ -59,7 +59,9 @@ def _others(found: Fit, claim: Claim) -> tuple[Claim, ...]:
 def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
     if score(problem, without) - score(problem, found) < THRESHOLD or mimics(problem, without, found):
         return False
-    return not isinstance(claim.effect, Closure) or held_out_gain(problem, without, found) >= THRESHOLD
+    if not isinstance(claim.effect, Closure):
+        return True
+    return definite(problem, found, claim) and held_out_gain(problem, without, found) >= THRESHOLD
 
 
 def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:

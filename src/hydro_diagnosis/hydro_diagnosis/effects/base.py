@@ -63,8 +63,8 @@ class FitParameter:
 class Memory(Protocol):
     """Elements with a past, either over a whole record or one step at a time."""
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
-        """First-order lag of a signal, `time_constant` in s."""
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
+        """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where."""
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """Second-order low-pass, `bandwidth` in Hz."""
@@ -98,6 +98,8 @@ class Oil:
     pressures: tuple[FloatArray, FloatArray]
     spool: FloatArray
     """A, shape (..., substeps)."""
+    velocity: FloatArray
+    """m/s."""
 
 
 @dataclass
@@ -142,6 +144,11 @@ class Effect:
     @property
     def rounds(self) -> str:
         """Channel whose readings lose their kinks (where the current steps) by this effect."""
+        return ""
+
+    @property
+    def curves(self) -> str:
+        """Channel whose readings are no straight line of its signal by this effect."""
         return ""
 
     @property

@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 from scipy.interpolate import BSpline
 
 from hydro_diagnosis.effects.base import (
-    HYDRAULIC,
     LOAD,
     MOTION,
     PRESSURE,
@@ -23,21 +23,21 @@ from hydro_diagnosis.effects.base import (
     Oil,
     Values,
 )
-from hydro_diagnosis.effects.path_memory import along
+from hydro_diagnosis.effects.path_memory import along, limited
+from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import KNOTS, Element, Law, Signals, Table
+from hydro_sim.model.laws import Element, Law, Number, Signals, edge_losses, sensed
+from hydro_sim.model.tables import KNOTS, Table
 
-_TOUCHES = {
-    "motion": frozenset({MOTION}),
-    "load": frozenset({MOTION, LOAD}),
-    "sensor": frozenset({MOTION, HYDRAULIC}),
-}
+_TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
 _SPLINES = np.arange(-2.0, KNOTS + 2.0)
 """Knots of a table's cubic B-splines, which peak at 0 to `KNOTS` - 1."""
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
+_INVERSIONS = 6
+"""Iterations that find a signal from its reading: each leaves the part of the error that is not a straight line."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,9 @@ class Closure(Effect):
 
     law: Law | Table = grammar.LAWS[0]
     limits: tuple[float, float] = (0.0, 1.0)
-    """Limits of a table's variable, SI unit."""
+    """Limits of a table's variable or of a law's threshold, SI unit."""
+    probes: tuple[float, ...] = ()
+    """Start values of a threshold, within the limits."""
     numbers: Bench | None = None
     """The bench, once it is adapted."""
 
@@ -55,6 +57,8 @@ class Closure(Effect):
 
     @property
     def touches(self) -> frozenset[str]:  # type: ignore[override]
+        if self.law.equation == "sensor":
+            return TOUCHES[self.law.where]
         return _TOUCHES.get(self.law.equation, frozenset({PRESSURE}))
 
     @property
@@ -64,7 +68,10 @@ class Closure(Effect):
     @property
     def family(self) -> str:  # type: ignore[override]
         """Laws of flows cannot pass for an error in the form of a law of forces."""
-        return "closure of flows" if PRESSURE in self.touches else "closure of forces"
+        flows = self.law.equation in ("actuation", "pressure", "pressure_a", "pressure_b")
+        if self.law.equation == "sensor":
+            flows = self.law.where.startswith("pressure")
+        return "closure of flows" if flows else "closure of forces"
 
     @property
     def element(self) -> Element | None:
@@ -82,50 +89,35 @@ class Closure(Effect):
             )
             for name in names
         )
-        return amplitudes if self.element is None else (*amplitudes, _follows(self.element))
+        return (*amplitudes, *(self._number(one) for one in self._numbers))
+
+    @property
+    def _numbers(self) -> tuple[Number, ...]:
+        """The law's further numbers."""
+        return self.law.numbers if isinstance(self.law, Law) else ()
+
+    def _number(self, number: Number) -> FitParameter:
+        probes = self.probes if number.over and self.probes else number.probes
+        low, high = self.limits if number.over and self.probes else number.bounds
+        return FitParameter(
+            name=number.name, unit=number.unit, low=low, high=high, neutral=probes[len(probes) // 2], probes=probes,
+            systematic=0.01,
+        )  # fmt: skip
 
     def adapted(self, bench: Bench) -> Effect:
         return replace(self, numbers=bench)
 
     def nothing(self) -> list[dict[str, float]]:
-        """Values at which the term vanishes: one set for each probe of its memory's length."""
+        """Values at which the term vanishes: one set for each choice of start values of its further numbers."""
         still = {one.name: 0.0 for one in self.parameters}
-        if self.element is None:
-            return [still]
-        return [{**still, self.element.number: probe} for probe in self.element.probes]
+        shapes = [one for one in self.parameters if one.smallest == 0.0]
+        choices = product(*(one.probes for one in shapes))
+        return [{**still, **dict(zip((one.name for one in shapes), chosen, strict=True))} for chosen in choices]
 
     def to_closure(self, values: Values) -> dict[str, Any]:
         """Return the entry under `closures` in corrected.yaml."""
         bounds = {} if isinstance(self.law, Law) else dict(zip(("low", "high"), self.limits, strict=True))
         return {"equation": self.law.equation, "form": self.law.form, "parameters": {**bounds, **values}}
-
-    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
-                   values: Values) -> FloatArray:  # fmt: skip
-        if self.law.equation != "motion":
-            return force
-        nothing = np.zeros_like(motion.position)
-        pressures = motion.pressures or (nothing, nothing)
-        return force + self.given(Signals(motion.position, motion.velocity, *pressures), values)
-
-    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
-                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        if not self.law.equation.startswith("pressure"):
-            return flows
-        p_a, p_b = oil.pressures
-        at = Signals(oil.position, pressure_a=p_a, pressure_b=p_b)
-        out = self.given(self._remembering(at, memory, values), values)
-        by_a, by_b = {"pressure": (-1.0, 1.0), "pressure_a": (-1.0, 0.0), "pressure_b": (0.0, -1.0)}[self.law.equation]
-        return flows[0] + by_a * out, flows[1] + by_b * out
-
-    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
-        if self.law.equation != "load":
-            return force
-        return force + self.given(self._remembering(Signals(motion.position), memory, values), values, bench)
-
-    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
-        if self.law.equation != "sensor" or channel != "hydraulic_force":
-            return signal
-        return signal + self.given(self._remembering(Signals(force=signal), memory, values), values)
 
     def sentence(self, values: Values) -> str:
         if isinstance(self.law, Law):
@@ -135,14 +127,17 @@ class Closure(Effect):
         return f"{what} the {over}, for which no law was found."
 
     def _remembering(self, at: Signals, memory: Memory, values: Values) -> Signals:
+        """The signals with what the law remembers of them."""
         element = self.element
         if element is None:
             return at
         signal = getattr(at, element.signal)
-        over = values[element.number]
         if element.kind == "lag":
-            return replace(at, memory=memory.lag(self.label, signal, over))
-        return replace(at, memory=memory.bristle(self.label, signal, 1.0 / over, np.ones_like(signal)))
+            return replace(at, memory=memory.lag(self.label, signal, values["time"]))
+        if element.kind == "heat":
+            work = np.abs(at.velocity) * (values["time"] / values["path"])
+            return replace(at, memory=memory.lag(self.label, work, values["time"], 0.0))
+        return replace(at, memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
 
     def given(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
         """Value of the term, in the unit of its equation."""
@@ -153,33 +148,95 @@ class Closure(Effect):
         return np.asarray(given * self.law.factor.shape(at) if self.law.factor else given)
 
 
+class MotionClosure(Closure):
+    """A force against the motion."""
+
+    def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
+                   values: Values) -> FloatArray:  # fmt: skip
+        nothing = np.zeros_like(motion.position)
+        at = Signals(motion.position, motion.velocity, *(motion.pressures or (nothing, nothing)))
+        return force + self.given(self._remembering(at, memory, values), values)
+
+
+class FlowClosure(Closure):
+    """A flow out of the chambers beside the valve."""
+
+    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
+                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        out = self.given(self._remembering(Signals(oil.position, oil.velocity, *oil.pressures), memory, values), values)
+        by_a, by_b = {"pressure": (-1.0, 1.0), "pressure_a": (-1.0, 0.0), "pressure_b": (0.0, -1.0)}[self.law.equation]
+        return flows[0] + by_a * out, flows[1] + by_b * out
+
+
+class EdgeClosure(Closure):
+    """A share of the flow through the valve's edges that does not pass."""
+
+    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
+                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        bench = self.numbers
+        assert bench is not None
+        opened, closed = (np.fmax(sign * oil.spool, 0.0).mean(axis=-1) for sign in (1.0, -1.0))
+        openings = bench.valve_gain * opened, bench.valve_gain * closed
+        lost = edge_losses(bench, openings, oil.pressures, lambda drop: self.given(Signals(drop=drop), values))
+        return flows[0] - lost[0], flows[1] - lost[1]
+
+
+class LoadClosure(Closure):
+    """A force of the load."""
+
+    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
+        return force + self.given(self._remembering(Signals(motion.position), memory, values), values, bench)
+
+
+class SensorClosure(Closure):
+    """What a sensor shows more than its signal."""
+
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if channel != self.law.where:
+            return signal
+        return signal + self.given(self._remembering(sensed(channel, signal), memory, values), values)
+
+
+class GaugeClosure(SensorClosure):
+    """What a pressure sensor shows more than the pressure, which the flows follow."""
+
+    @property
+    def curves(self) -> str:
+        return self.law.where
+
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        signal = reading
+        for _ in range(_INVERSIONS if channel == self.law.where else 0):
+            signal = reading - self.given(sensed(channel, signal), values)
+        return signal
+
+
 class ValveClosure(Closure):
     """A term of the spool's position."""
 
     stage = 2
 
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
-        at = Signals(current=spool)
-        if self.element is not None:
-            path = np.ascontiguousarray(spool).ravel()
-            bent = along(path, 1.0 / values[self.element.number], np.ones_like(path))
-            at = replace(at, memory=bent.reshape(spool.shape))
+        at, path = Signals(current=spool), np.ascontiguousarray(spool).ravel()
+        if self.element is not None and self.element.kind == "path":
+            at = replace(at, memory=along(path, 1.0 / values["path"], np.ones_like(path)).reshape(spool.shape))
+        elif self.element is not None:
+            at = replace(at, memory=limited(path, substep, values["rate"], values["time"]).reshape(spool.shape))
         return spool + self.given(at, values)
 
 
-def _follows(element: Element) -> FitParameter:
-    low, high = element.bounds
-    middle = element.probes[len(element.probes) // 2]
-    return FitParameter(
-        name=element.number, unit=element.unit, low=low, high=high, neutral=middle, probes=element.probes,
-        systematic=0.01,
-    )  # fmt: skip
+def closure(
+    law: Law | Table, bench: Bench, limits: tuple[float, float] = (0.0, 1.0), probes: tuple[float, ...] = ()
+) -> Closure:
+    """A law or table as an effect on a bench.
 
-
-def closure(law: Law | Table, bench: Bench, limits: tuple[float, float] = (0.0, 1.0)) -> Closure:
-    """A law or table as an effect on a bench."""
-    kind = ValveClosure if law.equation == "actuation" else Closure
-    return kind({"equation": law.equation, "form": law.form}, law=law, limits=limits, numbers=bench)
+    `limits`: of a table's variable or of a law's threshold, SI unit; `probes`: start values of that threshold.
+    """
+    acting = {"motion": MotionClosure, "load": LoadClosure, "actuation": ValveClosure, "sensor": SensorClosure}
+    kind = EdgeClosure if law.where == "edges" else acting.get(law.equation, FlowClosure)
+    kind = GaugeClosure if law.where.startswith("pressure") else kind
+    options = {"equation": law.equation, "form": law.form}
+    return kind(options, law=law, limits=limits, probes=probes, numbers=bench)
 
 
 def from_mapping(entry: Mapping[str, Any], bench: Bench) -> tuple[Closure, dict[str, float]]:

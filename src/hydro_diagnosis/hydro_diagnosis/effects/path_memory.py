@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Dahl's element along a path: a force that follows the direction of motion over a distance, without overshoot."""
+"""Elements that run along a record: Dahl's, over a path, and a lag of limited rate."""
 
 from __future__ import annotations
 
@@ -20,3 +20,23 @@ def along(position, stiffness, limit):
         fade = np.exp(-stiffness * abs(moved) / max(abs(limit[k]), 1e-6))
         force[k] = goal + (force[k - 1] - goal) * fade
     return force
+
+
+@njit(cache=True)
+def limited(signal, step, rate, time):
+    """Means over each step [s], shape (n,), of w' = (s - w) / time within +-rate, for a held signal; at rest first.
+
+    Exact: w goes straight while it is further than rate times time from the signal, then exponentially.
+    """
+    mean = np.empty(len(signal))
+    now = signal[0]
+    for k in range(len(signal)):
+        off = signal[k] - now
+        distance = abs(off)
+        fast = min(max(distance / rate - time, 0.0), step)
+        near = distance - rate * fast
+        left = np.exp((fast - step) / time)
+        area = 0.5 * (distance + near) * fast + near * time * (1.0 - left)
+        mean[k] = signal[k] - np.sign(off) * area / step
+        now = signal[k] - np.sign(off) * near * left
+    return mean

@@ -19,12 +19,13 @@ from hydro_diagnosis.effects.base import (
 )
 from hydro_sim.model.bench import Bench
 
-_TOUCHES = {
+TOUCHES = {
     "hydraulic_force": frozenset({MOTION, HYDRAULIC}),
     "load_force": frozenset({LOAD}),
     "pressure_a": frozenset({PRESSURE, HYDRAULIC}),
     "pressure_b": frozenset({PRESSURE, HYDRAULIC}),
 }
+"""Blocks of residuals in which a sensor shows, by its channel."""
 _WORDS = {
     "hydraulic_force": "the load cell at the piston rod",
     "load_force": "the load cell at the spring",
@@ -44,7 +45,7 @@ class _Sensor(Effect):
 
     @property
     def touches(self) -> frozenset[str]:  # type: ignore[override]
-        return _TOUCHES[self.channel]
+        return TOUCHES[self.channel]
 
     @property
     def words(self) -> str:

@@ -23,10 +23,10 @@ class RecordMemory:
         self.traces: dict[str, FloatArray] = {}
         """The states that were passed, for simulations that start along the record."""
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         """See `Memory.lag`; the signal is held between samples, the outcome is the mean over each sample."""
         decay = float(np.exp(-self.step / time_constant))
-        before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[signal[0]])
+        before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[signal[0] if start is None else start])
         self.traces[key] = np.asarray(before, dtype=np.float64)
         share = 1.0 - (1.0 - decay) * time_constant / self.step
         return self.traces[key] + share * (signal - self.traces[key])
@@ -73,9 +73,9 @@ class StepMemory:
         """Accept the states that the last evaluation proposed."""
         self._states.update(self._next)
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         """See `Memory.lag`."""
-        state = self._states.setdefault(key, signal)
+        state = self._states.setdefault(key, signal if start is None else np.full_like(signal, start))
         self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time_constant))
         return state
 

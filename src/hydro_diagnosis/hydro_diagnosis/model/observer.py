@@ -24,6 +24,8 @@ HASTENED = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
 OBSERVER_MEMORY = 0.12
 """Memory [s] of the observer. A shorter one forgets the slow drift that a small leak builds up."""
+SLOPE_STEP = 1e3
+"""Step [Pa] of the differences that give the slope of a curved reading."""
 TIMING_DOUBT = 3e-6
 """Timing uncertainty [s] between the equations, integrated sample by sample, and the sensors."""
 
@@ -42,7 +44,8 @@ class ChamberObserver(SegmentRecord):
         spool = self._kept_back("spool", moving, self._spool)
         p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
         position = self._kept_back("position", (), self._middle_position)
-        return Oil(self.time, position, (p_a, p_b), spool)
+        velocity = self._kept_back("velocity", (), lambda claims: chambers.middle(self.v))
+        return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
         return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
@@ -103,15 +106,25 @@ class ChamberObserver(SegmentRecord):
                 integral = np.concatenate([[0.0], np.cumsum(built[index][:-1])])
                 swallowed = integral - self.reading(channel, integral, late)
                 pressures[index] = chambers.middle(self.true_signal(channel, others) + swallowed)
-        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool)
+        return Oil(oil.time, oil.position, (pressures[0], pressures[1]), oil.spool, oil.velocity)
 
     def _innovation(self, channel: str, built: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+        curved = [claim for claim in claims if claim.effect.curves == channel]
+        if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
+            built = built * self._slope(channel, claims, curved)
+            claims = [claim for claim in claims if claim.effect.curves != channel]
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
         unexplained = self.channels[channel] - self.reading(channel, integral, claims)
         gain = self.step / OBSERVER_MEMORY
         start = float(np.mean(unexplained[:10]))
         followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
         return unexplained - np.asarray(followed)
+
+    def _slope(self, channel: str, claims: Sequence[Claim], curved: Sequence[Claim]) -> FloatArray:
+        """Change of a curved reading [-] per change of its signal, within each sample."""
+        signal = chambers.middle(self.true_signal(channel, claims))
+        above, below = (self.reading(channel, signal + sign * SLOPE_STEP, curved) for sign in (1.0, -1.0))
+        return np.asarray((above - below) / (2.0 * SLOPE_STEP))
 
     def pressure_doubt(self, noise: Mapping[str, float]) -> tuple[FloatArray, FloatArray]:
         """Standard deviations [Pa] of what both equations build, beyond the readings' own noise, decimated.

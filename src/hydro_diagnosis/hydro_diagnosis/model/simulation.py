@@ -73,7 +73,7 @@ class Plant:
         """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `grip`: what dry friction does in this step."""
         x, v, p_a, p_b = state
         bench, claims = self.bench, self.claims
-        oil = Oil(time, x, (p_a, p_b), spool)
+        oil = Oil(time, x, (p_a, p_b), spool, v)
         into_a, into_b = chambers.net_flows(bench, oil, claims, memory)
         stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
         motion = Kinematics(time, x, v, (p_a, p_b))
@@ -224,6 +224,6 @@ class _ColumnMemory(RecordMemory):
         single = super().low_pass
         return np.apply_along_axis(lambda column: single(key, column, bandwidth, damping), 0, signal)
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float) -> FloatArray:
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         single = super().lag
-        return np.apply_along_axis(lambda column: single(key, column, time_constant), 0, signal)
+        return np.apply_along_axis(lambda column: single(key, column, time_constant, start), 0, signal)

@@ -154,6 +154,12 @@ def _refuse(truth: Bench) -> None:
             f"the filter's certificate has no place for what closures remember: take {', '.join(remembering)} out of "
             "the bench file, where it is small"
         )
+    curved = [one["form"] for one in truth.closures if one["equation"] == "sensor"]
+    if curved:
+        raise ValueError(
+            f"the filter's certificate has no place for sensors that are not straight: take {', '.join(curved)} out of "
+            "the bench file, where it is small"
+        )
     lags = sum(effect["id"] == "valve_lag" for effect in truth.effects)
     cells = sum(catalogue.label(effect) == "sensor_lag sensor=load_force" for effect in truth.effects)
     if lags > 1 or cells > 1:

@@ -236,6 +236,8 @@ class Assembly:
             effect.next, effect.at.began = {}, self.y[2]
         states = [self.y[i] for i in range(len(TEXTBOOK))] + [self.hidden_now[i] for i in self.integrated]
         spool = self._spool()
+        for effect in self.effects:
+            effect.at.spool = spool
         return states, spool, self._edges(spool)
 
     def _step(self, start: list[Symbol], edges: rates.Edges) -> SX:

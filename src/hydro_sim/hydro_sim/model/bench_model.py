@@ -284,8 +284,9 @@ def _sources_digest() -> str:
     import hashlib
 
     here = Path(__file__).parent
-    names = ["equations.py", "laws.py", "grammar.py", "motion.py", "rates.py", "assembly.py", "source.py"]
-    files = [here / name for name in names] + sorted(here.glob("*.c")) + sorted((here / "effects").glob("*.py"))
+    names = ["equations.py", "laws.py", "tables.py", "motion.py", "rates.py", "assembly.py", "source.py"]
+    folders = [one for folder in ("effects", "grammar") for one in sorted((here / folder).glob("*.py"))]
+    files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders]
     others = f"{SAMPLE_PERIOD} {_limits()} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 

@@ -1,38 +1,37 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Laws and tables: terms of one equation, written once for arrays and symbols.
+"""Laws: terms of one equation, written once for arrays and symbols.
 
 Terms are linear in their amplitudes. What one gives acts in its equation::
 
     motion      force [N] against the motion
     pressure    flow [m3/s] out of chamber A into chamber B
     pressure_a  flow [m3/s] out of chamber A to the tank; pressure_b likewise
-    actuation   spool position [A] that the edges see more than the current says
+    actuation   spool position [A] that the edges see more than the current says;
+                of the edges: share of their flow that does not pass [-]
     load        force [N] of the load
-    sensor      what the load cell at the rod shows more than the hydraulic force [N]
+    sensor      what a sensor shows more than its signal [N or Pa]
 
-None depends on time: such a law would grow for ever. The memory of a law is one state `w` that follows a signal `s`,
-its second number the time or the path over which it does; a piston at rest or a still current moves no path::
+None depends on time: such a law would grow for ever. Beside its amplitude a law may have further numbers: where a
+threshold lies, or over what a state `w` follows a signal `s`; a piston at rest or a still current moves no path::
 
     lag   w' = (s - w) / T
     path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
+    heat  w' = |s'| / D - w / T        0 at first: what work has warmed and time cools
+    rate  w' = (s - w) / T, within [-R, R]
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import numpy as np
+from hydro_sim.model.equations import Symbol, orifice
 
-from hydro_sim.model.equations import Symbol, clip
-
-KNOTS = 12
-"""Numbers of a table: of so many cubic B-splines."""
 SIGN_VELOCITY = 1e-3
 """Velocity [m/s] over which a force that follows the sign of the velocity reverses."""
-VARIABLES = {"position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A"}
-"""Variables of tables, with units."""
+WIDEST = 1e9
+"""SI unit, of where a table or a threshold may lie."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +46,12 @@ class Signals:
     """Position of the spool, as a current."""
     force: Symbol = 0.0
     """f_h."""
+    drop: Symbol = 0.0
+    """Pressure drop [Pa] across an edge of the valve."""
     memory: Symbol = 0.0
     """State `w` of the law."""
+    number: Symbol = 0.0
+    """First of the law's further numbers, such as its threshold."""
 
     @property
     def pressure_difference(self) -> Symbol:
@@ -57,21 +60,28 @@ class Signals:
 
 
 @dataclass(frozen=True)
-class Element:
-    """Memory of a law: a state that follows one of `Signals`."""
+class Number:
+    """A number of a law beside its amplitude."""
 
-    kind: Literal["lag", "path"]
-    signal: str
-    number: str
-    """Name of the time [s] or the path [unit of the signal] over which it follows."""
+    name: str
     unit: str
     probes: tuple[float, ...]
     """Start values of a search, ascending."""
+    over: str = ""
+    """Signal whose recorded range a threshold lies in, its start values at quantiles; empty: they are as they stand."""
 
     @property
     def bounds(self) -> tuple[float, float]:
-        """Bounds of its parameter."""
-        return 0.1 * self.probes[0], 10.0 * self.probes[-1]
+        """Bounds, SI unit; those of a threshold are the recordings'."""
+        return (-WIDEST, WIDEST) if self.over else (0.1 * self.probes[0], 10.0 * self.probes[-1])
+
+
+@dataclass(frozen=True)
+class Element:
+    """Memory of a law: a state that follows one of `Signals`, over the law's further numbers."""
+
+    kind: Literal["lag", "path", "heat", "rate"]
+    signal: str
 
     @property
     def signal_unit(self) -> str:
@@ -96,63 +106,47 @@ class Law:
     shape: Callable[[Signals, Any], Symbol]
     """The shape as a function of signals and the bench's numbers."""
     element: Element | None = None
+    numbers: tuple[Number, ...] = ()
+    """Its further numbers."""
+    where: str = ""
+    """Channel of a sensor; of the valve, `edges`, if it is not its spool that the law moves."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of its parameters."""
-        return ("coefficient",) if self.element is None else ("coefficient", self.element.number)
+        return ("coefficient", *(number.name for number in self.numbers))
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """Value of the term, in the unit of its equation."""
+        at = replace(at, number=numbers[1]) if self.numbers else at
         return numbers[0] * self.shape(at, n)
 
 
-@dataclass(frozen=True)
-class Factor:
-    """Factor of a table, whose function is then a varying coefficient (Hastie, Tibshirani 1993)."""
+def edge_losses(
+    n: Any, openings: tuple[Symbol, Symbol], pressures: tuple[Symbol, Symbol], share: Callable[[Symbol], Symbol]
+) -> tuple[Symbol, Symbol]:
+    """Flows [m3/s] that chambers A and B lack where a share [-] of each edge's flow, by its drop [Pa], does not pass.
 
-    name: str
-    text: str
-    shape: Callable[[Signals], Symbol]
+    Parameters
+    ----------
+    n
+        The bench's numbers.
+    openings
+        Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back.
+    pressures
+        p_a, p_b [Pa].
+    share
+        Share of an edge's flow, by its pressure drop.
+    """
+    out, back = openings
 
+    def lost(supplied: Symbol, drained: Symbol, pressure: Symbol) -> Symbol:
+        above, below = n.supply_pressure - pressure, pressure - n.tank_pressure
+        return share(above) * orifice(supplied, above) - share(below) * orifice(drained, below)
 
-@dataclass(frozen=True)
-class Table:
-    """A smooth function of one variable between `low` and `high`: a sum of cubic B-splines (de Boor 1978, IX)."""
-
-    equation: str
-    variable: str
-    unit: str
-    """Unit of its values."""
-    typical: float
-    """A value at which it is noticeable."""
-    factor: Factor | None = None
-
-    @property
-    def form(self) -> str:
-        """Name of the form, as for laws."""
-        return f"{self.factor.name} times table over {self.variable}" if self.factor else f"table over {self.variable}"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of its parameters."""
-        return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
-
-    def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
-        """Position of its variable among the peaks of its splines, 1 to `KNOTS` - 2."""
-        return 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
-
-    def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
-        """Value of the term, in the unit of its equation."""
-        low, high, *values = numbers
-        along = self.along(at, low, high)
-        total: Symbol = 0.0
-        for k, value in enumerate(values):
-            total = total + value * _cubic(np.abs(along - k))
-        return total * self.factor.shape(at) if self.factor else total
+    return lost(out, back, pressures[0]), lost(back, out, pressures[1])
 
 
-def _cubic(distance: Symbol) -> Symbol:
-    """The cubic B-spline at so many knots from its peak."""
-    outer, inner = np.fmax(2.0 - distance, 0.0), np.fmax(1.0 - distance, 0.0)
-    return (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
+def sensed(channel: str, signal: Symbol) -> Signals:
+    """Signals of a sensor's law: only the one that it measures."""
+    return Signals(force=signal) if channel.endswith("force") else Signals(**{channel: signal})

@@ -68,7 +68,7 @@ def textbook(
     """y', of length 6, and the flow out of the supply [m3/s]. `dry`: force [N] of dry friction at a velocity [m/s]."""
     p_a, p_b, position, velocity, shown, shown_rate = y[:6]
     for effect in effects:
-        effect.at.position, effect.at.pressures = position, (p_a, p_b)
+        effect.at.position, effect.at.velocity, effect.at.pressures = position, velocity, (p_a, p_b)
     rate_a, rate_b, drawn = pressures(n, effects, y, edges)
     force = load(n, effects, position)
     against = n.viscous_friction * velocity + eq.stop_force(n, position, velocity) + dry(velocity)

@@ -97,8 +97,12 @@ class Surroundings:
     """m, piston position where the present step began."""
     position: Symbol = 0.0
     """m, of the piston at the instant whose rates are written."""
+    velocity: Symbol = 0.0
+    """m/s, at that instant."""
     pressures: tuple[Symbol, Symbol] = (0.0, 0.0)
     """p_a, p_b [Pa] at that instant."""
+    spool: Symbol = 0.0
+    """Mean position of the spool [A] over the step."""
 
 
 class Effect:

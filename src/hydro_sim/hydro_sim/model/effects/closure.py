@@ -4,99 +4,82 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
 
 from hydro_sim.model import equations as eq
-from hydro_sim.model import grammar, laws
+from hydro_sim.model import grammar, laws, tables
 from hydro_sim.model.effects.base import Effect, hidden, parameter
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import Element, Law, Signals, Table
+from hydro_sim.model.laws import Element, Law, Number, Signals
+from hydro_sim.model.tables import Table
 
-_WIDEST = 1e9
-"""SI unit, of where a table begins or ends."""
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
 _SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0}
 
 
 class Closure(Effect):
-    """One law or table; subclasses are made from `grammar.ALL`."""
+    """One law or table; subclasses are made from `grammar.ALL`, one base for each equation."""
 
     id = "closure"
     law: ClassVar[Law | Table]
-    element: ClassVar[Element | None] = None
-
-    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
-        if self.law.equation != "motion":
-            return 0.0
-        pressure_a, pressure_b = self.at.pressures
-        return self._value(Signals(position, velocity, pressure_a=pressure_a, pressure_b=pressure_b))
-
-    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        if not self.law.equation.startswith("pressure"):
-            return 0.0, 0.0
-        at = Signals(self.at.position, pressure_a=pressure_a, pressure_b=pressure_b, memory=self._past())
-        out = self._value(at)
-        return {"pressure": (out, -out), "pressure_a": (out, 0.0), "pressure_b": (0.0, out)}[self.law.equation]
-
-    def load(self, force: Symbol, position: Symbol) -> Symbol:
-        if self.law.equation != "load":
-            return force
-        return force + self._value(Signals(position, memory=self._remembered(position)))
-
-    def show(self, channel: str, signal: Symbol) -> Symbol:
-        if self.law.equation != "sensor" or channel != "hydraulic_force":
-            return signal
-        return signal + self._value(Signals(force=signal, memory=self._past()))
+    element: ClassVar[Element]
+    """What it remembers, if it does."""
 
     def _value(self, at: Signals) -> Symbol:
         return self.law.value(at, self.at.numbers, [getattr(self, name) for name in self.law.names])
 
     def _past(self) -> Symbol:
+        """State of the law at this instant."""
         return 0.0
 
     def _remembered(self, signal: Symbol) -> Symbol:
-        """State of the element in equilibrium with this signal."""
+        """State of the law at the end of a step in which its signal has come to this."""
         return self._past()
 
 
-class Lagging(Closure):
-    """A law that lags behind a signal."""
+class MotionClosure(Closure):
+    """A force against the motion."""
 
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        assert self.element is not None
-        channel = {"position": "piston_position", "force": "hydraulic_force"}.get(
-            self.element.signal, self.element.signal
-        )
-        return {"past": signals[channel]}
-
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        assert self.element is not None
-        p_a, p_b = self.at.pressures
-        force = eq.hydraulic_force(self.at.numbers, p_a, p_b)
-        now = getattr(Signals(self.at.position, pressure_a=p_a, pressure_b=p_b, force=force), self.element.signal)
-        return {"past": (now - self.past) / getattr(self, self.element.number)}
-
-    def _past(self) -> Symbol:
-        return self.past
+    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
+        pressure_a, pressure_b = self.at.pressures
+        return self._value(Signals(position, velocity, pressure_a, pressure_b, memory=self._past()))
 
 
-class Bending(Closure):
-    """A law of the load that follows the piston's path."""
+class FlowClosure(Closure):
+    """A flow out of the chambers beside the valve."""
 
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"where": signals["piston_position"]}
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        out = self._value(Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, memory=self._past()))
+        return {"pressure": (out, -out), "pressure_a": (out, 0.0), "pressure_b": (0.0, out)}[self.law.equation]
 
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
-        self.next["bent"], self.next["where"] = self._remembered(position), position
 
-    def _remembered(self, signal: Symbol) -> Symbol:
-        assert self.element is not None
-        moved = signal - self.where
-        goal = np.sign(moved)
-        return goal + (self.bent - goal) * np.exp(-np.abs(moved) / getattr(self, self.element.number))
+class EdgeClosure(Closure):
+    """A share of the flow through the valve's edges that does not pass."""
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        n, spool = self.at.numbers, self.at.spool
+        openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
+        return laws.edge_losses(n, openings, (pressure_a, pressure_b), lambda drop: self._value(Signals(drop=drop)))
+
+
+class LoadClosure(Closure):
+    """A force of the load."""
+
+    def load(self, force: Symbol, position: Symbol) -> Symbol:
+        return force + self._value(Signals(position, memory=self._remembered(position)))
+
+
+class SensorClosure(Closure):
+    """What a sensor shows more than its signal."""
+
+    def show(self, channel: str, signal: Symbol) -> Symbol:
+        if channel != self.law.where:
+            return signal
+        return signal + self._value(replace(laws.sensed(channel, signal), memory=self._past()))
 
 
 class ValveClosure(Closure):
@@ -108,18 +91,77 @@ class ValveClosure(Closure):
         return spool + self._value(Signals(current=spool, memory=self._remembered(spool)))
 
 
-class BendingValve(Bending, ValveClosure):
-    """A law of the spool's position that follows the current's path."""
+class Lagging(Closure):
+    """A law that lags behind a signal."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        signal = self.element.signal
+        return {"past": signals[{"position": "piston_position", "force": "hydraulic_force"}.get(signal, signal)]}
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        p_a, p_b = self.at.pressures
+        force = eq.hydraulic_force(self.at.numbers, p_a, p_b)
+        now = getattr(Signals(self.at.position, pressure_a=p_a, pressure_b=p_b, force=force), self.element.signal)
+        return {"past": (now - self.past) / self.time}
+
+    def _past(self) -> Symbol:
+        return self.past
+
+
+class Warming(Closure):
+    """A law that motion warms and time cools; a still bench is cold."""
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        return {"past": np.abs(self.at.velocity) / self.path - self.past / self.time}
+
+    def _past(self) -> Symbol:
+        return self.past
+
+
+class Bending(Closure):
+    """A law that follows a path: the piston's, or the current's."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"where": signals["spool" if self.element.signal == "current" else "piston_position"]}
+
+    def command(self, spool: Symbol) -> Symbol:
+        if self.element.signal == "current":
+            self.next["bent"], self.next["where"] = self._remembered(spool), spool
+        return super().command(spool)
+
+    def remember(self, position: Symbol, velocity: Symbol) -> None:
+        if self.element.signal == "position":
+            self.next["bent"], self.next["where"] = self._remembered(position), position
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        moved = signal - self.where
+        goal = np.sign(moved)
+        return goal + (self.bent - goal) * np.exp(-np.abs(moved) / self.path)
+
+
+class Limited(Closure):
+    """A law of a spool that lags, and moves no faster than a rate."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
         return {"where": signals["spool"]}
 
     def command(self, spool: Symbol) -> Symbol:
-        self.next["bent"], self.next["where"] = self._remembered(spool), spool
+        off, near, left = self._course(spool)
+        self.next["where"] = spool - np.sign(off) * near * left
         return super().command(spool)
 
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
-        """The command has been remembered already."""
+    def _remembered(self, signal: Symbol) -> Symbol:
+        """Mean over the step, exact for a signal that is held."""
+        off, near, left = self._course(signal)
+        fast = (np.abs(off) - near) / self.rate
+        area = 0.5 * (np.abs(off) + near) * fast + near * self.time * (1.0 - left)
+        return signal - np.sign(off) * area / self.at.step
+
+    def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
+        """How far off the signal is, how far after what it goes at full rate, and what an exponential leaves of it."""
+        off = signal - self.where
+        fast = eq.clip(np.abs(off) / self.rate - self.time, 0.0, self.at.step)
+        return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
 
 
 def _made(law: Law | Table) -> type[Closure]:
@@ -127,31 +169,41 @@ def _made(law: Law | Table) -> type[Closure]:
     members: dict[str, Any] = {name: parameter(law.unit, -reach, reach, scale=law.typical) for name in law.names}
     element = law.element if isinstance(law, Law) else None
     if isinstance(law, Table):
-        over = laws.VARIABLES[law.variable]
-        members |= {name: parameter(over, -_WIDEST, _WIDEST, scale=1.0) for name in ("low", "high")}
+        over = tables.VARIABLES[law.variable]
+        members |= {name: parameter(over, -laws.WIDEST, laws.WIDEST, scale=1.0) for name in ("low", "high")}
+    else:
+        members |= {one.name: _number(one) for one in law.numbers}
     if element is not None:
-        members |= _states(element)
+        members |= {**_states(element), "element": element}
     about = {"law": law, "options": {"equation": (law.equation,), "form": (law.form,)}, "__doc__": Closure.__doc__}
-    return type("Closure", (_base(law, element),), {**about, "element": element, **members})
+    return type("Closure", _bases(law, element), {**about, **members})
+
+
+def _number(number: Number) -> dict[str, Any]:
+    """A law's further number."""
+    middle = number.probes[len(number.probes) // 2]
+    return parameter(number.unit, *number.bounds, scale=abs(middle), neutral=middle)
 
 
 def _states(element: Element) -> dict[str, Any]:
-    """An element's number and its hidden states."""
-    middle = element.probes[len(element.probes) // 2]
-    number = {element.number: parameter(element.unit, *element.bounds, scale=middle, neutral=middle)}
-    scale = _SCALES[element.signal_unit]
-    if element.kind == "lag":
-        return {**number, "past": hidden(element.signal_unit, scale=scale, integrated=True)}
-    return {**number, "bent": hidden("-", scale=1.0), "where": hidden(element.signal_unit, scale=scale)}
+    """An element's hidden states."""
+    unit, scale = element.signal_unit, _SCALES[element.signal_unit]
+    where = {"where": hidden(unit, scale=scale)}
+    return {
+        "lag": {"past": hidden(unit, scale=scale, integrated=True)},
+        "heat": {"past": hidden("-", scale=1.0, integrated=True)},
+        "path": {"bent": hidden("-", scale=1.0), **where},
+        "rate": where,
+    }[element.kind]
 
 
-def _base(law: Law | Table, element: Element | None) -> type[Closure]:
-    valve = law.equation == "actuation"
-    if element is None:
-        return ValveClosure if valve else Closure
-    if element.kind == "lag":
-        return Lagging
-    return BendingValve if valve else Bending
+_MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "rate": Limited}
+
+
+def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
+    acting = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure}
+    acts = EdgeClosure if law.where == "edges" else acting.get(law.equation, FlowClosure)
+    return (acts,) if element is None else (_MEMORIES[element.kind], acts)
 
 
 EFFECTS = tuple(_made(law) for law in grammar.ALL.values())

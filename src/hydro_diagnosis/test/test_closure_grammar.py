@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The grammar's words hold their closed forms, and each kind of law is found with all of its numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_diagnosis.closure.evidence import definite
+from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.effects.closure import closure
+from hydro_diagnosis.effects.path_memory import limited
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.intervals import intervals
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.model.memory import RecordMemory
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.selection.localisation import noticeable
+from hydro_diagnosis.selection.verdict import assess
+from hydro_sim.model import grammar
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.laws import Law, Signals, edge_losses
+
+BENCH = Bench.nominal()
+
+
+def law(equation: str, form: str) -> Law:
+    found = grammar.ALL[equation, form]
+    assert isinstance(found, Law)
+    return found
+
+
+def problem_of(states: StateArray) -> Problem:
+    table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
+    return Problem([checked(table, BENCH).segments[0]], BENCH)
+
+
+def test_a_lag_of_limited_rate_is_that_of_its_differential_equation() -> None:
+    signal = np.concatenate([np.zeros(2), np.ones(12), np.full(12, -0.4), np.full(12, -0.3)])
+    step, rate, time, parts = 1e-3, 300.0, 7e-4, 4000
+    now, wanted = 0.0, []
+    for held in signal:
+        course = np.empty(parts)
+        for k in range(parts):
+            now += step / parts * min(max((held - now) / time, -rate), rate)
+            course[k] = now
+        wanted.append(course.mean())
+    np.testing.assert_allclose(limited(signal, step, rate, time), wanted, atol=2e-4)
+    slow = limited(signal, step, 1e6, time)  # no limit: an exponential
+    assert slow[2] == pytest.approx(1.0 - time / step * (1.0 - np.exp(-step / time)))
+
+
+def test_what_motion_warms_begins_cold_and_settles_at_speed_times_time_over_path() -> None:
+    effect = closure(law("motion", "warming drag"), BENCH)
+    speed, path, time = 0.2, 0.5, 3.0
+    seconds = 1e-3 * np.arange(4000)
+    memory, values = RecordMemory(1e-3), {"coefficient": 1.0, "path": path, "time": time}
+    at = Signals(velocity=np.full(4000, -speed))
+    warm = -np.log(effect.given(effect._remembering(at, memory, values), values) / -speed)
+    np.testing.assert_allclose(warm, speed / path * time * (1.0 - np.exp(-(seconds + 5e-4) / time)), atol=1e-6)
+
+
+def test_laminar_edges_pass_what_is_proportional_to_a_small_drop_and_the_root_of_a_large_one() -> None:
+    """q = K dp / sqrt(|dp| + p_t) in place of K sqrt(dp), at the edge that feeds and at the one that drains."""
+    opened, transition = 3e-8, 5e5
+    p_a, p_b = np.array([1e6, 15.9e6]), np.array([2e5, 8e6])
+    effect = law("actuation", "laminar edges")
+    lost_a, lost_b = edge_losses(
+        BENCH, (opened, 0.0), (p_a, p_b), lambda drop: effect.value(Signals(drop=drop), BENCH, [1.0, transition])
+    )
+    fed, drained = BENCH.supply_pressure - p_a, p_b - BENCH.tank_pressure
+    np.testing.assert_allclose(opened * np.sqrt(fed) - lost_a, opened * fed / np.sqrt(fed + transition), rtol=1e-3)
+    left = -opened * np.sqrt(drained) - lost_b
+    np.testing.assert_allclose(left, -opened * drained / np.sqrt(drained + transition), rtol=1e-3)
+
+
+def test_a_gate_is_open_in_one_direction_alone() -> None:
+    at = Signals(velocity=np.array([-0.05, 0.0, 0.05]), pressure_a=6e6, pressure_b=5e6)
+    given = [law("pressure", f"leak while moving {way}").value(at, BENCH, [1e-13]) for way in ("in", "out")]
+    np.testing.assert_allclose(given, [[1e-7, 0.0, 0.0], [0.0, 0.0, 1e-7]], atol=1e-15)
+
+
+def test_a_curved_gauge_is_undone() -> None:
+    effect, pressure = closure(law("sensor", "quadratic reading of pressure_a"), BENCH), np.linspace(1e5, 1.5e7, 50)
+    values, memory = {"coefficient": 4e-9}, RecordMemory(1e-3)
+    reading = effect.measure("pressure_a", pressure, memory, values)
+    np.testing.assert_allclose(effect.unmeasure("pressure_a", reading, memory, values), pressure, rtol=1e-5)
+    assert effect.unmeasure("pressure_b", reading, memory, values) is reading
+
+
+@pytest.mark.parametrize(
+    ("equation", "form", "numbers", "tolerance"),
+    [
+        ("motion", "drag towards the outer end", {"coefficient": 2e4, "threshold": 0.043}, 0.02),
+        ("motion", "warming drag", {"coefficient": 120.0, "path": 0.25, "time": 4.0}, 0.1),
+        ("motion", "drag outwards", {"coefficient": 800.0}, 0.03),
+        ("pressure", "leak while moving out", {"coefficient": 8e-14}, 0.03),
+        ("pressure_b", "relief", {"coefficient": 1e-13, "threshold": 9.5e6}, 0.05),
+        ("actuation", "laminar edges", {"coefficient": 1.0, "transition": 8e5}, 0.05),
+        ("load", "second spring outwards", {"coefficient": 2e3, "threshold": 0.045}, 0.03),
+        ("sensor", "quadratic reading of load_force", {"coefficient": 8e-5}, 0.02),
+        ("sensor", "quadratic reading of pressure_a", {"coefficient": 2e-9}, 0.1),
+    ],
+)
+def test_a_law_is_found_with_all_of_its_numbers(
+    record: Callable[..., StateArray], equation: str, form: str, numbers: dict[str, float], tolerance: float
+) -> None:
+    truth = replace(BENCH, closures=({"equation": equation, "form": form, "parameters": numbers},))
+    problem = problem_of(record(truth, 3))
+    nothing = fit(problem, ())
+    found = closures(problem, assess(problem, nothing, nothing))[0]
+    assert [claim.effect.label for claim in found.fit.claims] == [f"closure:{equation}:{form}"]
+    assert not noticeable(problem, found.fit.residual)
+    for bound, value in zip(intervals(problem, found.fit), numbers.values(), strict=True):
+        assert bound.value == pytest.approx(value, rel=tolerance)
+
+
+def test_a_law_that_is_a_name_in_disguise_is_not_definite(record: Callable[..., StateArray]) -> None:
+    """Friction that warms over an endless path is dry friction; that which warms over a short one is not."""
+    dry = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
+    problem = problem_of(record(replace(BENCH, effects=(dry,)), 3))
+    warming = closure(law("motion", "warming friction"), BENCH)
+    disguised = fit(problem, [Claim(warming, {"coefficient": 8.0, "path": 10.0, "time": 3.0})])
+    assert not definite(problem, disguised, disguised.claims[0])
+    coulomb = next(effect for effect in LIBRARY if effect.label == "friction_coulomb").adapted(BENCH)
+    named = fit(problem, [Claim(coulomb, {"force": 8.0})])
+    assert definite(problem, named, named.claims[0])

@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Laws of the servo valve: of its spool, and of the flow through its edges."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydro_sim.model.equations import LAMINAR
+from hydro_sim.model.grammar.words import above, path, threshold
+from hydro_sim.model.laws import Element, Law, Number
+
+LAWS: tuple[Law, ...] = (
+    Law("actuation", "quadratic gain", "1/A", "u |u|",
+        "Flow that is not proportional to the current: typical of edges with round ports.",
+        1.0, lambda at, n: at.current * np.abs(at.current)),
+    Law("actuation", "cubic gain", "1/A2", "u^3",
+        "Flow that saturates or grows with the current: typical of a torque motor near its limit.",
+        100.0, lambda at, n: at.current * at.current * at.current),
+    Law("actuation", "hysteresis", "A", "w, w' = (u' - |u'| w) / path",
+        "Flow that follows another path up than down: typical of a torque motor whose iron stays magnetic.",
+        2e-4, lambda at, n: at.memory, Element("path", "current"), path("A", 1e-4, 3e-4, 1e-3, 3e-3)),
+    Law("actuation", "saturation", "-", "sign(u) max(|u| - threshold, 0)",
+        "Flow that follows the current otherwise beyond an opening: typical of ports of two widths, or a torque motor "
+        "near its limit.",
+        0.05, lambda at, n: above(at.current, at.number) - above(-at.current, at.number),
+        numbers=threshold("opening", "A", 3e-4, 1e-3, 2e-3, 4e-3, 8e-3)),
+    Law("actuation", "rate limit", "-", "(w - u), w' = (u - w) / time within +-rate",
+        "A spool that lags, and moves no faster than a rate: typical of a pilot stage that saturates; 1: all of it.",
+        1.0, lambda at, n: at.memory - at.current, Element("rate", "current"),
+        (Number("rate", "A/s", (0.03, 0.1, 0.3, 1.0)), Number("time", "s", (2e-4, 1e-3, 5e-3)))),
+    Law("actuation", "laminar edges", "-", "q (1 - sqrt(|dp| / (|dp| + transition)))",
+        "Edges that pass less at small pressure drops: typical of flow that is laminar below and turbulent above; "
+        "1: all of it.",
+        1.0, lambda at, n: 1.0 - np.sqrt((np.abs(at.drop) + LAMINAR) / (np.abs(at.drop) + LAMINAR + at.number)),
+        where="edges", numbers=(Number("transition", "Pa", (1e5, 3e5, 1e6, 3e6)),)),
+    Law("actuation", "flow force", "1/Pa", "q |dp|",
+        "Edges that pass less the larger the pressure drop: typical of flow forces that close the spool, or of oil "
+        "that cavitates.",
+        1e-9, lambda at, n: np.abs(at.drop), where="edges"),
+)  # fmt: skip

@@ -1,0 +1,75 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables: smooth functions of one variable as terms of an equation (`model.laws`), where no law is found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydro_sim.model.equations import Symbol, clip
+from hydro_sim.model.laws import Signals
+
+KNOTS = 12
+"""Numbers of a table: of so many cubic B-splines."""
+VARIABLES = {
+    "position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A", "force": "N",
+    "pressure_a": "Pa", "pressure_b": "Pa",
+}  # fmt: skip
+"""Variables of tables, with units."""
+
+
+@dataclass(frozen=True)
+class Factor:
+    """Factor of a table, whose function is then a varying coefficient (Hastie, Tibshirani 1993)."""
+
+    name: str
+    text: str
+    shape: Callable[[Signals], Symbol]
+
+
+@dataclass(frozen=True)
+class Table:
+    """A smooth function of one variable between `low` and `high`: a sum of cubic B-splines (de Boor 1978, IX)."""
+
+    equation: str
+    variable: str
+    unit: str
+    """Unit of its values."""
+    typical: float
+    """A value at which it is noticeable."""
+    factor: Factor | None = None
+    where: str = ""
+    """Channel of a sensor."""
+
+    @property
+    def form(self) -> str:
+        """Name of the form, as for laws."""
+        over = self.where if self.where else self.variable
+        return f"{self.factor.name} times table over {over}" if self.factor else f"table over {over}"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of its parameters."""
+        return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
+
+    def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
+        """Position of its variable among the peaks of its splines, 1 to `KNOTS` - 2."""
+        return 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
+
+    def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
+        """Value of the term, in the unit of its equation."""
+        low, high, *values = numbers
+        along = self.along(at, low, high)
+        total: Symbol = 0.0
+        for k, value in enumerate(values):
+            total = total + value * _cubic(np.abs(along - k))
+        return total * self.factor.shape(at) if self.factor else total
+
+
+def _cubic(distance: Symbol) -> Symbol:
+    """The cubic B-spline at so many knots from its peak."""
+    outer, inner = np.fmax(2.0 - distance, 0.0), np.fmax(1.0 - distance, 0.0)
+    return (outer * outer * outer - 4.0 * inner * inner * inner) / 6.0
