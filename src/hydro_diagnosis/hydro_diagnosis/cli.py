@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hydro_bridge.cli.console import command, writable_folder
+from hydro_bridge.process import endings
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.formats.suffixes import SUFFIXES
@@ -56,7 +57,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Diagnose and write; 0 whatever the verdict, 130 after Ctrl-C, with what was finished by then."""
+    """Diagnose and write; 0 whatever the verdict, 128 + its number after a signal, with what was finished."""
     chosen = parser().parse_args(arguments)
     from hydro_diagnosis.pipeline import diagnose  # late, as the next two: not for --help or a slip
     from hydro_diagnosis.report.corrected_bench import write_corrected
@@ -78,10 +79,10 @@ def run(arguments: Sequence[str]) -> int:
         _made(chosen.out)
         interrupted.report.write(chosen.out)
         print(f"interrupted: {chosen.out / 'report.json'} holds what was finished, no verdict", file=sys.stderr)
-        return 130
-    except KeyboardInterrupt:
+        return interrupted.status
+    except KeyboardInterrupt as interruption:
         print("interrupted while reading: nothing was written", file=sys.stderr)
-        return 130
+        return endings.status(interruption)
     _made(chosen.out)
     found.report.write(chosen.out)
     write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")

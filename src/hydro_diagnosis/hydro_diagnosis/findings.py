@@ -150,11 +150,11 @@ class Report:
 
 
 class DiagnosisInterrupted(KeyboardInterrupt):
-    """Ctrl-C before the verdict."""
+    """Ctrl-C, or another request to end, before the verdict; `status` is the program's exit status."""
 
-    def __init__(self, report: Report) -> None:
+    def __init__(self, report: Report, status: int) -> None:
         super().__init__("the diagnosis was interrupted before its verdict")
-        self.report = report
+        self.report, self.status = report, status
 
 
 def channel_errors(errors: dict[str, ChannelError]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ from typing import Any
 
 from threadpoolctl import threadpool_limits
 
+from hydro_bridge.process import endings
 from hydro_diagnosis.closure.admission import Admitted, admitted, reports
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.dataset.loading import load_dataset
@@ -109,8 +110,8 @@ def diagnose(
     try:
         with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
             return _diagnosed(search, held, facts, begun)
-    except KeyboardInterrupt:
-        raise DiagnosisInterrupted(_unfinished(search, facts, begun)) from None
+    except KeyboardInterrupt as interruption:
+        raise DiagnosisInterrupted(_unfinished(search, facts, begun), endings.status(interruption)) from None
 
 
 def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], begun: float) -> Diagnosis:

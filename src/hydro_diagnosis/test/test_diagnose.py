@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from hydro_bridge.process.endings import Ended
 from hydro_bridge.signals import StateArray
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
@@ -138,6 +139,19 @@ def test_place_that_cannot_be_written_is_found_before_anything_is_read(
             run(["none.mcap", "--out", str(tmp_path / place)])
         error = capsys.readouterr().err.splitlines()[-1]
         assert ended.value.code == 2 and told in error and "Errno" not in error
+
+
+@pytest.mark.parametrize(("interruption", "status"), [(Ended(15), 143), (Ended(1), 129), (KeyboardInterrupt(), 130)])
+def test_a_signal_while_recordings_are_read_is_the_status(
+    interruption: KeyboardInterrupt, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    def ended(*_: object, **__: object) -> None:
+        raise interruption
+
+    monkeypatch.setattr("hydro_diagnosis.pipeline.diagnose", ended)
+    assert run([str(tmp_path / "none.mcap"), "--out", str(tmp_path / "out")]) == status
+    assert capsys.readouterr().err == "interrupted while reading: nothing was written\n"
 
 
 def test_interrupt_leaves_what_is_finished(worn: list[Path], tmp_path: Path) -> None:

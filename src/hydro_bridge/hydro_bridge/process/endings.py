@@ -34,6 +34,11 @@ class Ended(KeyboardInterrupt):
         self.number, self.sentence = number, sentence
 
 
+def status(interruption: KeyboardInterrupt) -> int:
+    """Return the exit status of a program that ends by this: 128 + the signal's number, 130 for Ctrl-C."""
+    return 128 + (interruption.number if isinstance(interruption, Ended) else signal.SIGINT)
+
+
 def answer(handler: Callable[[int, FrameType | None], Any] | signal.Handlers) -> Handlers:
     """Install `handler` for the three signals and return the previous handlers for `restore`; main thread only.
 

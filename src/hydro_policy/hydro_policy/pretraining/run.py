@@ -61,12 +61,12 @@ def pretrain(options: argparse.Namespace) -> int:
     began = time.monotonic()
     try:
         _train(run, pretraining, source)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as interruption:
         print(
             f"interrupted after {pretraining.episode} episodes; go on with: pretrain --resume {run.path}",
             file=sys.stderr,
         )
-        return 130
+        return endings.status(interruption)
     finally:
         _leave_page(run, pretraining, source)
     _show(run, pretraining, options.json, time.monotonic() - began)
