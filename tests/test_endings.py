@@ -80,4 +80,5 @@ def test_ended_at_any_instant_of_its_start_an_executable_leaves_no_traceback(
         process.send_signal(number)
         _, said = process.communicate(timeout=30.0)
         assert "Traceback" not in said, said
-        assert process.returncode in (0, 2, 128 + number, -number), said
+        allowed = {0, 2, 128 + number, -number} | ({130} if executable == "trainer" else set())  # a graph's end is 130
+        assert process.returncode in allowed, said
