@@ -132,33 +132,43 @@ def made_for(name: str, folder: Path) -> tuple[LoopFilter, dict[str, Any]] | Non
     model = bench_file(CASES[name], folder / f"{name.translate(FILE_NAME)}.yaml")
     try:
         file, said = metric(model, folder)
+        return loaded(file, model), said
     except ValueError as error:
         print(f"{name}: {error}", file=sys.stderr)
         return None
-    choice = FilterChoice(bench=Bench.nominal(), metric=str(file), model=model)
+
+
+def loaded(metric_file: Path, model: Path) -> LoopFilter:
+    """The filter of these files, compiled and ready (raises ValueError where they do not belong together)."""
+    choice = FilterChoice(bench=Bench.nominal(), metric=str(metric_file), model=model)
     if trouble := choice.trouble():
-        print(f"{name}: {trouble}", file=sys.stderr)
-        return None
+        raise ValueError(trouble)
     made = choice.make(choice.default_settings())
     assert isinstance(made, LoopFilter)
     warm_up(made, choice.bench)
-    return made, said
+    return made
+
+
+def add_runs(
+    table: Table, name: str, plant: TruthPlant, filtering: tuple[LoopFilter, dict[str, Any]] | None, told: str
+) -> None:
+    """Add a bench's rows: without a filter, and under wide gains behind this one, if there is one, called `told`."""
+    nothing = dict.fromkeys(list(COLUMNS)[9:], np.nan)
+    for gains in ((90.0, 15.0), (250.0, 15.0), (300.0, 30.0)):
+        table.add(bench=name, filter="none", **row(plant, gains, None), **nothing)
+        if filtering is not None and gains[0] > 90.0:
+            made, said = filtering
+            timed = Timed(made)
+            found = row(plant, gains, timed)
+            p50, p99 = 1e6 * np.quantile(timed.took, (0.5, 0.99))
+            table.add(bench=name, filter=told, **found, call_p50=p50, call_p99=p99, **said)
 
 
 def table_of(names: list[str], folder: Path) -> Table:
     """All rows."""
-    table, nothing = Table(COLUMNS, title="The filter on a bench file"), dict.fromkeys(list(COLUMNS)[9:], np.nan)
+    table = Table(COLUMNS, title="The filter on a bench file")
     for name in progress(names, label="benches", unit="bench"):
-        filtering = made_for(name, folder)
-        plant = TruthPlant(modified_truth(CASES[name][0]))
-        for gains in ((90.0, 15.0), (250.0, 15.0), (300.0, 30.0)):
-            table.add(bench=name, filter="none", **row(plant, gains, None), **nothing)
-            if filtering is not None and gains[0] > 90.0:
-                made, said = filtering
-                timed = Timed(made)
-                found = row(plant, gains, timed)
-                p50, p99 = 1e6 * np.quantile(timed.took, (0.5, 0.99))
-                table.add(bench=name, filter="bench file", **found, call_p50=p50, call_p99=p99, **said)
+        add_runs(table, name, TruthPlant(modified_truth(CASES[name][0])), made_for(name, folder), "bench file")
     return table
 
 

@@ -16,18 +16,15 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-import numpy as np
 import yaml
 
 from benchmarks.bench_file_filter import CASES as ALL
-from benchmarks.bench_file_filter import COLUMNS, FILE_NAME, Timed, row
+from benchmarks.bench_file_filter import COLUMNS, FILE_NAME, add_runs, loaded
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
-from hydro_filter.controller.factory import FilterChoice, warm_up
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.training.relearn import METRIC, MODEL
 from hydro_filter.validation.plants import modified_truth
 from hydro_sim.emulator.truth.plant import TruthPlant
-from hydro_sim.model.bench import Bench
 
 CASES = {name: case[0] for name, case in ALL.items() if name != "deadband 0.5 mA"}
 """Of each bench: the truth's change."""
@@ -43,12 +40,7 @@ def made_for(name: str, folder: Path) -> tuple[LoopFilter, dict[str, Any]]:
     began = time.monotonic()
     said = _run("hydro_filter.training.relearn", str(bag), "--out", str(out))
     took = time.monotonic() - began
-    choice = FilterChoice(bench=Bench.nominal(), metric=str(out / METRIC), model=out / MODEL)
-    if trouble := choice.trouble():
-        raise ValueError(trouble)
-    made = choice.make(choice.default_settings())
-    assert isinstance(made, LoopFilter)
-    warm_up(made, choice.bench)
+    made = loaded(out / METRIC, out / MODEL)
     rows = yaml.safe_load((out / "metric.json").read_text(encoding="utf-8"))["rows"]
     violated = next(one["violated"] for one in rows if one["metric"] == "solved" and one["gains"] == "certified")
     span = said.rpartition("certified range: K_p ")[2].split(" 1/s")[0]
@@ -57,18 +49,11 @@ def made_for(name: str, folder: Path) -> tuple[LoopFilter, dict[str, Any]]:
 
 def table_of(names: list[str]) -> Table:
     """All rows."""
-    table, nothing = Table(COLUMNS, title="The filter after relearn"), dict.fromkeys(list(COLUMNS)[9:], np.nan)
+    table = Table(COLUMNS, title="The filter after relearn")
     for name in progress(names, label="benches", unit="bench"):
         with TemporaryDirectory(suffix=name.translate(FILE_NAME)) as folder:
-            made, said = made_for(name, Path(folder))
-        plant = TruthPlant(modified_truth(CASES[name]))
-        table.add(bench=name, filter="none", **row(plant, (90.0, 15.0), None), **nothing)
-        for gains in ((250.0, 15.0), (300.0, 30.0)):
-            table.add(bench=name, filter="none", **row(plant, gains, None), **nothing)
-            timed = Timed(made)
-            found = row(plant, gains, timed)
-            p50, p99 = 1e6 * np.quantile(timed.took, (0.5, 0.99))
-            table.add(bench=name, filter="relearned", **found, call_p50=p50, call_p99=p99, **said)
+            filtering = made_for(name, Path(folder))
+        add_runs(table, name, TruthPlant(modified_truth(CASES[name])), filtering, "relearned")
     return table
 
 
