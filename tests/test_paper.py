@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import json
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from benchmarks.paper import metric, report, times
+from benchmarks.paper import metric, report, sensitivity, times
 from benchmarks.paper.certificate import AtRate, NetworkDynamics, NetworkMetric, paper_filter
 from benchmarks.paper.claims import CLAIMS
 from benchmarks.paper.foreign import ForeignPlant
@@ -24,6 +27,7 @@ from hydro_filter.certificate.continuous import Certificate
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
 from hydro_filter.training.data import STABLE, UNSTABLE, Rollout
+from hydro_policy.task import mdp
 from hydro_sim.files.recordings import Run
 from hydro_sim.neural.network_model import NetworkModel
 
@@ -261,3 +265,22 @@ def test_a_page_shows_what_is_there_and_judges_it(tmp_path: Path) -> None:
     assert f"| {claim} | not run yet | 4 of 8 |" in page
     assert "| default | I, paper | 4.00 ± 0.00 | 5.00 ± 0.00 | 8.00 ± 0.00 | stopped 2/2 | 2 |" in page
     assert "| paper's | III | 3.27 | 6.31 | 9.73 | 12.97 |" in page
+
+
+def test_another_normaliser_is_that_of_the_first_actors_observations_and_only_for_its_piece() -> None:
+    samples = np.random.default_rng(3).normal(50.0, 20.0, (500, len(STATE_DTYPE.names)))
+    actions = np.zeros((500, mdp.ACTIONS))
+    seen = mdp.observe(samples, actions)
+
+    class First:
+        def round(self, each_step: Callable[[Any], object]) -> None:
+            each_step(SimpleNamespace(observation=seen))
+
+    with sensitivity.observed("observation-standardised", First):  # type: ignore[arg-type]
+        standardised = mdp.observe(samples, actions)[:, : -mdp.ACTIONS]
+    np.testing.assert_allclose(standardised.mean(axis=0), 0.0, atol=1e-9)
+    moved = seen[:, : -mdp.ACTIONS].std(axis=0) > 1e-3
+    np.testing.assert_allclose(standardised[:, moved].std(axis=0), 1.0)
+    with sensitivity.observed("observation-a-fifth", First):  # type: ignore[arg-type]
+        np.testing.assert_allclose(5.0 * mdp.observe(samples, actions), seen)
+    np.testing.assert_array_equal(mdp.observe(samples, actions), seen)

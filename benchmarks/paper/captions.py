@@ -29,7 +29,7 @@ OPEN = """
 - A, B, K are exact slopes, where the paper takes differences; the metric's rollouts: K_p -40 to 200 1/s, without noise.
 - II is trained on the shipped model, not on the 2x32 network: the gap from simulation to bench is the smaller for it.
 - Not in Table training_agent: batch 256, target entropy -2, fixed scales of the observation, the reward's factor 0.02.
-  How much hangs on them is in "Sensitivity" of each size; the observation's scales were not varied.
+  How much hangs on them is in "Sensitivity" of each size.
 - No filter stands in the runs of Table rmse. *I* is the best policy by the run's own examinations, two runs of each
   sine, better than the one that came by more than their noise; *last policy* is what the training ended with.
 - I's actor learns at a tenth of the paper's rate, and not before an episode of the bench is there: `trainer`'s way with
@@ -88,6 +88,7 @@ SENSITIVITY = """
 ### Sensitivity
 
 II under the paper's authority, in simulation, with other choices than ours (*as chosen*: batch 256, target entropy -2,
-the reward's factor 0.02). *Score*: RMSE over that of fixed (90, 15), mean of the four sines, of the training's best
-and last examination; the best of one seed is the least of many noisy ones.
+the reward's factor 0.02; observations over the reach of normal runs). *standardised*: mean 0 and deviation 1 of what
+the first actor sees, as a running normaliser has it. *Score*: RMSE over that of fixed (90, 15), mean of the four sines,
+of the training's best and last examination; the best of one seed is the least of many noisy ones.
 """

@@ -17,6 +17,10 @@ CHOICES: Mapping[str, Mapping[str, Any]] = {
     "reward-fivefold": {"reward_scale": 0.1},
 }
 """Settings that differ from ours: batch 256, target entropy -2, the reward's factor 0.02."""
+NORMALISERS: Mapping[str, float | None] = {"observation-standardised": None, "observation-a-fifth": 5.0}
+"""Factor on the observation's scales, which are the reach of normal runs; None: mean 0 and deviation 1 under the first
+actor, as a running normaliser has it."""
+VARIED = (*CHOICES, *NORMALISERS)
 CHOSEN = "as chosen"
 
 

@@ -167,7 +167,7 @@ def _chatter(store: Store) -> str:
 
 def _sensitivity(store: Store) -> str:
     rows = []
-    for name in (choices.CHOSEN, *choices.CHOICES):
+    for name in (choices.CHOSEN, *choices.VARIED):
         if found := choices.scores(store, name):
             rows.append([name, *cells(found, 3), str(len(found))])
     told = len(rows) > 1

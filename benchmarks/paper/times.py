@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.paper.choices import CHOICES
+from benchmarks.paper.choices import VARIED
 from benchmarks.paper.store import AUTHORITIES, CASES, FILTERS, PRINTED, Size, Store
 
 EXAMINED = 33.0
@@ -59,7 +59,7 @@ KINDS = (
     ),
     Kind("I", tuple(f"rmse-{bench}-{one}-I-{{}}" for bench in BENCHES for one in AUTHORITIES), _on_the_bench),
     Kind("chattering", tuple(f"chatter-{chosen}-{{}}" for chosen in ("none", "paper-short", "ours"))),
-    Kind("sensitivity", tuple(f"sensitivity-{one}-{{}}" for one in CHOICES), lambda size: size.simulated_episodes),
+    Kind("sensitivity", tuple(f"sensitivity-{one}-{{}}" for one in VARIED), lambda size: size.simulated_episodes),
 )
 
 
