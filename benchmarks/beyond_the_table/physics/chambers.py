@@ -60,7 +60,7 @@ def across(kind, size, shape, a, b, state):
 
 @njit
 def memory_rate(kind, shape, bench, current, state):
-    """Rate of the hose's inner pressure [Pa/s], of the warmth of throttled oil, and of the ring's place in its groove."""
+    """Rate of the hose's inner pressure [Pa/s], of throttled oil's warmth, of the ring's place in its groove."""
     if kind == HOSE:
         return (state[PRESSURE_A] - state[MEMORY]) / shape
     if kind == HOT_LEAK:

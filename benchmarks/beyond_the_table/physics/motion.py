@@ -63,7 +63,7 @@ def extra_force(kind, size, shape, bench, time, state):
 
 @njit
 def memory_rate(kind, shape, bench, state):
-    """Rate of the travelled warmth, of the velocity [m/s2] that the film has followed, of the air [m/s] in the bellows."""
+    """Rate of the travelled warmth, of the velocity that the film has followed [m/s2], of the bellows' air [m/s]."""
     if kind == HEAT:
         return abs(state[VELOCITY]) / shape - state[MEMORY] / 10.0
     if kind == ROD_BELLOWS:

@@ -53,7 +53,7 @@ def misread(kind, size, shape, bench, time, current, state, row):
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of what the cell has crept by [N/s], of the pressure [Pa/s] behind the snubber, and of the coupling's path."""
+    """Rate of what the cell has crept by [N/s], of the pressure [Pa/s] behind the snubber, of the coupling's path."""
     if kind == CELL_CREEP:
         return (hydraulic_force(bench, state) - state[MEMORY]) / shape
     if kind == GAUGE_SNUBBER:
