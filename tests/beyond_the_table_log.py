@@ -142,6 +142,11 @@ def drops(s: Signals) -> FloatArray:
     return np.asarray(np.where(s.u >= 0.0, BENCH.supply_pressure - s.a + s.b, s.a + BENCH.supply_pressure - s.b))
 
 
+def passed(s: Signals, spool: FloatArray) -> FloatArray:
+    """Flow into A [m3/s] over a spool [A], beyond that over the current."""
+    return np.asarray(over_a(s._replace(u=spool)) * spool - over_a(s) * s.u)
+
+
 def seen(position: FloatArray) -> FloatArray:
     """What a load's cell would read [N]: the spring's force behind the amplifier, bilinear from row to row."""
     force, grown = BENCH.spring_stiffness * (position - REST), 2.0 / PERIOD / CORNER

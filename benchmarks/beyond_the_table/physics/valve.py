@@ -9,10 +9,10 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     JET_FORCE,
+    LOAD_NULL,
     MEMORY,
     NULL_WARMS,
     RETURN_FILTER,
-    ROUND_LANDS,
     SPOOL_RATE,
     SPOOL_STOP,
     TRANSITION,
@@ -38,8 +38,8 @@ def drawn(kind, size, shape, bench, current, state):
     if kind == JET_FORCE:
         over_a, over_b = drops(bench, current >= 0.0, state)
         return current / (1.0 + size * (over_a + over_b))
-    if kind == ROUND_LANDS:
-        return current + size * min(max(current, -shape), shape)
+    if kind == LOAD_NULL:
+        return current - size * (state[PRESSURE_A] - state[PRESSURE_B])
     return memory if kind == SPOOL_RATE else current
 
 
