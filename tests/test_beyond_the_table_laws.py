@@ -72,7 +72,7 @@ EXPECTED: dict[str, tuple[str, Callable[[Signals, float, float], FloatArray]]] =
         lambda s, c, h: -c * lag(np.abs(s.v) / 0.1, h) * BENCH.spring_stiffness * (s.x - REST),
     ),
     "cell_bypass": ("cell", lambda s, c, h: c * np.clip(-seen(s.x), 0.0, None)),
-    "gauge_at_valve": ("sensor", lambda s, c, h: -BENCH.piston_area * c * s.v * np.abs(s.v)),
+    "gauge_limit": ("sensor", lambda s, c, h: -AREA_B * c * np.clip(s.b - h, 0.0, None)),
     "encoder_play": ("load", lambda s, c, h: BENCH.spring_stiffness * c * path(s.x, h)),
 }
 """Equation, and what it must leave unexplained, by signals, size and shape: a second derivation, from the log alone."""

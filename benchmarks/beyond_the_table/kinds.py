@@ -132,11 +132,11 @@ KINDS: tuple[Kind, ...] = (
     # load += size x'': a grip beyond the cell, its mass besides the piston's
     _kind("grip_mass", "sealed", "load", (0.8, 3.0), "kg", 0.0, "acceleration", degree=1.0),
     # load -= size w k (x - rest), w' = (|v| / 0.1 m/s - w) / shape: rubber softens as it is worked warm
-    _kind("specimen_softens", "sealed", "load", (0.04, 0.15), "-", 4.0, "position velocity", memory=True),
+    _kind("specimen_softens", "sealed", "load", (0.05, 0.15), "-", 4.0, "position velocity", memory=True),
     # load cell reads f + size max(-f, 0): a joint that passes part of a pull by the cell
     _kind("cell_bypass", "sealed", "sensor", (0.03, 0.1), "-", 0.0, "load_force", degree=1.0),
-    # gauge A reads p_a + size v |v|: it sits at the valve, a hose away from the chamber
-    _kind("gauge_at_valve", "sealed", "sensor", (3e6, 1.5e7), "Pa s2/m2", 0.0, "velocity", degree=2.0),
+    # gauge B reads p_b - size max(p_b - shape, 0): its amplifier runs into its limit
+    _kind("gauge_limit", "sealed", "sensor", (0.3, 1.0), "-", 1.15e7, "pressure_b", degree=1.0),
     # encoder reads x - size w, w' = (v - |v| w) / shape: play in its coupling
     _kind("encoder_play", "sealed", "sensor", (3e-5, 1e-4), "m", 2e-4, "position velocity", memory=True),
 )  # fmt: skip

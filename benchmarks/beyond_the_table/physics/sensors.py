@@ -13,7 +13,7 @@ from benchmarks.beyond_the_table.physics.places import (
     CELL_CURVE,
     CELL_PICKUP,
     ENCODER_PLAY,
-    GAUGE_AT_VALVE,
+    GAUGE_LIMIT,
     GAUGE_SNUBBER,
     GAUGE_WARMS,
     MEMORY,
@@ -45,8 +45,8 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[5] += state[MEMORY] - state[PRESSURE_B]
     if kind == CELL_BYPASS:
         row[2] += size * max(-state[CELL], 0.0)
-    if kind == GAUGE_AT_VALVE:
-        row[4] += size * state[VELOCITY] * abs(state[VELOCITY])
+    if kind == GAUGE_LIMIT:
+        row[5] -= size * max(state[PRESSURE_B] - shape, 0.0)
     if kind == ENCODER_PLAY:
         row[6] -= size * state[MEMORY]
 
