@@ -62,7 +62,7 @@ EXPECTED: dict[str, tuple[str, Callable[[Signals, float, float], FloatArray]]] =
     "weeping_fitting": ("pressure_b", lambda s, c, h: -c * np.sqrt(s.b)),
     "blow_by": ("pressure_a", lambda s, c, h: c * np.clip(s.b - s.a - h, 0.0, None)),
     "floating_ring": ("pressure_b", lambda s, c, h: c * (s.a - s.b) * (1.0 - path(s.x, h) ** 2)),
-    "worn_edge": ("pressure_b", lambda s, c, h: -c * GAIN * np.clip(s.u, 0.0, None) * np.sqrt(s.b)),
+    "silted_edge": ("pressure_b", lambda s, c, h: c * GAIN * np.clip(s.u, 0.0, None) * np.sqrt(s.b)),
     "jet_force": ("pressure_a", lambda s, c, h: passed(s, s.u / (1.0 + c * drops(s)))),
     "load_null": ("pressure_a", lambda s, c, h: passed(s, s.u - c * (s.a - s.b))),
     "specimen_damping": ("load", lambda s, c, h: c * s.v),

@@ -119,14 +119,14 @@ KINDS: tuple[Kind, ...] = (
     # B to A: q = size max(p_b - p_a - shape, 0): a lip that is lifted from its back
     _kind("blow_by", "sealed", _CHAMBERS, (2e-13, 1e-12), "m3/s/Pa", 3.8e6, "pressure_a pressure_b", degree=1.0),
     # A to B: q = size (1 - w^2) (p_a - p_b), w' = (v - |v| w) / shape: a ring that leaves its seat at each reversal
-    _kind("floating_ring", "sealed", _CHAMBERS, (1.5e-13, 7e-13), "m3/s/Pa", 5e-4, "pressure_a pressure_b velocity",
+    _kind("floating_ring", "sealed", _CHAMBERS, (1.2e-13, 5e-13), "m3/s/Pa", 5e-4, "pressure_a pressure_b velocity",
           memory=True),
-    # out of B while the valve drives out: q = size K_v max(u, 0) sqrt(p_b - p_t) more: one edge of four has worn
-    _kind("worn_edge", "sealed", "pressure_b", (0.03, 0.12), "-", 0.0, "current pressure_b", degree=1.5),
+    # into B while the valve drives out: q = size K_v max(u, 0) sqrt(p_b - p_t): one edge of four is silted up
+    _kind("silted_edge", "sealed", "pressure_b", (0.03, 0.12), "-", 0.0, "current pressure_b", degree=1.5),
     # spool = u / (1 + size dp), dp over both open edges: the jets close the valve against its spring
-    _kind("jet_force", "sealed", _FLOW, (3e-9, 1.2e-8), "1/Pa", 0.0, "current pressure_a pressure_b"),
+    _kind("jet_force", "sealed", _FLOW, (3e-9, 1e-8), "1/Pa", 0.0, "current pressure_a pressure_b"),
     # spool = u - size (p_a - p_b): the load's pressure leans on the spool
-    _kind("load_null", "sealed", _FLOW, (1.5e-11, 6e-11), "A/Pa", 0.0, "pressure_a pressure_b", degree=1.0),
+    _kind("load_null", "sealed", _FLOW, (1e-11, 4e-11), "A/Pa", 0.0, "pressure_a pressure_b", degree=1.0),
     # load += size v: a specimen that damps
     _kind("specimen_damping", "sealed", "load", (25.0, 120.0), "N s/m", 0.0, "velocity", degree=1.0),
     # load += size x'': a grip beyond the cell, its mass besides the piston's

@@ -13,12 +13,12 @@ from benchmarks.beyond_the_table.physics.places import (
     MEMORY,
     NULL_WARMS,
     RETURN_FILTER,
+    SILTED_EDGE,
     SPOOL_RATE,
     SPOOL_STOP,
     TRANSITION,
     VALVE_CURVE,
     VALVE_HYSTERESIS,
-    WORN_EDGE,
 )
 from benchmarks.foreign_truth.equations import PRESSURE_A, PRESSURE_B, flow_gain, opening, root
 
@@ -55,13 +55,13 @@ def drops(bench, out, state):
 @njit
 def blocked_flows(kind, size, bench, time, current, state):
     """Flows [m3/s] that the edges do not pass: into chamber A and out of chamber B, as `lost_flows` counts them."""
-    if kind != TRANSITION and kind != RETURN_FILTER and kind != WORN_EDGE:
+    if kind != TRANSITION and kind != RETURN_FILTER and kind != SILTED_EDGE:
         return 0.0, 0.0
     moved = flow_gain(bench) * opening(bench, time, current)
     out = moved >= 0.0
     over_a, over_b = drops(bench, out, state)
-    if kind == WORN_EDGE:
-        return 0.0, size * max(moved, 0.0) * root(over_b)
+    if kind == SILTED_EDGE:
+        return 0.0, -size * max(moved, 0.0) * root(over_b)
     if kind == TRANSITION:
         short_a = root(over_a) - over_a / math.sqrt(abs(over_a) + size)
         short_b = root(over_b) - over_b / math.sqrt(abs(over_b) + size)
