@@ -137,6 +137,14 @@ def path(travelled: FloatArray, width: float) -> FloatArray:
     return out
 
 
+def behind_play(read: FloatArray, size: float, width: float) -> FloatArray:
+    """Position [m] whose encoder reads this behind a coupling with play, by iteration."""
+    position = read
+    for _ in range(30):
+        position = read + size * path(position, width)
+    return position
+
+
 def drops(s: Signals) -> FloatArray:
     """Pressure [Pa] over both edges that are open."""
     return np.asarray(np.where(s.u >= 0.0, BENCH.supply_pressure - s.a + s.b, s.a + BENCH.supply_pressure - s.b))

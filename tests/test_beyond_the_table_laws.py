@@ -22,6 +22,7 @@ from tests.beyond_the_table_log import (
     ROWS,
     FloatArray,
     Signals,
+    behind_play,
     bump,
     drops,
     kept_back,
@@ -73,7 +74,7 @@ EXPECTED: dict[str, tuple[str, Callable[[Signals, float, float], FloatArray]]] =
     ),
     "cell_bypass": ("cell", lambda s, c, h: c * np.clip(-seen(s.x), 0.0, None)),
     "gauge_limit": ("sensor", lambda s, c, h: -AREA_B * c * np.clip(s.b - h, 0.0, None)),
-    "encoder_play": ("load", lambda s, c, h: BENCH.spring_stiffness * c * path(s.x, h)),
+    "encoder_play": ("load", lambda s, c, h: BENCH.spring_stiffness * (behind_play(s.x, c, h) - s.x)),
 }
 """Equation, and what it must leave unexplained, by signals, size and shape: a second derivation, from the log alone."""
 

@@ -138,7 +138,7 @@ KINDS: tuple[Kind, ...] = (
     # gauge B reads p_b - size max(p_b - shape, 0): its amplifier runs into its limit
     _kind("gauge_limit", "sealed", "sensor", (0.3, 1.0), "-", 1.15e7, "pressure_b", degree=1.0),
     # encoder reads x - size w, w' = (v - |v| w) / shape: play in its coupling
-    _kind("encoder_play", "sealed", "sensor", (3e-5, 1e-4), "m", 2e-4, "position velocity", memory=True),
+    _kind("encoder_play", "sealed", "sensor", (3e-5, 1e-4), "m", 3e-4, "position velocity", memory=True),
 )  # fmt: skip
 NAMES = tuple(kind.name for kind in KINDS)
 """Compiled code knows a kind by its place here; -1 is none."""
