@@ -68,6 +68,8 @@ class Problem:
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
         self._doubt: list[FloatArray] = []
+        self._deviations: dict[tuple[str, int], FloatArray | float] = {}
+        """By channel and segment: `deviation` under the present doubt, as far as asked for."""
         self._unseen: dict[tuple[str, int], FloatArray] = {}
         """By channel and segment: what the rows that are missing may hide, shape of the residuals, physical unit."""
         self.evaluations = 0
@@ -97,6 +99,7 @@ class Problem:
 
     def update_weights(self, claims: Sequence[Claim]) -> None:
         """Weigh residuals down: where these claims leave the sign of dry friction in doubt, and by missing rows."""
+        self._deviations = {}
         if MOTION in self.blocks:
             everything, reversals = (*self.baseline, *claims), sum(model.reversals for model in self.models)
             self._doubt = [model.kept(model.friction_doubt(everything, reversals)) for model in self.models]
@@ -133,6 +136,12 @@ class Problem:
 
     def deviation(self, channel: str, segment: int) -> FloatArray | float:
         """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
+        key = channel, segment
+        if key not in self._deviations:
+            self._deviations[key] = self._deviation(channel, segment)
+        return self._deviations[key]
+
+    def _deviation(self, channel: str, segment: int) -> FloatArray | float:
         deviation: FloatArray | float = self._noises[segment][channel]
         if channel == "motion":
             deviation = np.hypot(deviation, self._doubt[segment])
@@ -173,11 +182,11 @@ class Problem:
     def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
         acting = tuple(claim for claim in claims if block in claim.effect.touches)
         key = (block, *((claim.effect.label, *claim.values.values()) for claim in acting))
-        if key not in self._cache:
-            if len(self._cache) > _CACHE:
-                self._cache.pop(next(iter(self._cache)))
-            self._cache[key] = [compute(model, acting) for model in self.models]
-        return self._cache[key]
+        found = self._cache.pop(key, None) or [compute(model, acting) for model in self.models]
+        if len(self._cache) > _CACHE:
+            self._cache.pop(next(iter(self._cache)))
+        self._cache[key] = found  # the one that was asked for longest ago goes first
+        return found
 
     @staticmethod
     def _pressure(model: SegmentModel, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray, FloatArray]:

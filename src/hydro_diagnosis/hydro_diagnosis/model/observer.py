@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Oil
-from hydro_diagnosis.model import chambers
+from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, changes
+from hydro_diagnosis.model import chambers, kernels
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.segment_record import SegmentRecord
 from hydro_diagnosis.preprocessing.white_noise import white_noise
@@ -40,7 +41,7 @@ class ChamberObserver(SegmentRecord):
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
         moving = [claim for claim in claims if chambers.moves_spool(claim)]
-        sensing = [claim for claim in claims if type(claim.effect).unmeasure is not Effect.unmeasure]
+        sensing = [claim for claim in claims if changes(claim, "unmeasure")]
         spool = self._kept_back("spool", moving, self._spool)
         p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
         position = self._kept_back("position", (), self._middle_position)
@@ -90,11 +91,16 @@ class ChamberObserver(SegmentRecord):
         """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
         into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
         stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
-        position = self.channels["piston_position"]
-        swept = bench.piston_area * np.diff(position, append=position[-1])
+        swept = bench.piston_area * self._moved
         built_a = stiff_a * (into_a * self.step - swept)
         built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
         return (stiff_a, stiff_b), (built_a, built_b)
+
+    @cached_property
+    def _moved(self) -> FloatArray:
+        """Change [m] of the position from each sample to the next."""
+        position = self.channels["piston_position"]
+        return np.diff(position, append=position[-1])
 
     def _hastened(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
         """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
@@ -113,9 +119,11 @@ class ChamberObserver(SegmentRecord):
         if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
             built = built * self._slope(channel, claims, curved)
             claims = [claim for claim in claims if claim.effect.curves != channel]
+        gain = self.step / OBSERVER_MEMORY
+        if not any(changes(claim, "measure") for claim in claims):
+            return np.asarray(kernels.innovations(self.channels[channel], built, gain))
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
         unexplained = self.channels[channel] - self.reading(channel, integral, claims)
-        gain = self.step / OBSERVER_MEMORY
         start = float(np.mean(unexplained[:10]))
         followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
         return unexplained - np.asarray(followed)
