@@ -151,6 +151,14 @@ class Problem:
             return np.asarray(np.maximum(deviation, self._unseen[channel, segment]))
         return deviation
 
+    def deviations(self) -> FloatArray:
+        """`deviation` of every residual in the order of `layout`."""
+        layout, found = self.layout, np.empty(len(self.layout.time))
+        for name in (CHANNELS[index] for index in np.unique(layout.channel)):
+            for k in range(len(self.models)):
+                found[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)] = self.deviation(name, k)
+        return found
+
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its noise, one vector in the order of `layout`."""
         self.evaluations += 1

@@ -13,15 +13,21 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hydro_diagnosis.effects.base import Effect
-from hydro_diagnosis.estimation.fit import Fit, fit, pack
+from hydro_diagnosis.estimation.fit import Fit, fit, pack, with_one_more, without_one
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.score_test import screen
+from hydro_diagnosis.estimation.score_test import Signatures, screen
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings, Step, score
 from hydro_diagnosis.selection.significance import all_significant, form_error
 
 SCREEN_TOLERANCE = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
+POLISHED = 2
+"""Best candidates of a shortlist that are fitted in full; the others by secants."""
+CONTENDING = 0.1
+"""Share of a claim's worth by which a candidate may fall short of it and still be fitted in full in its place."""
+SAME_DOUBT = 1e-3
+"""Relative change of the doubt below which fits with other claims are not made anew."""
 SWAPS = 3
 """Rounds of exchanging causes at most, after each claim."""
 SWAP_BIC_MARGIN = 2.0
@@ -47,6 +53,7 @@ class Search:
         self.steps: list[Step] = []
         """Steps of acceptance and removal so far, passed to the outcome."""
         self._begun = problem.evaluations
+        self._signatures = Signatures()
         self._looked: dict[frozenset[str], tuple[tuple[float, ...], list[Fit]]] = {}
         """By the labels of a base: the doubt under which it was looked at, and the fits with one claim more."""
 
@@ -67,6 +74,7 @@ class Search:
         """Add what pays most, exchange what others do better, until nothing pays; then drop what is not needed."""
         self.problem.update_weights(())
         self.steps.clear()
+        self._signatures = Signatures()
         outcome = Outcome(nothing, nothing)
         ranked = list(opening)
         for _ in range(2 * self.settings.most):
@@ -100,21 +108,30 @@ class Search:
         None at all where the best only mends the form of its kin: what others explain of that is mimicry.
         """
         enough = score(self.problem, base) - self.settings.threshold
+        self._signatures = Signatures()
         better = [one for one in self._extended(base) if score(self.problem, one) <= enough]
         worth = [one for one in better if all_significant(self.problem, one)]
         mends = bool(worth) and form_error(self.problem, base, worth[0], self.settings.form_error)
         return [] if mends else worth
 
-    def _extended(self, base: Fit) -> list[Fit]:
-        """Fits with one claim more, the best first; those of a base that was looked at before are only refined."""
+    def _extended(self, base: Fit, enough: float = -np.inf) -> list[Fit]:
+        """Fits with one claim more, the best first; those of a base that was looked at before are only refined.
+
+        The best, and those whose score is at most `enough`, are fitted in full.
+        """
         key, doubt = frozenset(claim.effect.label for claim in base.claims), self.problem.doubted
         seen, fits = self._looked.get(key, ((), []))
+        if key in self._looked and np.allclose(seen, doubt, rtol=SAME_DOUBT, atol=0.0):
+            return fits
+        begun = [one.claims[-1] for one in fits]
         if key not in self._looked:
-            prospects = screen(self.problem, base, self.library)[: self.settings.shortlist]
-            hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self.settings.threshold]
-            fits = [fit(self.problem, (*base.claims, one.claim), tolerance=SCREEN_TOLERANCE) for one in hopeful]
-        elif seen != doubt:
-            fits = [fit(self.problem, one.claims, tolerance=SCREEN_TOLERANCE) for one in fits]
+            prospects = screen(self.problem, base, self.library, self._signatures)[: self.settings.shortlist]
+            begun = [prospect.claim for prospect in prospects if prospect.gain > 0.5 * self.settings.threshold]
+        fits = [with_one_more(self.problem, base, one, tolerance=SCREEN_TOLERANCE) for one in begun]
+        fits = sorted(fits, key=lambda one: score(self.problem, one))
+        for k, one in enumerate(fits):
+            if k < POLISHED or score(self.problem, one) <= enough:
+                fits[k] = fit(self.problem, one.claims, tolerance=SCREEN_TOLERANCE)
         fits = sorted(fits, key=lambda one: score(self.problem, one))
         self._looked[key] = doubt, fits
         return fits
@@ -125,11 +142,12 @@ class Search:
         for claim in outcome.fit.claims:
             if claim not in outcome.fit.claims:
                 continue
-            others = tuple(one for one in outcome.fit.claims if one is not claim)
-            if any(claim.effect.id in one.effect.needs for one in others):
+            if any(claim.effect.id in one.effect.needs for one in outcome.fit.claims):
                 continue
-            label = claim.effect.label
-            fits = [one for one in self._extended(fit(self.problem, others)) if one.claims[-1].effect.label != label]
+            label, base = claim.effect.label, without_one(self.problem, outcome.fit, claim)
+            present = score(self.problem, outcome.fit)
+            enough = present + CONTENDING * max(score(self.problem, base) - present, 0.0)
+            fits = [one for one in self._extended(base, enough) if one.claims[-1].effect.label != label]
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if self._pays_in_place(one, claim.effect, outcome.fit)]
             if better and all_significant(self.problem, better[0]):
@@ -151,7 +169,7 @@ class Search:
         changed = False
         while outcome.fit.claims:
             smaller = [
-                fit(self.problem, tuple(one for one in outcome.fit.claims if one is not claim))
+                without_one(self.problem, outcome.fit, claim)
                 for claim in outcome.fit.claims
                 if not any(claim.effect.id in one.effect.needs for one in outcome.fit.claims)
             ]
