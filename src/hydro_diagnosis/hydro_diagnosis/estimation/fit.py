@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -37,13 +37,13 @@ def spreads(problem: Problem, residual: FloatArray) -> FloatArray:
     """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
     layout = problem.layout
     count = np.maximum(layout.count(), 1.0)
-    return np.maximum(np.bincount(layout.channel, np.square(residual), len(CHANNELS)) / count, 1.0)
+    return np.maximum(layout.squares(residual) / count, 1.0)
 
 
 def deviance(problem: Problem, residual: FloatArray) -> float:
     """-2 log likelihood up to a constant, with a channel's variance at its most likely value of 1 or more."""
     layout = problem.layout
-    squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
+    squares = layout.squares(residual)
     variance = np.maximum(squares / np.maximum(layout.count(), 1.0), 1.0)
     return float(np.sum(layout.count() * np.log(variance) + squares / variance))
 

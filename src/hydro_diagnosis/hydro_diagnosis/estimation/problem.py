@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -34,7 +36,25 @@ class Layout:
 
     def count(self) -> FloatArray:
         """Entries per channel, shape (5,)."""
+        return self._count
+
+    def squares(self, residual: FloatArray) -> FloatArray:
+        """Sum of each channel's squares, shape (5,)."""
+        sums = np.zeros(len(CHANNELS))
+        for index, begin, end in self._stretches:
+            part = residual[begin:end]
+            sums[index] += part @ part
+        return sums
+
+    @cached_property
+    def _count(self) -> FloatArray:
         return np.bincount(self.channel, minlength=len(CHANNELS)).astype(np.float64)
+
+    @cached_property
+    def _stretches(self) -> list[tuple[int, int, int]]:
+        """Channel, begin and end of the stretches of one channel each."""
+        edges = [0, *(np.flatnonzero(np.diff(self.channel)) + 1).tolist(), len(self.channel)]
+        return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
 class Problem:

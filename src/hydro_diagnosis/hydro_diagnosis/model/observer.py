@@ -19,7 +19,7 @@ from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
 Kept = TypeVar("Kept")
-SHELF = 8
+SHELF = 10
 """Largest number of intermediate results that a segment keeps."""
 HASTENED = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
@@ -40,7 +40,7 @@ class ChamberObserver(SegmentRecord):
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
-        moving = [claim for claim in claims if chambers.moves_spool(claim)]
+        moving = sorted(filter(chambers.moves_spool, claims), key=lambda claim: claim.effect.stage)
         sensing = [claim for claim in claims if changes(claim, "unmeasure")]
         spool = self._kept_back("spool", moving, self._spool)
         p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
@@ -49,7 +49,17 @@ class ChamberObserver(SegmentRecord):
         return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
-        return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
+        """Each claim's spool is kept back, so that what comes later in the command's path begins there."""
+        if not claims:
+            return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, ())
+        *before, last = claims
+        spool = self._kept_back("spool", before, self._spool) if before else self._held_current
+        return last.effect.command(spool, self.step / chambers.SUBSTEPS, last.values)
+
+    @cached_property
+    def _held_current(self) -> FloatArray:
+        """A, shape (n, substeps)."""
+        return np.repeat(self.channels["valve_current"][:, None], chambers.SUBSTEPS, axis=1)
 
     def _middle_pressures(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
         p_a, p_b = (chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
@@ -61,11 +71,10 @@ class ChamberObserver(SegmentRecord):
     def _kept_back(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
         """Return the result for these claims, computed once as long as only others change."""
         key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
-        if key not in self._shelf:
-            if len(self._shelf) >= SHELF:
-                self._shelf.pop(next(iter(self._shelf)))
-            self._shelf[key] = compute(claims)
-        found: Kept = self._shelf[key]
+        found: Kept = self._shelf.pop(key) if key in self._shelf else compute(claims)
+        if len(self._shelf) >= SHELF:
+            self._shelf.pop(next(iter(self._shelf)))
+        self._shelf[key] = found  # the one that was asked for longest ago goes first
         return found
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:

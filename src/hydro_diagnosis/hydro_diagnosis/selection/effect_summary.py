@@ -9,7 +9,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
-from hydro_diagnosis.estimation.fit import Fit, without_one
+from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import cause
@@ -42,7 +42,7 @@ def describe(
 def _report(
     problem: Problem, held: Problem, outcome: Outcome, found: Fit, claim: Claim, bounds: Sequence[Interval]
 ) -> EffectReport:
-    without = without_one(problem, found, claim, tolerance=0.01)
+    without = fit(problem, tuple(one for one in found.claims if one is not claim))
     parameters = {
         parameter.name: ParameterEstimate(
             value=bound.value, ci95=[bound.low, bound.high] if bound.identifiable else None, unit=parameter.unit
