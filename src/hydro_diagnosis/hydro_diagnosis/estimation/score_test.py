@@ -30,7 +30,7 @@ class Signatures:
     """
 
     def __init__(self) -> None:
-        self._seen: dict[tuple[str | float, ...], npt.NDArray[np.float32]] = {}
+        self._seen: dict[tuple[object, ...], npt.NDArray[np.float32]] = {}
 
     def of(self, problem: Problem, fit: Fit, claim: Claim, deviations: FloatArray) -> FloatArray:
         """A candidate's signature beside a fit, over the residuals' present `deviations`."""

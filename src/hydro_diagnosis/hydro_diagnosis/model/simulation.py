@@ -163,7 +163,7 @@ class Plant:
         substeps = self.spool.shape[1]
         step, states = self.model.step / substeps, np.empty((length, *state.shape))
         if not self._acting:
-            kernels.nominal_run(states, state, samples, self.spool, step, self._numbers)
+            kernels.nominal_run(states, np.ascontiguousarray(state), samples, self.spool, step, self._numbers)
             return states
         memory = StepMemory(step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
