@@ -15,9 +15,11 @@ from hydro_diagnosis.estimation.score_test import Signatures, screen
 from hydro_diagnosis.selection.search import Search
 from hydro_sim.model.bench import Bench
 
+ADAPTED = [effect.adapted(Bench.nominal()) for effect in LIBRARY]
+
 
 def claim(name: str) -> Claim:
-    effect = next(one for one in LIBRARY if one.id == name).adapted(Bench.nominal())
+    effect = next(one for one in ADAPTED if one.id == name)
     return Claim(effect, {one.name: one.probes[0] for one in effect.parameters})
 
 
@@ -55,16 +57,16 @@ def test_one_claim_less_is_fitted_like_all_anew(worn: Problem, found: Fit) -> No
 
 def test_signatures_are_computed_once(worn: Problem, found: Fit) -> None:
     kept = Signatures()
-    first, many = worn.evaluations, screen(worn, found, LIBRARY, kept)
+    first, many = worn.evaluations, screen(worn, found, ADAPTED, kept)
     once = worn.evaluations - first
-    again = screen(worn, found, LIBRARY, kept)
+    again = screen(worn, found, ADAPTED, kept)
     assert worn.evaluations - first == once > 50
     assert [one.claim.effect.label for one in again[:5]] == [one.claim.effect.label for one in many[:5]]
     np.testing.assert_allclose([one.gain for one in again], [one.gain for one in many], rtol=1e-3, atol=0.1)
 
 
 def test_every_claim_has_rivals_though_none_promised_much(worn: Problem) -> None:
-    outcome = Search(worn, [effect.adapted(Bench.nominal()) for effect in LIBRARY]).run()
+    outcome = Search(worn, ADAPTED).run()
     names = {one.effect.id for one in outcome.fit.claims}
     assert names == {"spring_stiffness", "moving_mass", "bulk_modulus"}
     assert all(outcome.rivals[one.effect.label] for one in outcome.fit.claims)
