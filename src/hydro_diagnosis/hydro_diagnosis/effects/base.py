@@ -232,3 +232,8 @@ class Claim:
     def to_mapping(self) -> dict[str, Any]:
         """Return the entry of corrected.yaml."""
         return {"id": self.effect.id, **self.effect.options, "parameters": dict(self.values)}
+
+
+def changes(claim: Claim, hook: str) -> bool:
+    """Whether a claim's effect acts in this hook of `Effect`."""
+    return getattr(type(claim.effect), hook) is not getattr(Effect, hook)

@@ -72,7 +72,7 @@ class Responses:
         if self.equation in ("pressure_a", "pressure_b", "actuation"):
             return self._chambers(k, model, hidden)
         if self.equation == "motion":
-            return {"motion": -model.kept(model.finish(hidden))}
+            return {"motion": -model.kept_finish(hidden)}
         if self.equation == "load":
             return self._load(k, model, hidden)
         return self._sensor(k, model, hidden)
@@ -87,15 +87,15 @@ class Responses:
             if self.equation == "actuation":
                 flow = flow * self._benches[k].valve_gain * self._roots[k][index] * (1.0 if index == 0 else -1.0)
             built = np.concatenate([[0.0], np.cumsum((self._stiff[k][index] * flow)[:-1])])
-            shown[name] = -model.kept(model.smooth(forget(built, model.step)))
+            shown[name] = -model.kept_smooth(forget(built, model.step))
         return shown
 
     def _load(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
         bandwidth = self._benches[k].load_cell_bandwidth
         seen = hidden if bandwidth is None else model.memory.low_pass("", hidden, bandwidth, LOAD_CELL_DAMPING)
-        shown = {"load": -model.kept(model.smooth(seen))}
+        shown = {"load": -model.kept_smooth(seen)}
         if "motion" in self.problem.blocks:
-            shown["motion"] = -model.kept(model.finish(hidden))
+            shown["motion"] = -model.kept_finish(hidden)
         return shown
 
     def _sensor(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
@@ -103,12 +103,12 @@ class Responses:
         means = model.means(hidden)
         area = self._benches[k].piston_area
         if self.sensor == "load_force":
-            return {"load": model.kept(model.smooth(hidden))}
+            return {"load": model.kept_smooth(hidden)}
         if self.sensor == "hydraulic_force":
-            shown["motion"] = model.kept(model.smooth(hidden))
+            shown["motion"] = model.kept_smooth(hidden)
             shown["hydraulic"] = means
         else:
-            shown[self.sensor] = model.kept(model.smooth(forget(hidden, model.step))) * 1e4
+            shown[self.sensor] = model.kept_smooth(forget(hidden, model.step)) * 1e4
             share = 1.0 if self.sensor == "pressure_a" else -self._benches[k].area_ratio
             shown["hydraulic"] = -area * share * means * 1e4
         present = {CHANNELS[index] for index in np.unique(self.problem.layout.channel)}

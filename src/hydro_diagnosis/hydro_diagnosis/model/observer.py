@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Oil
-from hydro_diagnosis.model import chambers
+from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, changes
+from hydro_diagnosis.model import chambers, kernels
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.segment_record import SegmentRecord
 from hydro_diagnosis.preprocessing.white_noise import white_noise
@@ -18,7 +19,7 @@ from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
 Kept = TypeVar("Kept")
-SHELF = 8
+SHELF = 10
 """Largest number of intermediate results that a segment keeps."""
 HASTENED = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
@@ -39,8 +40,8 @@ class ChamberObserver(SegmentRecord):
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
-        moving = [claim for claim in claims if chambers.moves_spool(claim)]
-        sensing = [claim for claim in claims if type(claim.effect).unmeasure is not Effect.unmeasure]
+        moving = sorted(filter(chambers.moves_spool, claims), key=lambda claim: claim.effect.stage)
+        sensing = [claim for claim in claims if changes(claim, "unmeasure")]
         spool = self._kept_back("spool", moving, self._spool)
         p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
         position = self._kept_back("position", (), self._middle_position)
@@ -48,7 +49,17 @@ class ChamberObserver(SegmentRecord):
         return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
-        return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
+        """Each claim's spool is kept back, so that what comes later in the command's path begins there."""
+        if not claims:
+            return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, ())
+        *before, last = claims
+        spool = self._kept_back("spool", before, self._spool) if before else self._held_current
+        return last.effect.command(spool, self.step / chambers.SUBSTEPS, last.values)
+
+    @cached_property
+    def _held_current(self) -> FloatArray:
+        """A, shape (n, substeps)."""
+        return np.repeat(self.channels["valve_current"][:, None], chambers.SUBSTEPS, axis=1)
 
     def _middle_pressures(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
         p_a, p_b = (chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
@@ -60,11 +71,10 @@ class ChamberObserver(SegmentRecord):
     def _kept_back(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
         """Return the result for these claims, computed once as long as only others change."""
         key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
-        if key not in self._shelf:
-            if len(self._shelf) >= SHELF:
-                self._shelf.pop(next(iter(self._shelf)))
-            self._shelf[key] = compute(claims)
-        found: Kept = self._shelf[key]
+        found: Kept = self._shelf.pop(key) if key in self._shelf else compute(claims)
+        if len(self._shelf) >= SHELF:
+            self._shelf.pop(next(iter(self._shelf)))
+        self._shelf[key] = found  # the one that was asked for longest ago goes first
         return found
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
@@ -90,11 +100,16 @@ class ChamberObserver(SegmentRecord):
         """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
         into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
         stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
-        position = self.channels["piston_position"]
-        swept = bench.piston_area * np.diff(position, append=position[-1])
+        swept = bench.piston_area * self._moved
         built_a = stiff_a * (into_a * self.step - swept)
         built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
         return (stiff_a, stiff_b), (built_a, built_b)
+
+    @cached_property
+    def _moved(self) -> FloatArray:
+        """Change [m] of the position from each sample to the next."""
+        position = self.channels["piston_position"]
+        return np.diff(position, append=position[-1])
 
     def _hastened(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
         """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
@@ -113,9 +128,11 @@ class ChamberObserver(SegmentRecord):
         if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
             built = built * self._slope(channel, claims, curved)
             claims = [claim for claim in claims if claim.effect.curves != channel]
+        gain = self.step / OBSERVER_MEMORY
+        if not any(changes(claim, "measure") for claim in claims):
+            return np.asarray(kernels.innovations(self.channels[channel], built, gain))
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
         unexplained = self.channels[channel] - self.reading(channel, integral, claims)
-        gain = self.step / OBSERVER_MEMORY
         start = float(np.mean(unexplained[:10]))
         followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
         return unexplained - np.asarray(followed)

@@ -10,7 +10,7 @@ import numpy as np
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.preprocessing.box_clock import Rows, judged
-from hydro_diagnosis.preprocessing.smoothing import STRIDE, finish, kinematics, smooth
+from hydro_diagnosis.preprocessing.smoothing import STRIDE, finish, finish_at, kinematics, smooth, smooth_at
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
@@ -45,6 +45,7 @@ class SegmentRecord:
         end = len(segment) - TAIL * self.spacing
         self.rows: Rows | slice = like.rows if like else judged(segment, self.settle, end, STRIDE, MARGIN)
         """Samples that are judged."""
+        self._judged = np.arange(len(segment))[self.rows]
         if self.has_position:
             self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
             pressures = (channels["pressure_a"], channels["pressure_b"]) if self.has_pressures else None
@@ -82,6 +83,14 @@ class SegmentRecord:
     def finish(self, signal: FloatArray) -> FloatArray:
         """Smooth a result of the smoothed motion to the test function's width, shape (n,)."""
         return finish(signal, self.spacing)
+
+    def kept_smooth(self, signal: FloatArray) -> FloatArray:
+        """`smooth` at the judged samples alone."""
+        return smooth_at(signal, self._judged, self.spacing)
+
+    def kept_finish(self, signal: FloatArray) -> FloatArray:
+        """`finish` at the judged samples alone."""
+        return finish_at(signal, self._judged, self.spacing)
 
     def means(self, signal: FloatArray) -> FloatArray:
         """Means over blocks of `BLOCK` of a settled signal."""

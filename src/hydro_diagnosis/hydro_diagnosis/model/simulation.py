@@ -9,13 +9,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics, Oil
-from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.memory import RecordMemory, StepMemory
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes
+from hydro_diagnosis.model import chambers, kernels
+from hydro_diagnosis.model.memory import RecordMemory, StepMemory, amplifier
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
@@ -64,7 +66,7 @@ class Plant:
         spool = chambers.spool_position(current, model.step / substeps, claims)
         memory = model.memory = RecordMemory(model.step)
         model.chamber_run(claims)
-        model.force_on_rod(claims)
+        model.required_force(claims)
         return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces))
 
     def rates(
@@ -72,21 +74,59 @@ class Plant:
     ) -> FloatArray:
         """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `grip`: what dry friction does in this step."""
         x, v, p_a, p_b = state
-        bench, claims = self.bench, self.claims
+        bench = self.bench
         oil = Oil(time, x, (p_a, p_b), spool, v)
-        into_a, into_b = chambers.net_flows(bench, oil, claims, memory)
-        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
+        into_a, into_b = chambers.net_flows(bench, oil, self._hydraulic, memory)
+        stiff_a, stiff_b = chambers.compliances(bench, oil, self._hydraulic)
         motion = Kinematics(time, x, v, (p_a, p_b))
-        against, level = self._dry(motion, grip), self._level(motion)
-        load = bench.spring_stiffness * (x - bench.spring_rest_position)
-        for claim in claims:
+        against = self._dry(motion, grip)
+        level = self._level(motion) if self._resisting else against
+        for claim in self._resisting:
             against = claim.effect.resistance(against, level, motion, memory, claim.values)
+        load = bench.spring_stiffness * (x - bench.spring_rest_position)
+        for claim in self._loading:
             load = claim.effect.load(load, motion, bench, memory, claim.values)
-        area, alpha = bench.piston_area, bench.area_ratio
-        driven = area * (p_a - alpha * p_b) - bench.viscous_friction * v - against - load
-        return np.stack(
-            [v, driven / bench.moving_mass, stiff_a * (into_a - area * v), stiff_b * (into_b + alpha * area * v)]
-        )
+        rates = np.empty_like(state)
+        kernels.derivatives(
+            rates, state, into_a, into_b, stiff_a, stiff_b, against, load,
+            bench.piston_area, bench.area_ratio, bench.viscous_friction, bench.moving_mass,
+        )  # fmt: skip
+        return rates
+
+    @cached_property
+    def _resisting(self) -> tuple[Claim, ...]:
+        return self._changing("resistance")
+
+    @cached_property
+    def _loading(self) -> tuple[Claim, ...]:
+        return self._changing("load")
+
+    @cached_property
+    def _dragging(self) -> tuple[Claim, ...]:
+        return self._changing("drag")
+
+    @cached_property
+    def _hydraulic(self) -> tuple[Claim, ...]:
+        """Claims that act in the chambers; the spool's path is computed beforehand."""
+        return self._changing("openings", "supply", "flows", "inflows", "stiffness")
+
+    @cached_property
+    def _acting(self) -> tuple[Claim, ...]:
+        """Claims that act in the rates; others change numbers of the bench, the spool's path or sensors."""
+        return (*self._hydraulic, *self._dragging, *self._resisting, *self._loading)
+
+    def _changing(self, *hooks: str) -> tuple[Claim, ...]:
+        return tuple(claim for claim in self.claims if any(changes(claim, hook) for hook in hooks))
+
+    @cached_property
+    def _numbers(self) -> tuple[float, ...]:
+        """The bench as `kernels.nominal_run` takes it."""
+        b = self.bench
+        return (
+            b.valve_gain, b.supply_pressure, b.tank_pressure, b.bulk_modulus, b.piston_area, b.area_ratio, b.stroke,
+            b.dead_volume_a, b.dead_volume_b, b.moving_mass, b.viscous_friction, b.spring_stiffness,
+            b.spring_rest_position,
+        )  # fmt: skip
 
     def _dry(self, motion: Kinematics, grip: Grip | None) -> FloatArray:
         """Force [N] of dry friction without bristles."""
@@ -96,11 +136,11 @@ class Plant:
 
     def _level(self, motion: Kinematics) -> FloatArray:
         level = np.zeros_like(motion.position)
-        for claim in self.claims:
+        for claim in self._dragging:
             level = claim.effect.drag(level, motion, claim.values)
         return level
 
-    @property
+    @cached_property
     def sticks(self) -> bool:
         """Whether dry friction holds the piston as far as it reaches."""
         return _sticks(self.claims)
@@ -122,6 +162,9 @@ class Plant:
         samples = np.tile(begins, variants)
         substeps = self.spool.shape[1]
         step, states = self.model.step / substeps, np.empty((length, *state.shape))
+        if not self._acting:
+            kernels.nominal_run(states, np.ascontiguousarray(state), samples, self.spool, step, self._numbers)
+            return states
         memory = StepMemory(step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
         for k in range(length):
@@ -140,12 +183,14 @@ class Plant:
         grip = None
         if self.sticks:
             grip = self._grip(state, first, time, step)
-            first = self.rates(state, time, spool, memory, grip)
+            dry = self._dry(Kinematics(time, state[0], state[1]), grip)
+            first[1] -= dry / self.bench.moving_mass
         second = self.rates(state + 0.5 * step * first, time, spool, memory, grip)
         third = self.rates(state + 0.5 * step * second, time, spool, memory, grip)
         fourth = self.rates(state + step * third, time, spool, memory, grip)
         memory.tick()
-        after = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        after = np.empty_like(state)
+        kernels.runge_kutta(after, state, first, second, third, fourth, step)
         if grip is not None:
             after[1] = np.where(grip.stuck, 0.0, after[1])
         return after
@@ -175,7 +220,7 @@ class Plant:
 
     def _load(self, time: FloatArray, position: FloatArray, samples: Indices) -> FloatArray:
         force = self.bench.spring_stiffness * (position - self.bench.spring_rest_position)
-        acting = [claim for claim in self.claims if type(claim.effect).load is not Effect.load]
+        acting = self._loading
         memory = StepMemory(self.model.step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
         for k in range(len(position) if acting else 0):
@@ -214,15 +259,17 @@ class Plant:
 def _sticks(claims: Sequence[Claim]) -> bool:
     """Return whether there is dry friction that no bristles carry."""
     bristled = any(claim.effect.bristles for claim in claims)
-    return not bristled and any(type(claim.effect).drag is not Effect.drag for claim in claims)
+    return not bristled and any(changes(claim, "drag") for claim in claims)
 
 
 class _ColumnMemory(RecordMemory):
     """A record memory whose time runs down the first axis, one column per window."""
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
-        single = super().low_pass
-        return np.apply_along_axis(lambda column: single(key, column, bandwidth, damping), 0, signal)
+        numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
+        state = np.cumsum((numerator - denominator)[::-1])[::-1][1:, None] * signal[0]
+        passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
+        return np.asarray(passed, dtype=np.float64)
 
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         single = super().lag
