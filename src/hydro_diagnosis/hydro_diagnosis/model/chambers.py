@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Memory, Oil, Openings
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 
 SUBSTEPS = 4
@@ -24,12 +25,6 @@ _FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
 def moves_spool(claim: Claim) -> bool:
     """Whether a claim acts between the current and the edges, where a sample's command need not stay constant."""
     return type(claim.effect).command is not Effect.command
-
-
-def signed_root(drop: FloatArray) -> FloatArray:
-    """Odd square root: flow reverses with the pressure drop."""
-    root: FloatArray = np.copysign(np.sqrt(np.abs(drop)), drop)
-    return root
 
 
 def nominal_openings(bench: Bench, spool: FloatArray) -> Openings:
@@ -60,21 +55,26 @@ def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -
     for claim in claims:
         edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
     p_a, p_b = oil.pressures
-    supply = np.full_like(p_a, bench.supply_pressure)
+    tank, supply = bench.tank_pressure, np.full_like(p_a, bench.supply_pressure)
     sagging = [claim for claim in claims if type(claim.effect).supply is not Effect.supply]
     for _ in range(3 if sagging else 0):
-        demand = edges.supply_a * signed_root(supply - p_a) + edges.supply_b * signed_root(supply - p_b)
+        (drop_a, _), (_, drop_b) = eq.edge_drops(supply, tank, p_a, p_b)
+        demand = edges.supply_a * eq.signed_root(drop_a) + edges.supply_b * eq.signed_root(drop_b)
         supply = np.full_like(p_a, bench.supply_pressure)
         for claim in sagging:
             supply = claim.effect.supply(supply, demand, memory, claim.values)
-    tank = bench.tank_pressure
-    into_a = edges.supply_a * signed_root(supply - p_a) - edges.a_tank * signed_root(p_a - tank)
-    into_b = edges.supply_b * signed_root(supply - p_b) - edges.b_tank * signed_root(p_b - tank)
-    flows = into_a, into_b
+    flows = _edge_flows(edges, eq.edge_drops(supply, tank, p_a, p_b))
     for claim in claims:
         flows = claim.effect.flows(flows, oil.pressures, tank, claim.values)
         flows = claim.effect.inflows(flows, oil, memory, claim.values)
     return flows
+
+
+def _edge_flows(edges: Openings, drops: tuple[eq.Pair, eq.Pair]) -> tuple[FloatArray, FloatArray]:
+    """Flow through the valve's four edges into chamber A and into chamber B, at their pressure drops."""
+    (supply_a, b_tank), (a_tank, supply_b) = drops
+    into_a = edges.supply_a * eq.signed_root(supply_a) - edges.a_tank * eq.signed_root(a_tank)
+    return into_a, edges.supply_b * eq.signed_root(supply_b) - edges.b_tank * eq.signed_root(b_tank)
 
 
 def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
@@ -85,10 +85,8 @@ def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[FloatA
         for claim in claims:
             modulus = claim.effect.stiffness(modulus, pressure, claim.values)
         moduli.append(modulus)
-    area = bench.piston_area
-    volume_a = bench.dead_volume_a + area * oil.position
-    volume_b = bench.dead_volume_b + bench.area_ratio * area * (bench.stroke - oil.position)
-    return moduli[0] / volume_a, moduli[1] / volume_b
+    stiff: tuple[FloatArray, FloatArray] = eq.stiffnesses(bench, (moduli[0], moduli[1]), oil.position)
+    return stiff
 
 
 @dataclass(frozen=True)
@@ -107,16 +105,13 @@ def force_arc(
     bench: Bench, oil: Oil, stiff: tuple[FloatArray, FloatArray], acceleration: FloatArray, step: float
 ) -> FloatArray:
     """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
-    gain, (p_a, p_b), alpha = bench.valve_gain, oil.pressures, bench.area_ratio
     moment = _FIRST_MOMENT if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
     positive = np.maximum(oil.spool, 0.0) @ moment
     negative = positive - oil.spool @ moment
-    root, p_s, p_t = signed_root, bench.supply_pressure, bench.tank_pressure
-    flow_a = gain * (positive * root(p_s - p_a) - negative * root(p_a - p_t))
-    flow_b = gain * (negative * root(p_s - p_b) - positive * root(p_b - p_t))
-    swept = -bench.piston_area * acceleration * step / 12.0
-    rate = stiff[0] * (flow_a - swept) - alpha * stiff[1] * (flow_b + alpha * swept)
-    per_interval = bench.piston_area * rate * step
+    gain, tank = bench.valve_gain, bench.tank_pressure
+    edges = Openings(gain * positive, gain * negative, gain * negative, gain * positive)
+    flows = _edge_flows(edges, eq.edge_drops(bench.supply_pressure, tank, *oil.pressures))
+    per_interval = eq.force_rate(bench, stiff, flows, -acceleration * step / 12.0) * step
     around: FloatArray = 0.5 * (per_interval + np.concatenate([per_interval[:1], per_interval[:-1]]))
     return around
 

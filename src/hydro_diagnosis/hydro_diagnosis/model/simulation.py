@@ -17,8 +17,9 @@ from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics, 
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory, StepMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
@@ -74,19 +75,16 @@ class Plant:
         x, v, p_a, p_b = state
         bench, claims = self.bench, self.claims
         oil = Oil(time, x, (p_a, p_b), spool, v)
-        into_a, into_b = chambers.net_flows(bench, oil, claims, memory)
-        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
+        flows = chambers.net_flows(bench, oil, claims, memory)
+        stiff = chambers.compliances(bench, oil, claims)
         motion = Kinematics(time, x, v, (p_a, p_b))
         against, level = self._dry(motion, grip), self._level(motion)
-        load = bench.spring_stiffness * (x - bench.spring_rest_position)
+        load = eq.spring_force(bench, x)
         for claim in claims:
             against = claim.effect.resistance(against, level, motion, memory, claim.values)
             load = claim.effect.load(load, motion, bench, memory, claim.values)
-        area, alpha = bench.piston_area, bench.area_ratio
-        driven = area * (p_a - alpha * p_b) - bench.viscous_friction * v - against - load
-        return np.stack(
-            [v, driven / bench.moving_mass, stiff_a * (into_a - area * v), stiff_b * (into_b + alpha * area * v)]
-        )
+        driven = eq.hydraulic_force(bench, p_a, p_b) - bench.viscous_friction * v - against - load
+        return np.stack([v, driven / bench.moving_mass, *eq.pressure_rates(bench, stiff, flows, v)])
 
     def _dry(self, motion: Kinematics, grip: Grip | None) -> FloatArray:
         """Force [N] of dry friction without bristles."""

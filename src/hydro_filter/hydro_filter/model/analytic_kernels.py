@@ -22,7 +22,8 @@ from hydro_filter.model.state import (
     STATES,
     VELOCITY,
 )
-from hydro_sim.model.hydraulics import flow_gains, input_gain, pressure_rates, velocity_term, volumes
+from hydro_sim.model import equations as eq
+from hydro_sim.model.hydraulics import flow_gains, input_gain, pressure_rates, stiffnesses, velocity_term
 
 SMALLEST_DROP = 1e3
 """Pa; the slope of a square root is taken no nearer to zero pressure drop than this: it is infinite there."""
@@ -57,10 +58,8 @@ def state_rate(constants, state, current, out):
 @njit(cache=True)
 def land_slopes(bench, pressure_a, pressure_b, opening):
     """d(q_a/u)/dp_a and d(q_b/u)/dp_b of `hydraulics.flow_gains`, then the second derivatives."""
-    if opening >= 0.0:
-        drop_a, drop_b, sign = bench.supply_pressure - pressure_a, pressure_b - bench.tank_pressure, -1.0
-    else:
-        drop_a, drop_b, sign = pressure_a - bench.tank_pressure, bench.supply_pressure - pressure_b, 1.0
+    out, back = eq.edge_drops(bench.supply_pressure, bench.tank_pressure, pressure_a, pressure_b)
+    (drop_a, drop_b), sign = (out, -1.0) if opening >= 0.0 else (back, 1.0)
     root_a = math.sqrt(max(abs(drop_a), SMALLEST_DROP))
     root_b = math.sqrt(max(abs(drop_b), SMALLEST_DROP))
     first_a, first_b = 0.5 * sign * bench.valve_gain / root_a, -0.5 * sign * bench.valve_gain / root_b
@@ -73,7 +72,7 @@ def land_slopes(bench, pressure_a, pressure_b, opening):
 def force_rate_slopes(bench, state, current):
     """Slopes of F(x, u) = h + g u, f_h' of eq. q13: dF/dx_p, dF/dx_p', dF/dp_a, dF/dp_b."""
     area, ratio = bench.piston_area, bench.area_ratio
-    volume_a, volume_b = volumes(bench, state[POSITION])
+    volume_a, volume_b = eq.volumes(bench, state[POSITION])
     gain_a, gain_b = flow_gains(bench, state[PRESSURE_A], state[PRESSURE_B], current)
     slope_a, slope_b, _, _ = land_slopes(bench, state[PRESSURE_A], state[PRESSURE_B], current)
     scale = bench.bulk_modulus * area
@@ -118,14 +117,11 @@ def linearize(constants, state, current, state_matrix, input_vector):
 def _chambers(bench, state, current, state_matrix, input_vector):
     """Rows p_a', p_b'."""
     area, ratio, velocity = bench.piston_area, bench.area_ratio, state[VELOCITY]
-    volume_a, volume_b = volumes(bench, state[POSITION])
+    volume_a, volume_b = eq.volumes(bench, state[POSITION])
     gain_a, gain_b = flow_gains(bench, state[PRESSURE_A], state[PRESSURE_B], current)
     slope_a, slope_b, _, _ = land_slopes(bench, state[PRESSURE_A], state[PRESSURE_B], current)
-    soft_a, soft_b = bench.bulk_modulus / volume_a, bench.bulk_modulus / volume_b
-    rate_a, rate_b = (
-        soft_a * (gain_a * current - area * velocity),
-        soft_b * (ratio * area * velocity - gain_b * current),
-    )
+    soft_a, soft_b = stiffnesses(bench, state[POSITION])
+    rate_a, rate_b = eq.pressure_rates(bench, (soft_a, soft_b), (gain_a * current, -gain_b * current), velocity)
     state_matrix[PRESSURE_A, PRESSURE_A] = soft_a * slope_a * current
     state_matrix[PRESSURE_A, POSITION] = -area / volume_a * rate_a
     state_matrix[PRESSURE_A, VELOCITY] = -soft_a * area
@@ -154,7 +150,7 @@ def _bend(bench, state, current, state_matrix, input_vector):
     """Add to row f_h'' what the second derivatives of F = h + g u contribute."""
     area, ratio, velocity = bench.piston_area, bench.area_ratio, state[VELOCITY]
     pressure_a, pressure_b, position = state[PRESSURE_A], state[PRESSURE_B], state[POSITION]
-    volume_a, volume_b = volumes(bench, position)
+    volume_a, volume_b = eq.volumes(bench, position)
     gain_a, gain_b = flow_gains(bench, pressure_a, pressure_b, current)
     slope_a, slope_b, second_a, second_b = land_slopes(bench, pressure_a, pressure_b, current)
     rate_a, rate_b = pressure_rates(bench, pressure_a, pressure_b, position, velocity, current)
