@@ -109,7 +109,8 @@ def force_arc(
     positive = np.maximum(oil.spool, 0.0) @ moment
     negative = positive - oil.spool @ moment
     gain, tank = bench.valve_gain, bench.tank_pressure
-    edges = Openings(gain * positive, gain * negative, gain * negative, gain * positive)
+    out, back = gain * positive, gain * negative
+    edges = Openings(out, back, back, out)
     flows = _edge_flows(edges, eq.edge_drops(bench.supply_pressure, tank, *oil.pressures))
     per_interval = eq.force_rate(bench, stiff, flows, -acceleration * step / 12.0) * step
     around: FloatArray = 0.5 * (per_interval + np.concatenate([per_interval[:1], per_interval[:-1]]))

@@ -26,26 +26,25 @@ def rates(c, y, z, current, r, slope, p):
     That by the current is spool_omega^2 in row 5 alone.
     """
     derivatives.partials(c, y, current, r, slope, p)
-    against, stiff, damp = _stop(c, y[2], y[3])
+    p[3, 8] = 0.0
+    stop = eq.stop_force(physics.numbers(c), y[2], y[3])
+    if stop != 0.0:
+        _add(c, stop, eq.STOP_STIFFNESS, eq.STOP_DAMPING, slope, p)
     if c[BRISTLE] != 0.0 or c[BRISTLE_DAMPING] != 0.0:  # a model without bristles costs nothing
         dry, by_velocity, by_bristle = derivatives.friction_partials(c, y[3], z)
-        against, damp = against + dry, damp + by_velocity
+        _add(c, dry, 0.0, by_velocity, slope, p)
         p[3, 8] = -by_bristle / c[MASS]
-    else:
-        p[3, 8] = 0.0
-    slope[3] -= against / c[MASS]
-    p[3, 2] -= stiff / c[MASS]
-    p[3, 3] -= damp / c[MASS]
+
+
+@njit(cache=True)
+def _add(c, force, by_position, by_velocity, slope, p):
+    """A force [N] against the motion, with its slopes."""
+    slope[3] -= force / c[MASS]
+    p[3, 2] -= by_position / c[MASS]
+    p[3, 3] -= by_velocity / c[MASS]
 
 
 @njit(cache=True)
 def level_slope(c, velocity, share):
     """Slope of the friction level [N] by the velocity."""
     return -2.0 * velocity / c[STRIBECK_VELOCITY] ** 2 * c[STRIBECK] * share
-
-
-@njit(cache=True)
-def _stop(c, position, velocity):
-    """Force [N] of an end stop, and its slopes by position and velocity if it presses."""
-    force = eq.stop_force(physics.numbers(c), position, velocity)
-    return (force, eq.STOP_STIFFNESS, eq.STOP_DAMPING) if force != 0.0 else (0.0, 0.0, 0.0)

@@ -138,9 +138,9 @@ def spring_force(n: Symbol, position: Symbol) -> Symbol:
 @register_jitable
 def stop_force(n: Symbol, position: Symbol, velocity: Symbol) -> Symbol:
     """Force [N] against the piston from the end stops; they push back and never pull."""
-    pressed = position - clip(position, 0.0, n.stroke)
+    pressed = choose(position < 0.0, position, choose(position > n.stroke, position - n.stroke, 0.0))
     force = STOP_STIFFNESS * pressed + STOP_DAMPING * velocity
-    return (pressed > 0.0) * np.fmax(force, 0.0) + (pressed < 0.0) * np.fmin(force, 0.0)
+    return choose(pressed * force > 0.0, force, 0.0)
 
 
 @register_jitable

@@ -6,16 +6,13 @@
 
 from __future__ import annotations
 
-import subprocess
 from pathlib import Path
 
 import casadi
 from casadi import SX
 
-from hydro_sim.model.python_source import statements
+from hydro_sim.model.python_source import formatted, statements
 from hydro_sim.structured import physics
-
-casadi.GlobalOptions.setNumpyMode(-1)  # numpy's functions of symbols are symbols, without a warning
 
 FILE = Path(__file__).with_name("derivatives.py")
 CONSTANTS = [name for name in vars(physics) if isinstance(vars(physics)[name], int) and name != "CONSTANTS"]
@@ -52,10 +49,16 @@ class Symbols:
             self.texts |= {f"{name}[{i}]": symbol for i, symbol in enumerate(getattr(self, name))}
         self.texts |= {name: getattr(self, name) for name in ("z", "current", "velocity")}
 
+    def rates_under(self, against: SX | float) -> SX:
+        """y' with forces [N] against the motion."""
+        slope = [SX(0.0)] * len(self.y)
+        physics.rates_under(self.c, self.y, self.current, self.r, against, slope)
+        return casadi.vertcat(*slope)
+
 
 def partials(at: Symbols) -> list[str]:
     """y' and d(y')/d(y, r) without friction; the entries that are never 0, but in rows that repeat a state."""
-    slope = casadi.vertcat(*physics.slopes(at.c, at.y, at.current, at.r, 0.0))
+    slope = at.rates_under(0.0)
     by = casadi.vertcat(*at.y, *at.r)
     jacobian = casadi.sparsify(casadi.jacobian(slope, by))
     outputs = [(f"slope[{i}] = ", slope[i]) for i in range(8)]
@@ -79,7 +82,7 @@ def friction_partials(at: Symbols) -> list[str]:
 def rates_back(at: Symbols) -> list[str]:
     """Gradients of g . y'."""
     against = physics.friction(at.c, at.y[3], at.z)
-    total = casadi.dot(casadi.vertcat(*at.g), casadi.vertcat(*physics.slopes(at.c, at.y, at.current, at.r, against)))
+    total = casadi.dot(casadi.vertcat(*at.g), at.rates_under(against))
     by = {f"g{text}": symbol for text, symbol in at.texts.items() if text[0] in "cyr" and text != "current"}
     by = {text: symbol for text, symbol in by.items() if text[3:-1] not in UNLEARNED}
     gradient = casadi.gradient(total, casadi.vertcat(*by.values(), at.z))
@@ -96,13 +99,10 @@ def source() -> str:
         ("rates_back(c, y, z, current, r, g, gy, gr, gc)", rates_back,
          "Add to gy, gr, gc the gradients of g . y' by y, r, c; returns that by z."),
     )  # fmt: skip
-    body = ""
-    for signature, write, text in functions:
-        lines = "\n    ".join(write(Symbols()))
-        body += f'\n\n@njit(cache=True)\ndef {signature}:\n    """{text}"""\n    {lines}\n'
-    names = "".join(f"    {name},\n" for name in sorted(CONSTANTS) if f"[{name}]" in body)
-    command = ["ruff", "format", "-", "--stdin-filename", str(FILE)]
-    return subprocess.run(command, input=f"{HEAD}\n{names})\n{body}", text=True, capture_output=True, check=True).stdout
+    written = [(signature, text, write(Symbols())) for signature, write, text in functions]
+    code = "".join(line for _, _, lines in written for line in lines)
+    names = "".join(f"    {name},\n" for name in sorted(CONSTANTS) if f"[{name}]" in code)
+    return formatted(f"{HEAD}\n{names})\n", written, FILE)
 
 
 if __name__ == "__main__":

@@ -109,29 +109,20 @@ def lag(omega, damping, target, value, rate):
 
 
 @register_jitable
-def slopes(c, y, current, r, against):
-    """y' with forces [N] `against` the motion: dry friction, end stops."""
-    rate_a, rate_b = chambers(c, y, r)
+def rates_under(c, y, current, r, against, slope):
+    """y' into `slope`, with forces [N] `against` the motion: dry friction, end stops."""
     spring = c[SPRING] * (y[2] - c[REST])
     driven = eq.hydraulic_force(numbers(c), y[0], y[1]) - c[VISCOUS] * y[3] - spring + r[2] - against
-    spool = lag(c[SPOOL_OMEGA], c[SPOOL_DAMPING], current, y[4], y[5])
-    return (
-        rate_a,
-        rate_b,
-        y[3],
-        driven / c[MASS],
-        y[5],
-        spool,
-        y[7],
-        lag(c[CELL_OMEGA], c[CELL_DAMPING], spring, y[6], y[7]),
-    )
+    slope[0], slope[1] = chambers(c, y, r)
+    slope[2], slope[3] = y[3], driven / c[MASS]
+    slope[4], slope[5] = y[5], lag(c[SPOOL_OMEGA], c[SPOOL_DAMPING], current, y[4], y[5])
+    slope[6], slope[7] = y[7], lag(c[CELL_OMEGA], c[CELL_DAMPING], spring, y[6], y[7])
 
 
 @njit(cache=True)
 def rates(c, y, z, current, r, slope):
     """y' into `slope`, shape (8,)."""
-    against = friction(c, y[3], z) + eq.stop_force(numbers(c), y[2], y[3])
-    slope[0], slope[1], slope[2], slope[3], slope[4], slope[5], slope[6], slope[7] = slopes(c, y, current, r, against)
+    rates_under(c, y, current, r, friction(c, y[3], z) + eq.stop_force(numbers(c), y[2], y[3]), slope)
 
 
 @njit(cache=True)
