@@ -13,7 +13,8 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model import equations as eq
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 UNIT_SIZE = {"pressure_a": 1e-7, "pressure_b": 1e-7, "actuation": 1e-4, "motion": 1.0, "load": 1.0}
 """Scale of the basis functions, so that columns are of similar length."""
@@ -33,15 +34,10 @@ class Responses:
             for model, bench in zip(problem.models, self._benches, strict=True):
                 oil = model.oil(everything)
                 self._stiff.append(chambers.compliances(bench, oil, everything))
-                p_a, p_b = oil.pressures
-                root, p_s, p_t, opened = (
-                    chambers.signed_root,
-                    bench.supply_pressure,
-                    bench.tank_pressure,
-                    oil.spool.mean(axis=-1) >= 0,
-                )
-                self._roots.append((np.where(opened, root(p_s - p_a), root(p_a - p_t)), np.where(opened, root(p_b -
-                p_t), root(p_s - p_b))))  # fmt: skip
+                opened = oil.spool.mean(axis=-1) >= 0
+                drops = zip(*eq.edge_drops(bench.supply_pressure, bench.tank_pressure, *oil.pressures), strict=True)
+                root_a, root_b = (eq.signed_root(np.where(opened, out, back)) for out, back in drops)
+                self._roots.append((root_a, root_b))
 
     @property
     def visible(self) -> bool:

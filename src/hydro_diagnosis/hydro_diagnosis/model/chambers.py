@@ -15,6 +15,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FloatArray, Memory, Oil, Openings, changes
 from hydro_diagnosis.model import kernels
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 
 SUBSTEPS = 4
@@ -25,12 +26,6 @@ _FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
 def moves_spool(claim: Claim) -> bool:
     """Whether a claim acts between the current and the edges, where a sample's command need not stay constant."""
     return changes(claim, "command")
-
-
-def signed_root(drop: FloatArray) -> FloatArray:
-    """Odd square root: flow reverses with the pressure drop."""
-    root: FloatArray = np.copysign(np.sqrt(np.abs(drop)), drop)
-    return root
 
 
 def nominal_openings(bench: Bench, spool: FloatArray) -> Openings:
@@ -80,7 +75,8 @@ def _fed(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tup
     supply = np.full_like(p_a, bench.supply_pressure)
     sagging = [claim for claim in claims if changes(claim, "supply")]
     for _ in range(3 if sagging else 0):
-        demand = edges.supply_a * signed_root(supply - p_a) + edges.supply_b * signed_root(supply - p_b)
+        (drop_a, _), (_, drop_b) = eq.edge_drops(supply, bench.tank_pressure, p_a, p_b)
+        demand = edges.supply_a * eq.signed_root(drop_a) + edges.supply_b * eq.signed_root(drop_b)
         supply = np.full_like(p_a, bench.supply_pressure)
         for claim in sagging:
             supply = claim.effect.supply(supply, demand, memory, claim.values)
@@ -93,10 +89,8 @@ def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[FloatA
     moduli: list[FloatArray | float] = [bench.bulk_modulus, bench.bulk_modulus]
     if softer:
         moduli = [_modulus(bench, pressure, softer) for pressure in oil.pressures]
-    area = bench.piston_area
-    volume_a = bench.dead_volume_a + area * oil.position
-    volume_b = bench.dead_volume_b + bench.area_ratio * area * (bench.stroke - oil.position)
-    return moduli[0] / volume_a, moduli[1] / volume_b
+    stiff: tuple[FloatArray, FloatArray] = eq.stiffnesses(bench, (moduli[0], moduli[1]), oil.position)
+    return stiff
 
 
 def _modulus(bench: Bench, pressure: FloatArray, claims: Sequence[Claim]) -> FloatArray:
@@ -122,13 +116,11 @@ def force_arc(
     bench: Bench, oil: Oil, stiff: tuple[FloatArray, FloatArray], acceleration: FloatArray, step: float
 ) -> FloatArray:
     """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
-    alpha, moment = bench.area_ratio, _FIRST_MOMENT if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
-    flow_a, flow_b = kernels.first_moments(
+    moment = _FIRST_MOMENT if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
+    flows = kernels.first_moments(
         bench.valve_gain, moment, oil.spool, *oil.pressures, bench.supply_pressure, bench.tank_pressure
     )
-    swept = -bench.piston_area * acceleration * step / 12.0
-    rate = stiff[0] * (flow_a - swept) - alpha * stiff[1] * (flow_b + alpha * swept)
-    per_interval = bench.piston_area * rate * step
+    per_interval = eq.force_rate(bench, stiff, flows, -acceleration * step / 12.0) * step
     around: FloatArray = 0.5 * (per_interval + np.concatenate([per_interval[:1], per_interval[:-1]]))
     return around
 

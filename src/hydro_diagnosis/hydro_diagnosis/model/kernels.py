@@ -3,7 +3,7 @@
 
 Along a record n is in the ten thousands and memory traffic counts, in a simulation some hundred and each call's
 overhead does: so results are written into arrays that are passed. The equations are those of `chambers` and
-`simulation`, which call these where no effect changes them.
+`simulation`, which call these where no effect changes them; `bench` is a record of `model.bench.BENCH_DTYPE`.
 """
 
 from __future__ import annotations
@@ -11,18 +11,31 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-
-@njit(cache=True)
-def _root(drop):
-    return np.copysign(np.sqrt(abs(drop)), drop)
+from hydro_sim.model import equations as eq
+from hydro_sim.model.hydraulics import pressure_rates
 
 
 @njit(cache=True)
 def edge_flows(into_a, into_b, supply_a, a_tank, supply_b, b_tank, p_a, p_b, supply, tank):
     """Write the flows [m3/s] through the edges into both chambers; `tank` [Pa] is a number, all else (n,)."""
     for k in range(len(p_a)):
-        into_a[k] = supply_a[k] * _root(supply[k] - p_a[k]) - a_tank[k] * _root(p_a[k] - tank)
-        into_b[k] = supply_b[k] * _root(supply[k] - p_b[k]) - b_tank[k] * _root(p_b[k] - tank)
+        out, back = eq.edge_drops(supply[k], tank, p_a[k], p_b[k])
+        into_a[k] = supply_a[k] * eq.signed_root(out[0]) - a_tank[k] * eq.signed_root(back[0])
+        into_b[k] = supply_b[k] * eq.signed_root(back[1]) - b_tank[k] * eq.signed_root(out[1])
+
+
+@njit(cache=True)
+def _flows(positive, negative, p_a, p_b, supply, tank):
+    """Flows into both chambers with all edges open [m3/s/sqrt(Pa)] that drive the piston out, and back."""
+    out, back = eq.edge_drops(supply, tank, p_a, p_b)
+    a, b = 0.0, 0.0
+    if positive != 0.0:
+        a += positive * eq.signed_root(out[0])
+        b -= positive * eq.signed_root(out[1])
+    if negative != 0.0:
+        a -= negative * eq.signed_root(back[0])
+        b += negative * eq.signed_root(back[1])
+    return a, b
 
 
 @njit(cache=True)
@@ -34,31 +47,19 @@ def nominal_flows(into_a, into_b, gain, spool, p_a, p_b, supply, tank):
         for s in range(spool.shape[1]):
             positive += max(spool[k, s], 0.0) * share
             negative -= min(spool[k, s], 0.0) * share
-        a, b = 0.0, 0.0
-        if positive != 0.0:
-            a += positive * _root(supply - p_a[k])
-            b -= positive * _root(p_b[k] - tank)
-        if negative != 0.0:
-            a -= negative * _root(p_a[k] - tank)
-            b += negative * _root(supply - p_b[k])
-        into_a[k], into_b[k] = a, b
+        into_a[k], into_b[k] = _flows(positive, negative, p_a[k], p_b[k], supply, tank)
 
 
 @njit(cache=True)
 def first_moments(gain, moment, spool, p_a, p_b, supply, tank):
     """Sums over the substeps of `moment` (substeps,) times the flow [m3/s] into chamber A and into chamber B."""
-    into_a, into_b = np.zeros_like(p_a), np.zeros_like(p_b)
+    into_a, into_b = np.empty_like(p_a), np.empty_like(p_b)
     for k in range(len(p_a)):
         positive, negative = 0.0, 0.0
         for s in range(spool.shape[1]):
             positive += max(spool[k, s], 0.0) * moment[s]
             negative -= min(spool[k, s], 0.0) * moment[s]
-        if positive != 0.0:
-            into_a[k] += gain * positive * _root(supply - p_a[k])
-            into_b[k] -= gain * positive * _root(p_b[k] - tank)
-        if negative != 0.0:
-            into_a[k] -= gain * negative * _root(p_a[k] - tank)
-            into_b[k] += gain * negative * _root(supply - p_b[k])
+        into_a[k], into_b[k] = _flows(gain * positive, gain * negative, p_a[k], p_b[k], supply, tank)
     return into_a, into_b
 
 
@@ -82,15 +83,15 @@ def innovations(recorded, built, gain):
 
 
 @njit(cache=True)
-def derivatives(rates, state, flows_a, flows_b, stiff_a, stiff_b, against, load, area, ratio, viscous, mass):
+def derivatives(rates, bench, state, flows_a, flows_b, stiff_a, stiff_b, against, load):
     """Write d/dt of [x_p, x_p', p_a, p_b], shape (4, n); `load` and what is `against` the motion in N, shape (n,)."""
     for k in range(state.shape[1]):
         v = state[1, k]
-        driven = area * (state[2, k] - ratio * state[3, k]) - viscous * v - against[k] - load[k]
+        driven = eq.hydraulic_force(bench, state[2, k], state[3, k])
         rates[0, k] = v
-        rates[1, k] = driven / mass
-        rates[2, k] = stiff_a[k] * (flows_a[k] - area * v)
-        rates[3, k] = stiff_b[k] * (flows_b[k] + ratio * area * v)
+        rates[1, k] = (driven - bench.viscous_friction * v - against[k] - load[k]) / bench.moving_mass
+        stiff, flows = (stiff_a[k], stiff_b[k]), (flows_a[k], flows_b[k])
+        rates[2, k], rates[3, k] = eq.pressure_rates(bench, stiff, flows, v)
 
 
 @njit(cache=True)
@@ -103,23 +104,17 @@ def runge_kutta(after, state, first, second, third, fourth, step):
 
 
 @njit(cache=True)
-def _nominal(x, v, p_a, p_b, spool, bench):
-    gain, supply, tank, beta, area, ratio, stroke, dead_a, dead_b, mass, viscous, spring, rest = bench
-    opened, closed = gain * max(spool, 0.0), -gain * min(spool, 0.0)
-    flow_a = opened * _root(supply - p_a) - closed * _root(p_a - tank)
-    flow_b = closed * _root(supply - p_b) - opened * _root(p_b - tank)
-    driven = area * (p_a - ratio * p_b) - viscous * v - spring * (x - rest)
-    stiff_a = beta / (dead_a + area * x)
-    stiff_b = beta / (dead_b + ratio * area * (stroke - x))
-    return v, driven / mass, stiff_a * (flow_a - area * v), stiff_b * (flow_b + ratio * area * v)
+def _nominal(bench, x, v, p_a, p_b, current):
+    rate_a, rate_b = pressure_rates(bench, p_a, p_b, x, v, current)
+    driven = eq.hydraulic_force(bench, p_a, p_b) - bench.viscous_friction * v - eq.spring_force(bench, x)
+    return v, driven / bench.moving_mass, rate_a, rate_b
 
 
 @njit(cache=True)
-def nominal_run(states, state, begins, spool, step, bench):
+def nominal_run(states, bench, state, begins, spool, step):
     """Write the states of windows of the bench without any effect, shape (length, 4, n), from `state`, shape (4, n).
 
-    `begins`: first sample of each; `spool`: A, shape (samples, substeps), held for a substep of `step` [s]; `bench`:
-    numbers, in the order of `_nominal`.
+    `begins`: first sample of each; `spool`: A, shape (samples, substeps), held for a substep of `step` [s].
     """
     for k in range(len(begins)):
         x, v, p_a, p_b = state[0, k], state[1, k], state[2, k], state[3, k]
@@ -127,10 +122,10 @@ def nominal_run(states, state, begins, spool, step, bench):
             states[i, 0, k], states[i, 1, k], states[i, 2, k], states[i, 3, k] = x, v, p_a, p_b
             for s in range(spool.shape[1]):
                 u, half = spool[begins[k] + i, s], 0.5 * step
-                a = _nominal(x, v, p_a, p_b, u, bench)
-                b = _nominal(x + half * a[0], v + half * a[1], p_a + half * a[2], p_b + half * a[3], u, bench)
-                c = _nominal(x + half * b[0], v + half * b[1], p_a + half * b[2], p_b + half * b[3], u, bench)
-                d = _nominal(x + step * c[0], v + step * c[1], p_a + step * c[2], p_b + step * c[3], u, bench)
+                a = _nominal(bench, x, v, p_a, p_b, u)
+                b = _nominal(bench, x + half * a[0], v + half * a[1], p_a + half * a[2], p_b + half * a[3], u)
+                c = _nominal(bench, x + half * b[0], v + half * b[1], p_a + half * b[2], p_b + half * b[3], u)
+                d = _nominal(bench, x + step * c[0], v + step * c[1], p_a + step * c[2], p_b + step * c[3], u)
                 x += step / 6.0 * (a[0] + 2.0 * b[0] + 2.0 * c[0] + d[0])
                 v += step / 6.0 * (a[1] + 2.0 * b[1] + 2.0 * c[1] + d[1])
                 p_a += step / 6.0 * (a[2] + 2.0 * b[2] + 2.0 * c[2] + d[2])

@@ -16,6 +16,7 @@ from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.segment_record import SegmentRecord
 from hydro_diagnosis.preprocessing.white_noise import white_noise
 from hydro_diagnosis.recording import Segment
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 
 Kept = TypeVar("Kept")
@@ -90,7 +91,7 @@ class ChamberObserver(SegmentRecord):
             self._innovation(channel, built, claims)
             for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
         )
-        force = bench.piston_area * (built_a - bench.area_ratio * built_b)
+        force = eq.hydraulic_force(bench, built_a, built_b)
         arc = chambers.force_arc(bench, oil, stiff, self.a, self.step)
         return ChamberRun((innovations[0], innovations[1]), arc, force)
 
@@ -99,11 +100,8 @@ class ChamberObserver(SegmentRecord):
     ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
         into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
-        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
-        swept = bench.piston_area * self._moved
-        built_a = stiff_a * (into_a * self.step - swept)
-        built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
-        return (stiff_a, stiff_b), (built_a, built_b)
+        stiff = chambers.compliances(bench, oil, claims)
+        return stiff, eq.pressure_rates(bench, stiff, (into_a * self.step, into_b * self.step), self._moved)
 
     @cached_property
     def _moved(self) -> FloatArray:
@@ -149,13 +147,16 @@ class ChamberObserver(SegmentRecord):
         Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
         """
         bench = self.base
-        timing = (
-            bench.bulk_modulus * bench.piston_area / bench.dead_volume_a * TIMING_DOUBT * self.smooth(np.abs(self.v))
-        )
+        timing = self._stiffest(0) * bench.piston_area * TIMING_DOUBT * self.smooth(np.abs(self.v))
         a, b = (
             self.kept(np.hypot(timing, self._flow_doubt(chamber, noise["pressure_" + chamber]))) for chamber in "ab"
         )
         return a, b
+
+    def _stiffest(self, chamber: int) -> float:
+        """beta/V [Pa/m3] of a chamber whose end the piston touches."""
+        bench, moduli = self.base, (self.base.bulk_modulus, self.base.bulk_modulus)
+        return float(eq.stiffnesses(bench, moduli, 0.0 if chamber == 0 else bench.stroke)[chamber])
 
     def _flow_doubt(self, chamber: str, noise: float) -> FloatArray:
         """Standard deviation [Pa] of a pressure that the noise of its own reading has built by way of the flow."""
@@ -164,10 +165,10 @@ class ChamberObserver(SegmentRecord):
         fed = current > 0.0 if chamber == "a" else current < 0.0
         drop = np.abs(np.where(fed, bench.supply_pressure - pressure, pressure - bench.tank_pressure))
         gain = bench.valve_gain * np.abs(current) / (2.0 * np.sqrt(np.maximum(drop, noise)))
-        volume = bench.dead_volume_a if chamber == "a" else bench.dead_volume_b
-        built = np.square(bench.bulk_modulus / volume * gain * noise * self.step)  # neighbours share a reading
+        stiff = self._stiffest("ab".index(chamber))
+        built = np.square(stiff * gain * noise * self.step)  # neighbours share a reading
         if self.spacing > 1:
-            per_ampere = bench.bulk_modulus / volume * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * self.step
+            per_ampere = stiff * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * self.step
             built = built + np.square(per_ampere) * self._hidden_current()
         kept = (1.0 - self.step / OBSERVER_MEMORY) ** 2
         return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))

@@ -21,7 +21,7 @@ from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Clai
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.forces import ForceBalance
 from hydro_diagnosis.model.observer import ChamberObserver
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 
 class SegmentModel(ChamberObserver, ForceBalance):

@@ -19,8 +19,9 @@ from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, cha
 from hydro_diagnosis.model import chambers, kernels
 from hydro_diagnosis.model.memory import RecordMemory, StepMemory, amplifier
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
@@ -83,14 +84,11 @@ class Plant:
         level = self._level(motion) if self._resisting else against
         for claim in self._resisting:
             against = claim.effect.resistance(against, level, motion, memory, claim.values)
-        load = bench.spring_stiffness * (x - bench.spring_rest_position)
+        load = eq.spring_force(bench, x)
         for claim in self._loading:
             load = claim.effect.load(load, motion, bench, memory, claim.values)
         rates = np.empty_like(state)
-        kernels.derivatives(
-            rates, state, into_a, into_b, stiff_a, stiff_b, against, load,
-            bench.piston_area, bench.area_ratio, bench.viscous_friction, bench.moving_mass,
-        )  # fmt: skip
+        kernels.derivatives(rates, self._numbers, state, into_a, into_b, stiff_a, stiff_b, against, load)
         return rates
 
     @cached_property
@@ -119,14 +117,10 @@ class Plant:
         return tuple(claim for claim in self.claims if any(changes(claim, hook) for hook in hooks))
 
     @cached_property
-    def _numbers(self) -> tuple[float, ...]:
-        """The bench as `kernels.nominal_run` takes it."""
-        b = self.bench
-        return (
-            b.valve_gain, b.supply_pressure, b.tank_pressure, b.bulk_modulus, b.piston_area, b.area_ratio, b.stroke,
-            b.dead_volume_a, b.dead_volume_b, b.moving_mass, b.viscous_friction, b.spring_stiffness,
-            b.spring_rest_position,
-        )  # fmt: skip
+    def _numbers(self) -> np.void:
+        """The bench as compiled code reads it."""
+        numbers: np.void = self.bench.constants()[0]
+        return numbers
 
     def _dry(self, motion: Kinematics, grip: Grip | None) -> FloatArray:
         """Force [N] of dry friction without bristles."""
@@ -163,7 +157,7 @@ class Plant:
         substeps = self.spool.shape[1]
         step, states = self.model.step / substeps, np.empty((length, *state.shape))
         if not self._acting:
-            kernels.nominal_run(states, np.ascontiguousarray(state), samples, self.spool, step, self._numbers)
+            kernels.nominal_run(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
             return states
         memory = StepMemory(step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
@@ -213,13 +207,13 @@ class Plant:
             "piston_position": x,
             "pressure_a": p_a,
             "pressure_b": p_b,
-            "hydraulic_force": bench.piston_area * (p_a - bench.area_ratio * p_b),
+            "hydraulic_force": eq.hydraulic_force(bench, p_a, p_b),
             "load_force": self._load(at * self.model.step, x, samples),
         }
         return {name: self._shown(name, signal, at) for name, signal in true.items() if name in self.model.channels}
 
     def _load(self, time: FloatArray, position: FloatArray, samples: Indices) -> FloatArray:
-        force = self.bench.spring_stiffness * (position - self.bench.spring_rest_position)
+        force: FloatArray = eq.spring_force(self.bench, position)
         acting = self._loading
         memory = StepMemory(self.model.step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
@@ -245,7 +239,8 @@ class Plant:
             return self.model.spring_force(self.bench, self.claims, self.model.recorded)
         p_a, p_b = (self.model.smooth(self.model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
         if name == "hydraulic_force":
-            return self.bench.piston_area * (p_a - self.bench.area_ratio * p_b)
+            force: FloatArray = eq.hydraulic_force(self.bench, p_a, p_b)
+            return force
         return p_a if name == "pressure_a" else p_b
 
     def _sensor(self, name: str, signal: FloatArray, memory: RecordMemory) -> FloatArray:

@@ -26,7 +26,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from hydro_sim.model.equations import Symbol, orifice
+from hydro_sim.model.equations import Symbol, edge_drops, orifice
 
 SIGN_VELOCITY = 1e-3
 """Velocity [m/s] over which a force that follows the sign of the velocity reverses."""
@@ -140,11 +140,12 @@ def edge_losses(
     """
     out, back = openings
 
-    def lost(supplied: Symbol, drained: Symbol, pressure: Symbol) -> Symbol:
-        above, below = n.supply_pressure - pressure, pressure - n.tank_pressure
-        return share(above) * orifice(supplied, above) - share(below) * orifice(drained, below)
+    def lost(opening: Symbol, drop: Symbol) -> Symbol:
+        return share(drop) * orifice(opening, drop)
 
-    return lost(out, back, pressures[0]), lost(back, out, pressures[1])
+    drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, *pressures)
+    lost_a = lost(out, drops_out[0]) - lost(back, drops_back[0])
+    return lost_a, lost(back, drops_back[1]) - lost(out, drops_out[1])
 
 
 def sensed(channel: str, signal: Symbol) -> Signals:
