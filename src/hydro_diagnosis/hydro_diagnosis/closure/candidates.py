@@ -23,13 +23,13 @@ QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
 """Of a threshold's signal: where thresholds are looked for."""
 EDGE = 0.02
 """Share of a threshold's signal that is left on either side of it."""
-PROMISING = 6
+PROMISING = 4
 """Laws that a joint search with names tries, beside names alone and beside the laws that were found first."""
 
 
 def laws(problem: Problem) -> list[Claim]:
     """Laws that these recordings can show, their thresholds within what was recorded."""
-    found = [placed for law in grammar.LAWS if (placed := _placed(law, problem)) is not None]
+    found = [placed for law in (*grammar.LAWS, *grammar.COMPOSITIONS) if (placed := _placed(law, problem)) is not None]
     return [one for effect in found for one in _nothing(effect)]
 
 
@@ -63,9 +63,17 @@ def _recorded(problem: Problem, name: str, channel: str = "") -> FloatArray:
     return np.abs(values) if name in _SIZES else values
 
 
+_CHANNELS = {"current": "valve_current", "position": "piston_position", "velocity": "piston_position",
+             "pressure_a": "pressure_a", "pressure_b": "pressure_b"}  # fmt: skip
+"""Channels that signals of a composition are recorded in."""
+
+
 def _visible(effect: Closure, problem: Problem) -> bool:
     have = set.intersection(*(set(model.channels) for model in problem.models))
     law = effect.law
+    if isinstance(law, Law) and law.uses:
+        needed = {_CHANNELS[one] for one in law.uses if one in _CHANNELS} | ({law.where} - {"", "edges"})
+        return bool(effect.touches & set(problem.blocks)) and needed <= have
     text = law.text if isinstance(law, Law) else f"{law.variable} {law.form}"
     if law.where == "load_force" or ("p_" not in text and "pressure" not in text):
         needed = {law.where} - {"", "edges"}

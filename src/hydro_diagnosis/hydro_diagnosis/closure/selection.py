@@ -14,8 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.closure.candidates import Candidates, laws, tables
+from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
 from hydro_diagnosis.closure.evidence import definite
+from hydro_diagnosis.closure.screen import Screen, threshold
 from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
@@ -32,6 +33,10 @@ LEAST = 0.02
 """Share of the possible gain that a term must bring: less is mimicry of another form."""
 CONDENSED = 0.05
 """Share of a smooth function's gain by which a law may fall short of it."""
+FITTED = 5
+"""Laws that are fitted in each round, the best of the screen."""
+ALIKE = 0.8
+"""Share of the best's gain from which a law is fitted beside one that holds."""
 PATIENCE = 24
 """Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
 
@@ -67,20 +72,57 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     """Laws beside the names that stand; if they leave something, names and laws that together leave nothing."""
-    tried = Candidates(problem, base, laws(problem))
-    grown, gain = _grown(problem, base, tried)
+    screen = Screen(problem, base, laws(problem))
+    grown, gain = _grown_by_law(problem, base, screen)
     if gain > 0.0 and len((kept := paying(problem, grown)).claims) < len(grown.claims):
         grown, gain = kept, held_out_gain(problem, base, kept)  # names or terms that stood for another's numbers
     one_by_one = Closed(grown, "law", gain, problem)
     if not names or (gain > 0.0 and not noticeable(problem, grown.residual)):
         return one_by_one
-    likely = list({law.label: law for fitted in (base, grown) for law in tried.promising(problem, fitted)}.values())
+    likely = {claim.effect.label: claim.effect for claim in grown.claims if isinstance(claim.effect, Closure)}
+    for fitted in (base, grown):
+        likely |= {one.effect.label: one.effect for one in screen.prospects(fitted, PROMISING)[0]}
     weighed = copy(problem)  # its weights are its own, all else is shared
-    found = together(weighed, names, likely)
+    found = together(weighed, names, list(likely.values()))
     room = min(TERMS, CLOSURES - len(problem.bench.closures))
     if noticeable(weighed, found.residual) or coincidence(found.claims) or not 0 < _terms(found) <= room:
         return one_by_one  # where something remains, names may be there for want of what is missing: none is forced
     return Closed(found, "law", held_out_gain(weighed, fit(weighed, base.claims), found), weighed)
+
+
+def _grown_by_law(problem: Problem, base: Fit, screen: Screen) -> tuple[Fit, float]:
+    """The fit with the laws that pay, and the held-out deviance that they gain.
+
+    In each round the best few of the screen are fitted, and the one with most evidence is taken.
+    """
+    current, gained, tried = base, 0.0, set[str]()
+    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
+    toll = threshold(len(screen))
+    while _terms(current) - _terms(base) < room and noticeable(problem, current.residual):
+        prospects, there_is = screen.prospects(current, FITTED, tried)
+        fits: list[tuple[Fit, float]] = []
+        disguised = 0.0
+        for one in prospects:
+            enough = ALIKE * prospects[0].gain if fits else (1.0 - CONDENSED) * disguised
+            if one.gain < max(toll, LEAST * there_is, enough):
+                break
+            better = _fitted(problem, current, one.starts)
+            tried.add(one.effect.label)
+            if score(problem, current) - score(problem, better) < toll or mimics(problem, current, better):
+                continue
+            if not definite(problem, better, better.claims[-1]):
+                disguised = max(disguised, one.gain)  # what gains less would stand in for the name or law that it is
+                continue
+            gain = held_out_gain(problem, current, better)
+            if gain < toll:
+                continue
+            fits.append((better, gain))
+        if not fits:
+            break
+        taken, gain = min(fits, key=lambda one: score(problem, one[0]))
+        tried -= {one.claims[-1].effect.label for one, _ in fits if one is not taken}
+        current, gained = taken, gained + gain
+    return current, gained
 
 
 def _by_table(below: Closed) -> Closed:

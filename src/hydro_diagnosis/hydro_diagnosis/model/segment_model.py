@@ -35,7 +35,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
         """N, decimated, without the arc."""
         if "hydraulic_force" in self.channels:
             measured = self.channels["hydraulic_force"]
-            needed = self.reading("hydraulic_force", self.force_on_rod(claims), claims)
+            needed = self.reading("hydraulic_force", self.force_on_rod(claims), claims, smoothed=True)
         else:
             bench = self.bench(claims)
             p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grammar of closures: the laws and tables that are tried where no named effect explains the residual.
 
-`forces`, `flows`, `valve` and `sensors` hold the laws, `words` what they are made of.
+`forces`, `flows`, `valve` and `sensors` hold the laws that have names, `words` what they are made of. All others are
+compositions of `carriers` and `modulations`.
 """
 
 from __future__ import annotations
@@ -10,12 +11,15 @@ from collections.abc import Mapping
 from typing import Any
 
 from hydro_sim.model.grammar import flows, forces, sensors, valve
+from hydro_sim.model.grammar.compositions import compositions
 from hydro_sim.model.grammar.words import sign
 from hydro_sim.model.laws import Law
 from hydro_sim.model.tables import Factor, Table
 
 LAWS: tuple[Law, ...] = (*forces.LAWS, *flows.LAWS, *valve.LAWS, *sensors.LAWS)
-"""Laws that are tried."""
+"""Laws that have names."""
+COMPOSITIONS: tuple[Law, ...] = compositions(LAWS)
+"""Laws that are compositions, without those that have names."""
 
 _VELOCITY = Factor("velocity", "v", lambda at: at.velocity)
 _DIRECTION = Factor("direction", "sign(v)", lambda at: sign(at.velocity))
@@ -33,7 +37,7 @@ TABLES: tuple[Table, ...] = (
 )  # fmt: skip
 """Smooth functions that are tried where no law is found: of each variable, and what laws of two variables vary with."""
 
-_EVERY: tuple[Law | Table, ...] = (*LAWS, *TABLES)
+_EVERY: tuple[Law | Table, ...] = (*LAWS, *COMPOSITIONS, *TABLES)
 ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
 """By equation and form."""
 
@@ -41,4 +45,4 @@ ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one
 def remembers(closure: Mapping[str, Any]) -> bool:
     """Return whether an entry of a bench file's `closures` has hidden states."""
     law = ALL.get((str(closure["equation"]), str(closure["form"])))
-    return isinstance(law, Law) and law.element is not None
+    return isinstance(law, Law) and law.remembers
