@@ -40,7 +40,10 @@ class Responses:
             p_a, p_b = self.oil.pressures
             root, p_s, p_t = chambers.signed_root, self.bench.supply_pressure, self.bench.tank_pressure
             out = self.oil.spool.mean(axis=-1) >= 0.0
-            self.roots = np.where(out, root(p_s - p_a), root(p_a - p_t)), np.where(out, root(p_b - p_t), root(p_s - p_b))
+            self.roots = (
+                np.where(out, root(p_s - p_a), root(p_a - p_t)),
+                np.where(out, root(p_b - p_t), root(p_s - p_b)),
+            )
         if "motion" in problem.blocks:
             self.force = model.force_on_rod(claims)
 
@@ -56,8 +59,8 @@ class Responses:
             shift = self._each(terms, self._commanding) * self.bench.valve_gain
             return self._filled(shift * self.roots[0], -shift * self.roots[1])
         if isinstance(effect, FlowClosure | EdgeClosure):
-            flows = [one.effect.inflows((0.0 * self.model.time, 0.0 * self.model.time), self.oil, self.memory, one.values)
-                     for one in terms]  # fmt: skip
+            still = np.zeros_like(self.model.time), np.zeros_like(self.model.time)
+            flows = [one.effect.inflows(still, self.oil, self.memory, one.values) for one in terms]
             return self._filled(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
         return self._read(terms, effect.law.where)
 

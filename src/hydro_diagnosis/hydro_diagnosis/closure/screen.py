@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_diagnosis.closure.evidence import BLOCK, FOLDS
 from hydro_diagnosis.closure.responses import Responses
@@ -63,7 +64,7 @@ class Screen:
 
     def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
         self.problem, self.terms = problem, list(terms)
-        self._blocks: list[tuple[slice, dict[int, FloatArray]]] = []
+        self._blocks: list[tuple[slice, dict[int, npt.NDArray[np.float32]]]] = []
         layout = problem.layout
         count = int(layout.count().max())
         self._every = max(count // ROWS, 1)

@@ -8,7 +8,7 @@ searched together (`together`): names that the judgement dropped may come back, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
 from dataclasses import dataclass
 
@@ -54,20 +54,21 @@ class Closed:
     """The problem with the weights of the fit."""
 
 
-def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> list[Closed]:
+def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[Closed]:
     """Models of the remainder, the preferred first; none where no term holds on held-out blocks.
 
-    `names`: causes that may stand beside a law though the judgement does not claim them.
+    `names`: causes that may stand beside a law though the judgement does not claim them. A smooth function is looked
+    for only where laws leave something, or are refused.
     """
     if not assessment.remainder:
-        return []
+        return
     by_law = _by_law(problem, assessment.fit, names)
     left = noticeable(by_law.problem, by_law.fit.residual)
-    below = by_law if left else Closed(assessment.fit, "smooth", 0.0, problem)
-    by_table = _by_table(below)
-    law_will_do = not left or by_law.gain >= (1.0 - CONDENSED) * by_table.gain
-    both = (by_law, by_table) if law_will_do else (by_table, by_law)
-    return [one for one in both if one.gain > 0.0]
+    if not left and by_law.gain > 0.0:
+        yield by_law
+    by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem))
+    both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)
+    yield from (one for one in (both if left else (by_table,)) if one.gain > 0.0)
 
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
@@ -79,7 +80,9 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     one_by_one = Closed(grown, "law", gain, problem)
     if not names or (gain > 0.0 and not noticeable(problem, grown.residual)):
         return one_by_one
-    likely = {claim.effect.label: claim.effect for claim in grown.claims if isinstance(claim.effect, Closure)}
+    likely: dict[str, Effect] = {
+        claim.effect.label: claim.effect for claim in grown.claims if isinstance(claim.effect, Closure)
+    }
     for fitted in (base, grown):
         likely |= {one.effect.label: one.effect for one in screen.prospects(fitted, PROMISING)[0]}
     weighed = copy(problem)  # its weights are its own, all else is shared
@@ -131,7 +134,9 @@ def _by_table(below: Closed) -> Closed:
     Names stay: a table takes the form of any of them.
     """
     problem, before = below.problem, below.fit
-    fitted = paying(problem, _grown(problem, before, Candidates(problem, before, tables(problem)))[0], names_stay=True)
+    fitted = paying(
+        problem, _grown_by_table(problem, before, Candidates(problem, before, tables(problem))), names_stay=True
+    )
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
         return Closed(before, "smooth", 0.0, problem)  # no table, or none that pays
     return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem)
@@ -141,27 +146,24 @@ def _terms(found: Fit) -> int:
     return sum(isinstance(claim.effect, Closure) for claim in found.claims)
 
 
-def _grown(problem: Problem, base: Fit, tried: Candidates) -> tuple[Fit, float]:
-    """The fit with the terms that pay, and the held-out deviance that they gain."""
-    current, gained, taken, disguised = base, 0.0, 0, 0.0
+def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
+    """The fit with the tables that pay."""
+    current = base
     room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
+    taken = 0
     while taken < room and tried.terms and noticeable(problem, current.residual):
         gains, there_is = tried.gains(problem, current)
         best = int(np.argmax(gains))
-        if gains[best] < max(THRESHOLD, LEAST * there_is, (1.0 - CONDENSED) * disguised):
+        if gains[best] < max(THRESHOLD, LEAST * there_is):
             break
-        starts = tried.starts(best, gains)
-        tried = tried.without(starts[0].effect.label)
-        better = _fitted(problem, current, starts)
+        start = tried.terms[best]
+        tried = tried.without(start.effect.label)
+        better = fit(problem, (*current.claims, start))
         if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
             continue
-        if not definite(problem, better, better.claims[-1]):
-            disguised = float(gains[best])  # what gains less would stand in for the name or law that this one is
-            continue
-        gained += float(gains[best])
         taken += 1
-        current, disguised = better, 0.0
-    return current, gained
+        current = better
+    return current
 
 
 def _fitted(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:

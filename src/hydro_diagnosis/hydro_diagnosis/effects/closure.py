@@ -29,7 +29,7 @@ from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Element, Law, Number, Signals, edge_losses, sensed
-from hydro_sim.model.tables import KNOTS, Table
+from hydro_sim.model.tables import KNOTS, SETTLING, Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
@@ -77,7 +77,7 @@ class Closure(Effect):
     @property
     def element(self) -> Element | None:
         """Memory element of the term."""
-        return self.law.element if isinstance(self.law, Law) else None
+        return self.law.element
 
     @cached_property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
@@ -133,7 +133,7 @@ class Closure(Effect):
         if element is None:
             return at
         if element.kind == "slow":
-            return replace(at, memory=memory.lag(self.label, self._driver(at), values["time"], 0.0))
+            return replace(at, memory=memory.lag(self.label, self._driver(at), values.get("time", SETTLING), 0.0))
         signal = getattr(at, element.signal)
         if element.kind == "lag":
             return replace(at, memory=memory.lag(self.label, signal, values["time"]))
@@ -215,7 +215,7 @@ class GaugeClosure(SensorClosure):
 
     @property
     def curves(self) -> str:
-        return self.law.where if isinstance(self.law, Table) or self.law.where in (self.law.uses or self.law.where) else ""
+        return self.law.where if self.law.where in (self.law.uses or self.law.where) else ""
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
@@ -235,7 +235,7 @@ class ValveClosure(Closure):
         if self.element is not None and self.element.kind == "path":
             at = replace(at, memory=along(path, 1.0 / values["path"], np.ones_like(path)).reshape(spool.shape))
         elif self.element is not None and self.element.kind == "slow":
-            warm = held_lag(self._driver(at).ravel(), substep, values["time"], 0.0)[1]
+            warm = held_lag(self._driver(at).ravel(), substep, values.get("time", SETTLING), 0.0)[1]
             at = replace(at, memory=warm.reshape(spool.shape))
         elif self.element is not None:
             at = replace(at, memory=limited(path, substep, values["rate"], values["time"]).reshape(spool.shape))

@@ -11,8 +11,9 @@ Terms are linear in their amplitudes. What one gives acts in its equation::
     load        force [N] of the load
     sensor      what a sensor shows more than its signal [N or Pa]
 
-None depends on time but by what settles: another would grow for ever. Beside its amplitude a law may have further numbers: where a
-threshold lies, or over what a state `w` follows a signal `s`; a piston at rest or a still current moves no path::
+None depends on time but by what settles: another would grow for ever. Beside its amplitude a law may have further
+numbers: where a threshold lies, or over what a state `w` follows a signal `s`; a piston at rest or a still current
+moves no path::
 
     lag   w' = (s - w) / T
     path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
@@ -119,7 +120,16 @@ class Element:
         return _UNITS.get(self.signal, "Pa")
 
 
-_UNITS = {"position": "m", "current": "A", "force": "N", "speed": "m/s", "opening": "A", "heating": "A2", "time": "-"}
+_UNITS = {
+    "position": "m",
+    "current": "A",
+    "force": "N",
+    "speed": "m/s",
+    "velocity": "m/s",
+    "opening": "A",
+    "heating": "A2",
+    "time": "-",
+}
 
 
 @dataclass(frozen=True)

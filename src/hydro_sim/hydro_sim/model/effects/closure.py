@@ -141,7 +141,8 @@ class Following(Closure):
 
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
         signal = self.element.signal
-        now = Signals(self.at.position, self.at.velocity, *self.at.pressures, self.at.spool)
+        pressure_a, pressure_b = self.at.pressures
+        now = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool)
         return {"past": ((1.0 if signal == "time" else getattr(now, signal)) - self.past) / self.time}
 
     def _past(self) -> Symbol:
@@ -215,15 +216,16 @@ class Limited(Closure):
 def _made(law: Law | Table) -> type[Closure]:
     reach = _REACH * law.typical
     members: dict[str, Any] = {name: parameter(law.unit, -reach, reach, scale=law.typical) for name in law.names}
-    element = law.element if isinstance(law, Law) else None
+    element = law.element
     if isinstance(law, Table):
+        members |= {} if element is None else {"time": tables.SETTLING}
         over = tables.VARIABLES[law.variable]
         members |= {name: parameter(over, -laws.WIDEST, laws.WIDEST, scale=1.0) for name in ("low", "high")}
     else:
         members |= {one.name: _number(one) for one in law.numbers}
     if element is not None:
         members |= {**_states(element, law.equation), "element": element}
-    elif isinstance(law, Law) and law.picks_up:
+    elif law.picks_up:
         members |= {"held": hidden("A", scale=1e-3)}
     about = {"law": law, "options": {"equation": (law.equation,), "form": (law.form,)}, "__doc__": Closure.__doc__}
     return type("Closure", _bases(law, element), {**about, **members})
@@ -255,7 +257,7 @@ def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ..
     acting = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure}
     acts = EdgeClosure if law.where == "edges" else acting.get(law.equation, FlowClosure)
     if element is None:
-        return (PickingUp,) if isinstance(law, Law) and law.picks_up else (acts,)
+        return (PickingUp,) if law.picks_up else (acts,)
     remembers = Settling if element.kind == "slow" and acts is ValveClosure else _MEMORIES[element.kind]
     return remembers, acts
 

@@ -49,7 +49,8 @@ ROOT = _force(
 )
 BY_PRESSURE = tuple(
     _force(f"friction by pressure of {chamber.upper()}", "Pa", f"sign(v) p_{chamber}",
-           f"Dry friction by the pressure of chamber {chamber.upper()}", 5e6, f"pressure_{chamber} velocity", 1.0, shape)
+           f"Dry friction by the pressure of chamber {chamber.upper()}", 5e6, f"pressure_{chamber} velocity", 1.0,
+           shape)
     for chamber, shape in (("a", lambda at, n: sign(at.velocity) * at.pressure_a),
                            ("b", lambda at, n: sign(at.velocity) * at.pressure_b))
 )  # fmt: skip
@@ -177,7 +178,8 @@ CURVE = _spool(
 
 
 def _edge(name: str, text: str, phrase: str, scale: float, unit: str, degree: float,
-          shape: Callable[[Signals, Any], Symbol], numbers: tuple[Number, ...] = (), size: float = 1.0) -> Carrier:  # fmt: skip
+          shape: Callable[[Signals, Any], Symbol], numbers: tuple[Number, ...] = (),
+          size: float = 1.0) -> Carrier:  # fmt: skip
     return Carrier(
         equation="actuation",
         name=name,

@@ -12,6 +12,10 @@ from hydro_sim.model.laws import Element, Number
 ALWAYS = Modulation(name="", text="{}", phrase="", factor=lambda at, n: 1.0)
 
 
+_TIMES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+_SHORT = (0.02, 0.1)
+
+
 def _gate(name: str, text: str, phrase: str, uses: str, signal: str, turn: float, side: float) -> Modulation:
     """1 where a signal has a sign, else 0; rounded over `turn` [SI unit]."""
     return Modulation(name=name, text=f"{{}} where {text}", phrase=phrase, uses=uses,
@@ -79,15 +83,15 @@ LEVELLING = Modulation(
     factor=lambda at, n: 1.0 / (1.0 + at.speed / at.number), numbers=(Number("level", "m/s", (0.01, 0.03, 0.1)),),
 )  # fmt: skip
 FILM = Modulation(
-    name="under a late film", text="{} exp(-w^2), w' = |v| / path - w / time", uses="velocity",
+    name="under a late film", text="{} exp(-(w / speed)^2), w' = (v - w) / time", uses="velocity",
     phrase=" that fades with speed, late: typical of a film that takes time to form",
-    factor=lambda at, n: np.exp(-(at.memory * at.memory)), element=Element("heat", "position"),
-    numbers=(Number("path", "m", (3e-4, 1e-3, 3e-3)), Number("time", "s", (0.01, 0.03, 0.1))),
+    factor=lambda at, n: np.exp(-((at.memory / at.number) ** 2)), element=Element("slow", "velocity"),
+    numbers=(Number("speed", "m/s", (0.01, 0.03, 0.1)), Number("time", "s", (0.01, 0.03, 0.1))),
 )  # fmt: skip
 
 
 def _slow(driver: str, symbol: str, name: str, unit: str, scale: float, uses: str, cause: str,
-          times: tuple[float, ...] = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)) -> Modulation:  # fmt: skip
+          times: tuple[float, ...] = _TIMES) -> Modulation:  # fmt: skip
     """Grows with a state that follows a driver over a time, from 0: what work, motion or time alone has warmed."""
     return Modulation(
         name=f"as {name} warms", text=f"{{}} w, w' = ({symbol} - w) / time", unit=unit, scale=scale, uses=uses,
@@ -97,7 +101,7 @@ def _slow(driver: str, symbol: str, name: str, unit: str, scale: float, uses: st
 
 
 BY_MOTION_PAST = _slow("speed", "|v|", "motion", "m/s", 0.05, "velocity",
-                       "past motion: typical of seals, oil or grease that warm", (0.02, 0.1, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0))  # fmt: skip
+                       "past motion: typical of seals, oil or grease that warm", (*_SHORT, *_TIMES))  # fmt: skip
 BY_THROTTLING = _slow("opening", "|u|", "throttling", "A", 1e-3, "current",
                       "the valve's past opening: typical of throttled oil that warms")  # fmt: skip
 BY_HEATING = _slow("heating", "u^2", "the coil", "A2", 1e-6, "current",
@@ -107,5 +111,5 @@ BY_LOADING = _slow("size_of_difference", "|p_a - p_b|", "pressure", "Pa", 1e6, "
 BY_TIME = Modulation(
     name="from the start", text="{} (1 - exp(-t / time))", uses="time",
     phrase=" that settles from the start of a recording: typical of what warms after it is switched on",
-    factor=lambda at, n: at.memory, element=Element("slow", "time"), numbers=(Number("time", "s", (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)),),
+    factor=lambda at, n: at.memory, element=Element("slow", "time"), numbers=(Number("time", "s", _TIMES),),
 )  # fmt: skip
