@@ -9,20 +9,20 @@ from copy import copy
 import numpy as np
 
 from hydro_diagnosis.closure.evidence import HeldOutBlocks
-from hydro_diagnosis.closure.responses import Responses
+from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.effects.path_memory import held_lag
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.free_form import variable_of
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model import grammar
 from hydro_sim.model.laws import Law
 from hydro_sim.model.tables import SETTLING, Table
 
 INSIDE = 0.1
 """Percentiles of its variable that a table leaves out at either end."""
-QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
 """Of a threshold's signal: where thresholds are looked for."""
 EDGE = 0.02
 """Share of a threshold's signal that is left on either side of it."""
@@ -38,6 +38,10 @@ def laws(problem: Problem) -> list[Claim]:
 
 def _placed(law: Law, problem: Problem) -> Closure | None:
     effect = closure(law, problem.bench)
+    if law.gate and _visible(effect, problem):
+        signal, side = law.gate
+        share = float(np.mean(side * _recorded(problem, signal) > 0.0))
+        return effect if EDGE < share < 1.0 - EDGE else None  # else it is the law without the gate, or nothing
     over = next((number.over for number in law.numbers if number.over), "")
     if not over or not _visible(effect, problem):
         return effect if not over and _visible(effect, problem) else None
@@ -102,7 +106,7 @@ class Candidates:
     def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
         self.terms = list(terms)
         ways = [Responses(problem, model, (*problem.baseline, *base.claims)) for model in problem.models]
-        self.columns: list[FloatArray] = [_columns(problem, ways, one) for one in terms]
+        self.columns: list[FloatArray] = [_columns(problem, base, ways, one) for one in terms]
 
     def without(self, label: str) -> Candidates:
         """All but the terms of one law."""
@@ -118,14 +122,11 @@ class Candidates:
         return before - np.array(after), there_is
 
 
-def _columns(problem: Problem, ways: Sequence[Responses], claim: Claim) -> FloatArray:
+def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Claim) -> FloatArray:
     """Responses of the residual to a claim's amplitudes at neutral, in spans; shape (n, amplitudes)."""
     probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.parameters
               if one.smallest > 0.0]  # fmt: skip
-    layout = problem.layout
-    columns = np.zeros((len(layout.channel), len(probes)))
-    for k, way in enumerate(ways):
-        for name, shown in way.of(probes).items():
-            at = (layout.channel == CHANNELS.index(name)) & (layout.segment == k)
-            columns[at] = (shown / problem.deviation(name, k)).T
+    columns = np.zeros((len(problem.layout.channel), len(probes)))
+    for channel, responses in shown(problem, base, ways, probes).items():
+        columns[problem.layout.channel == channel] = responses.T
     return columns

@@ -2,7 +2,8 @@
 """Residuals that a term of an equation leaves, to first order: its own hooks, then the way through to the channels.
 
 Many terms are carried at a time: the way is linear, so it is one filter for all rows. What a term of one equation does
-by way of another (a gauge's error through the flows) is left out: this ranks terms, it fits none.
+by way of another is left out: this ranks terms, it fits none. A gauge's error goes through the flows too: it is
+simulated as it stands.
 """
 
 from __future__ import annotations
@@ -15,7 +16,8 @@ from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import Closure, EdgeClosure, FlowClosure, LoadClosure, MotionClosure, ValveClosure
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.fit import Fit
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
@@ -127,15 +129,25 @@ class Responses:
         if channel == "load_force":
             force = self.model.spring_force(self.bench, [], self.model.recorded)
             return self._present({"load": -self._kept(self._smooth(read(force)))})
-        if channel == "hydraulic_force":
-            raw = read(channels[channel])
-            return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
-        wrong = read(channels[channel])
-        share = 1.0 if channel == "pressure_a" else -self.bench.area_ratio
-        return self._present({
-            channel: -self._kept(self._smooth(self._forget(wrong))),
-            "hydraulic": self.bench.piston_area * share * self._means(wrong),
-        })  # fmt: skip
+        raw = read(channels[channel])
+        return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
 
     def _means(self, signals: FloatArray) -> FloatArray:
         return np.stack([self.model.means(one) for one in signals])
+
+
+def shown(problem: Problem, base: Fit, ways: Sequence[Responses], terms: Sequence[Claim]) -> dict[int, FloatArray]:
+    """By channel: responses of its residuals, over their deviation, to terms of one law; shape (terms, residuals)."""
+    effect = terms[0].effect
+    assert isinstance(effect, Closure)
+    if effect.law.where.startswith("pressure"):
+        changes = np.stack([problem.residual((*base.claims, one)) - base.residual for one in terms])
+        channel = problem.layout.channel
+        return {int(k): changes[:, channel == k] for k in np.unique(channel)}
+    parts = [way.of(terms) for way in ways]
+    return {
+        CHANNELS.index(name): np.concatenate(
+            [one[name] / problem.deviation(name, k) for k, one in enumerate(parts)], axis=1
+        )
+        for name in set().union(*parts)
+    }

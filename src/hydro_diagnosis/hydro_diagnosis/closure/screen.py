@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.closure.evidence import BLOCK, FOLDS
-from hydro_diagnosis.closure.responses import Responses
+from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, spreads
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
@@ -74,11 +74,10 @@ class Screen:
         at = 0
         for _, same in groupby(self.terms, key=lambda one: one.effect.label):
             probes = [_probed(one) for one in same]
-            shown = [way.of(probes) for way in ways]
-            block = {}
-            for name in set().union(*shown):
-                parts = [one[name] / problem.deviation(name, k) for k, one in enumerate(shown)]
-                block[CHANNELS.index(name)] = np.concatenate(parts, axis=1)[:, :: self._every].astype(np.float32)
+            block = {
+                channel: columns[:, :: self._every].astype(np.float32)
+                for channel, columns in shown(problem, base, ways, probes).items()
+            }
             self._blocks.append((slice(at, at + len(probes)), block))
             at += len(probes)
 

@@ -157,6 +157,8 @@ class Law:
     """Signals that a composition is made of, and `time`."""
     degree: float = 0.0
     """Total power of the signals in a composition; those of gates, places and states count nothing."""
+    gate: tuple[str, float] | None = None
+    """A signal and the sign that it must have, if the law acts only then."""
 
     @property
     def picks_up(self) -> bool:

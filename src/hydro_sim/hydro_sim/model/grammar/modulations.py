@@ -19,6 +19,7 @@ _SHORT = (0.02, 0.1)
 def _gate(name: str, text: str, phrase: str, uses: str, signal: str, turn: float, side: float) -> Modulation:
     """1 where a signal has a sign, else 0; rounded over `turn` [SI unit]."""
     return Modulation(name=name, text=f"{{}} where {text}", phrase=phrase, uses=uses,
+                      gate=(signal, side),
                       factor=lambda at, n: outwards(side * getattr(at, signal) * (1e-3 / turn)))  # fmt: skip
 
 

@@ -63,6 +63,8 @@ class Modulation:
     degree: float = 0.0
     element: Element | None = None
     numbers: tuple[Number, ...] = ()
+    gate: tuple[str, float] | None = None
+    """A signal and the sign that it must have, if it is a gate."""
 
 
 def composed(carrier: Carrier, modulation: Modulation) -> Law:
@@ -81,6 +83,7 @@ def composed(carrier: Carrier, modulation: Modulation) -> Law:
         carrier.where,
         frozenset(f"{carrier.uses} {modulation.uses}".split()),
         carrier.degree + modulation.degree,
+        modulation.gate,
     )
 
 
