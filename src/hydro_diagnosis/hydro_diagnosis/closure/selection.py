@@ -10,51 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
 
 import numpy as np
 
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
-from hydro_diagnosis.closure.evidence import definite
-from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
+from hydro_diagnosis.closure.growth import CONDENSED, LEAST, TERMS, Closed, count_terms, grown_by_law
+from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
-from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.score_test import screen as screen_names
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import score
 from hydro_diagnosis.selection.verdict import Assessment, coincidence
 from hydro_sim.model.effects.catalogue import CLOSURES
-
-TERMS = 3
-"""Largest number of terms of a law."""
-LEAST = 0.02
-"""Share of the possible gain that a term must bring: less is mimicry of another form."""
-CONDENSED = 0.05
-"""Share of a smooth function's gain by which a law may fall short of it."""
-FITTED = 5
-"""Laws that are fitted in each round, the best of the screen."""
-ALIKE = 0.8
-"""Share of the best's gain from which a law is fitted beside one that leaves nothing."""
-NAMES = 3
-"""Names that are fitted in place of a law."""
-PATIENCE = 24
-"""Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
-
-
-@dataclass(frozen=True)
-class Closed:
-    """Names and closure estimated together."""
-
-    fit: Fit
-    form: str
-    """law or smooth."""
-    gain: float
-    """Held-out deviance that it gains over the names alone."""
-    problem: Problem
-    """The problem with the weights of the fit."""
 
 
 def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[Closed]:
@@ -77,10 +47,10 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     """Laws and names that together leave nothing; else laws alone beside the names that stand."""
     screen = Screen(problem, base, laws(problem))
-    beside = _grown_by_law(problem, base, screen, names)
+    beside = grown_by_law(problem, base, screen, names)
     if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
         return beside
-    alone = _grown_by_law(problem, base, screen) if _names(beside.fit) != _names(base) else beside
+    alone = grown_by_law(problem, base, screen) if _names(beside.fit) != _names(base) else beside
     if not names:
         return alone
     likely: dict[str, Effect] = {}
@@ -97,94 +67,11 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
 def _sound(closed: Closed) -> bool:
     """Return whether there are as many laws as may be, and no coincidence of names."""
     room = min(TERMS, CLOSURES - len(closed.problem.bench.closures))
-    return 0 < _terms(closed.fit) <= room and not coincidence(closed.fit.claims)
+    return 0 < count_terms(closed.fit) <= room and not coincidence(closed.fit.claims)
 
 
 def _names(found: Fit) -> set[str]:
     return {claim.effect.label for claim in found.claims if not isinstance(claim.effect, Closure)}
-
-
-def _grown_by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect] = ()) -> Closed:
-    """The fit with the laws that pay, and with `names` that do as well; what does not pay beside the others goes.
-
-    In each round the best few of the screen are fitted, and the one with most evidence is taken, or a simpler one
-    that has nearly as much.
-    """
-    weighed = copy(problem)  # its weights are its own, all else is shared
-    current, tried = base, set[str]()
-    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
-    for _ in range(room + (NAMES if names else 0)):
-        if not noticeable(weighed, current.residual):
-            break
-        fits = _laws_fitted(weighed, current, screen, tried) if _terms(current) - _terms(base) < room else []
-        fits += _names_fitted(weighed, current, names) if _terms(current) > _terms(base) else []
-        if not fits:
-            break
-        taken = _simplest(weighed, fits)
-        tried -= {one.claims[-1].effect.label for one in fits if one is not taken}
-        current = taken
-        if not isinstance(taken.claims[-1].effect, Closure):
-            weighed.update_weights(taken.claims)
-            current = fit(weighed, taken.claims)
-    if _terms(current) == _terms(base):
-        return Closed(base, "law", 0.0, problem)
-    current = paying(weighed, _exchanged(weighed, current, screen))  # what stood for another's numbers goes
-    return Closed(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed)
-
-
-def _exchanged(problem: Problem, found: Fit, screen: Screen) -> Fit:
-    """The fit with another in place of a law that does better beside all that came after, or as well and is simpler."""
-    for claim in found.claims if len(found.claims) > 1 else ():
-        if isinstance(claim.effect, Closure):
-            others = fit(problem, tuple(one for one in found.claims if one is not claim))
-            tried = {one.effect.label for one in found.claims}
-            found = _simplest(problem, [found, *_laws_fitted(problem, others, screen, tried)], claim)
-    return found
-
-
-def _laws_fitted(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
-    """Fits with one law more that pays, of the best of the screen; these are `tried` then."""
-    prospects, there_is = screen.prospects(current, FITTED, tried)
-    toll = threshold(len(screen))
-    fits: list[Fit] = []
-    disguised, clean = 0.0, False
-    for one in prospects:
-        enough = ALIKE * prospects[0].gain if clean else 0.0 if fits else (1.0 - CONDENSED) * disguised
-        if one.gain < max(toll, LEAST * there_is, enough):
-            break
-        better = _fitted(problem, current, one.starts)
-        tried.add(one.effect.label)
-        if score(problem, current) - score(problem, better) < toll or mimics(problem, current, better):
-            continue
-        if not definite(problem, better, better.claims[-1]):
-            disguised = max(disguised, one.gain)  # what gains less would stand in for the name or law that it is
-        elif held_out_gain(problem, current, better) >= toll:
-            fits.append(better)
-            clean = clean or not noticeable(problem, better.residual)
-    return fits
-
-
-def _names_fitted(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
-    """Fits with one name more that pays."""
-    fits = [fit(problem, (*current.claims, one.claim)) for one in screen_names(problem, current, names)[:NAMES]]
-    enough = score(problem, current) - CHANCE
-    return [one for one in fits if score(problem, one) < enough and not mimics(problem, current, one)]
-
-
-def _simplest(problem: Problem, fits: Sequence[Fit], last: Claim | None = None) -> Fit:
-    """Of the fits with nearly as much evidence as the best: a name, else the law of the fewest numbers and signals.
-
-    The claim in question is the newest, of the first fit `last`, if that is given.
-    """
-    best = min(score(problem, one) for one in fits)
-
-    def parts(one: Fit) -> tuple[int, int, float]:
-        effect = (last if last and one is fits[0] else one.claims[-1]).effect
-        if not isinstance(effect, Closure):
-            return 0, 0, score(problem, one)
-        return len(effect.parameters), len(effect.law.uses), score(problem, one)
-
-    return min((one for one in fits if score(problem, one) <= best + CHANCE), key=parts)
 
 
 def _by_table(below: Closed) -> Closed:
@@ -201,14 +88,10 @@ def _by_table(below: Closed) -> Closed:
     return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem)
 
 
-def _terms(found: Fit) -> int:
-    return sum(isinstance(claim.effect, Closure) for claim in found.claims)
-
-
 def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
     """The fit with the tables that pay."""
     current = base
-    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
+    room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
     taken = 0
     while taken < room and tried.terms and noticeable(problem, current.residual):
         gains, there_is = tried.gains(problem, current)
@@ -223,13 +106,3 @@ def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
         taken += 1
         current = better
     return current
-
-
-def _fitted(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
-    """The fit with a term from the first start at which its further numbers come to be known, else from the best."""
-    fits = []
-    for start in starts:
-        fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
-        if definite(problem, fits[-1], fits[-1].claims[-1]):
-            return fits[-1]
-    return fits[0]
