@@ -13,7 +13,7 @@ import pytest
 
 from benchmarks.beyond_the_table import plant
 from benchmarks.beyond_the_table.cases import Case, drawn
-from benchmarks.beyond_the_table.form import TEXTS, right_form
+from benchmarks.beyond_the_table.form import FORMS, TEXTS, right_form
 from benchmarks.beyond_the_table.gap import gaps
 from benchmarks.beyond_the_table.kinds import HALVES, KINDS, NAMES, Kind
 from benchmarks.beyond_the_table.recordings import simulated
@@ -21,7 +21,7 @@ from benchmarks.beyond_the_table.score import scored, summary
 from benchmarks.foreign_truth import plant as foreign
 from benchmarks.foreign_truth.bench import numbers
 from benchmarks.foreign_truth.recordings import reference
-from hydro_sim.model.grammar import LAWS
+from hydro_sim.model.grammar import COMPOSITIONS, LAWS
 
 ROOT = Path(__file__).resolve().parent.parent
 KIND = {kind.name: kind for kind in KINDS}
@@ -70,6 +70,14 @@ def test_what_was_opened_is_looked_at_beside_the_rest() -> None:
 
 def test_the_forms_are_those_of_the_grammar() -> None:
     assert set(TEXTS) == {law.text for law in LAWS}
+    assert set(FORMS) == set(TEXTS) | {law.text for law in COMPOSITIONS}
+    assert FORMS["v |v| where v > 0"] == (frozenset({"velocity"}), 2.0, False)
+    assert FORMS["(p_a - p_b) w, w' = (|u| - w) / time"] == (
+        frozenset({"current", "pressure_a", "pressure_b"}),
+        1.0,
+        True,
+    )
+    assert FORMS["(1 - exp(-t / time))"] == (frozenset({"time"}), 0.0, False)
 
 
 def closure(equation: str, text: str, form: str = "law") -> dict[str, Any]:

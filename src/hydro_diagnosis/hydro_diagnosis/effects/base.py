@@ -63,6 +63,9 @@ class FitParameter:
 class Memory(Protocol):
     """Elements with a past, either over a whole record or one step at a time."""
 
+    beside: Mapping[str, FloatArray]
+    """What stands beside a sensor, by the names of `hydro_sim.model.laws.Signals`, where it is read."""
+
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where."""
 

@@ -50,7 +50,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
         """Reading [N] of the cell at the rod for a force, decimated."""
         if not any(changes(claim, "measure") for claim in claims):
             return self.kept_finish(required)
-        return self.kept(self.reading("hydraulic_force", self.finish(required), claims))
+        return self.kept(self.reading("hydraulic_force", self.finish(required), claims, smoothed=True))
 
     def arc_residual(self, run: ChamberRun) -> FloatArray:
         """N, decimated: by how much the mean of f_h around each sample exceeds the sample.

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
@@ -36,7 +37,6 @@ class SegmentRecord:
         self.step = segment.step
         self.spacing = segment.spacing
         self.time = segment.time
-        self.memory = RecordMemory(segment.step)
         channels = segment.channels
         self.channels = channels
         self.has_position = "piston_position" in channels
@@ -51,6 +51,19 @@ class SegmentRecord:
             pressures = (channels["pressure_a"], channels["pressure_b"]) if self.has_pressures else None
             self.kinematics = Kinematics(self.time, self.x, self.v, pressures)
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v)
+        self.beside = self._beside()
+        """What stands beside a sensor that is read, shape (n,) each."""
+        self.memory = RecordMemory(segment.step, self.beside)
+
+    def _beside(self) -> dict[str, FloatArray]:
+        """A reading is taken under the current that was held until then."""
+        found = {name: self.channels[name] for name in ("pressure_a", "pressure_b") if name in self.channels}
+        if self.has_position:
+            found |= {"position": self.channels["piston_position"], "velocity": self.v}
+        if "valve_current" in self.channels:
+            current = self.channels["valve_current"]
+            found["current"] = np.concatenate([current[:1], current[:-1]])
+        return found
 
     def bench(self, claims: Sequence[Claim]) -> Bench:
         """The bench with the values that the claims replace."""
@@ -66,11 +79,17 @@ class SegmentRecord:
             signal = claim.effect.unmeasure(channel, signal, self.memory, claim.values)
         return signal
 
-    def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim]) -> FloatArray:
-        """Return the reading of a channel's sensor for a true signal."""
+    def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim], smoothed: bool = False) -> FloatArray:
+        """Return the reading of a channel's sensor for a true signal; `smoothed`: through the test function."""
+        self.memory.beside = self._smooth_beside if smoothed else self.beside
         for claim in claims:
             signal = claim.effect.measure(channel, signal, self.memory, claim.values)
+        self.memory.beside = self.beside
         return signal
+
+    @cached_property
+    def _smooth_beside(self) -> dict[str, FloatArray]:
+        return {name: self.smooth(signal) for name, signal in self.beside.items()}
 
     def kept(self, signal: FloatArray) -> FloatArray:
         """Return the judged part of a signal, shape (n,): settled, and every fifth recorded row."""

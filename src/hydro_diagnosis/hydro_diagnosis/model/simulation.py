@@ -65,7 +65,7 @@ class Plant:
         substeps = SUBSTEPS_STICKING if _sticks(claims) else SUBSTEPS
         current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
         spool = chambers.spool_position(current, model.step / substeps, claims)
-        memory = model.memory = RecordMemory(model.step)
+        memory = model.memory = RecordMemory(model.step, model.beside)
         model.chamber_run(claims)
         model.required_force(claims)
         return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces))
@@ -201,36 +201,46 @@ class Plant:
         length, _, lanes = states.shape
         samples = np.tile(begins, lanes // len(begins))
         at = samples[None, :] + np.arange(length)[:, None]
-        x, _, p_a, p_b = states.transpose(1, 0, 2)
+        x, v, p_a, p_b = states.transpose(1, 0, 2)
         bench = self.bench
         true = {
             "piston_position": x,
             "pressure_a": p_a,
             "pressure_b": p_b,
             "hydraulic_force": eq.hydraulic_force(bench, p_a, p_b),
-            "load_force": self._load(at * self.model.step, x, samples),
+            "load_force": self._load(at * self.model.step, x, v, samples),
         }
-        return {name: self._shown(name, signal, at) for name, signal in true.items() if name in self.model.channels}
+        simulated = {"position": x, "velocity": v, "pressure_a": p_a, "pressure_b": p_b}
+        beside = self.model.beside
+        aside = {name: simulated[name] - beside[name][at] for name in simulated if name in beside}
+        return {
+            name: self._shown(name, signal, at, aside) for name, signal in true.items() if name in self.model.channels
+        }
 
-    def _load(self, time: FloatArray, position: FloatArray, samples: Indices) -> FloatArray:
+    def _load(self, time: FloatArray, position: FloatArray, velocity: FloatArray, samples: Indices) -> FloatArray:
         force: FloatArray = eq.spring_force(self.bench, position)
         acting = self._loading
         memory = StepMemory(self.model.step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
         for k in range(len(position) if acting else 0):
-            motion = Kinematics(time[k], position[k], position[k])
+            motion = Kinematics(time[k], position[k], velocity[k])
             for claim in acting:
                 force[k] = claim.effect.load(force[k], motion, self.bench, memory, claim.values)
             memory.tick()
         return force
 
-    def _shown(self, name: str, signal: FloatArray, at: Indices) -> FloatArray:
-        """The sensor's response to the recording's own signal plus its response to the difference from it."""
+    def _shown(self, name: str, signal: FloatArray, at: Indices, aside: dict[str, FloatArray]) -> FloatArray:
+        """The sensor's response to the recording's own signal plus its response to the difference from it.
+
+        `aside`: that difference of what stands beside the sensor.
+        """
         proxy = self._proxy(name)
         apart = signal - proxy[at]
         shown = self._sensor(name, proxy, self.model.memory)[at]
-        memory = _ColumnMemory(self.model.step)
-        return shown + self._sensor(name, apart, memory) - self._sensor(name, np.zeros_like(apart), memory)
+        nothing = np.zeros_like(apart)
+        still = _ColumnMemory(self.model.step, dict.fromkeys(aside, nothing))
+        memory = _ColumnMemory(self.model.step, aside)
+        return shown + self._sensor(name, apart, memory) - self._sensor(name, nothing, still)
 
     def _proxy(self, name: str) -> FloatArray:
         if name == "piston_position":

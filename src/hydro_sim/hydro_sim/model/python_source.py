@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Python source, for numba, of expressions of CasADi's symbols: what several terms share is computed once.
 
-So are reciprocals: derivatives divide by the same volume, mass or root again and again. `model.source` writes C from the
-same list of elementary operations.
+So are reciprocals: derivatives divide by the same volume, mass or root again and again. `model.source` writes C from
+the same list of elementary operations.
 """
 
 from __future__ import annotations
