@@ -65,7 +65,7 @@ MODELS = {
     "network": "the paper's, two layers of 32",
     "names": "bench.yaml with seven usual effects, learnt; no closure",
     "diagnosed": "the corrected.yaml of `diagnose`, closures included",
-    "learnt": "corrected.yaml refined by `learn --structure bench`",
+    "learnt": "corrected.yaml refined by `learn --structure bench`, if it has anything to learn",
 }
 COLUMNS = {
     "case": "", "seed": "", "model": "; ".join(f"{name}: {text}" for name, text in MODELS.items()),
@@ -113,9 +113,9 @@ def made(name: str, case: Case, folder: Path, data: Data) -> tuple[Bench | Predi
     if result["report"] is None:
         raise UserError(f"{case.name}: the diagnosis refused: {result['said']}")
     bench = Bench.load(folder / "diagnosis" / "report" / "corrected.yaml")
-    if name == "diagnosed" or not bench.terms:
+    if name == "diagnosed":
         return bench, result["cpu"]
-    return bench_learning.learn(bench, data).bench, None
+    return (bench_learning.learn(bench, data).bench, None) if bench.terms else (bench, 0.0)
 
 
 def judged(case: Case, folder: Path) -> Iterator[dict[str, Any]]:
