@@ -164,7 +164,8 @@ class Limited(Closure):
         return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
 
 
-def _made(law: Law | Table) -> type[Closure]:
+def made(law: Law | Table) -> type[Closure]:
+    """The class of closures of a law or table."""
     reach = _REACH * law.typical
     members: dict[str, Any] = {name: parameter(law.unit, -reach, reach, scale=law.typical) for name in law.names}
     element = law.element if isinstance(law, Law) else None
@@ -206,4 +207,4 @@ def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ..
     return (acts,) if element is None else (_MEMORIES[element.kind], acts)
 
 
-EFFECTS = tuple(_made(law) for law in grammar.ALL.values())
+EFFECTS = tuple(made(law) for law in grammar.ALL.values())
