@@ -59,10 +59,10 @@ def _about(name: str, found: Sequence[Sighting], agreed: Sequence[Agreement]) ->
         "sentences": "\n".join(textwrap.fill(one.sentence, _WIDTH) for one in agreed),
         "shape": shape_text(law),
         "typical": abs(common["coefficient"]),
-        "probes": {one.name: [common[one.name]] for one in agreed},
+        "numbers": _tuple([f'Number("{one.name}", "{one.unit}", ({common[one.name]},))' for one in law.numbers]),
         "bounds": {one.name: _bounds(one.name, found) for one in agreed},
         "seen": common,
-        "equations": closure(law, Bench.nominal()).equations,
+        "equations": _tuple([f'"{one}"' for one in closure(law, Bench.nominal()).equations]),
         "amplitude": 560.0 if "from A to B" in law.form else 260.0,
     }
 
@@ -106,9 +106,13 @@ def _short(value: float) -> float:
     return float(f"{value:.4g}") + 0.0
 
 
+def _tuple(items: Sequence[str]) -> str:
+    return f"({items[0]},)" if len(items) == 1 else f"({', '.join(items)})"
+
+
 def _wrapped(sentence: str) -> str:
     """A text as Python source, over several lines if it is long."""
-    if len(sentence) < _WIDTH - 20:
+    if len(sentence) <= _WIDTH - 20:
         return f'"{sentence}"'
-    lines = textwrap.wrap(sentence, _WIDTH - 20, drop_whitespace=False)
+    lines = textwrap.wrap(sentence, _WIDTH - 14, drop_whitespace=False)
     return "(\n" + "".join(f'            "{line}"\n' for line in lines) + "        )"
