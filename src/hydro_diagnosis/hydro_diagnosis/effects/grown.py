@@ -86,7 +86,7 @@ def diagnosed(named: NamedLaw) -> Effect:
     acting = [hook for hook in _HOOKS if getattr(type(term), hook) is not getattr(Effect, hook)]
     about: dict[str, Any] = {hook: _handed(hook) for hook in acting}
     made = type(named.id, (Grown,), {**about, "id": named.id, "stage": term.stage, "__doc__": named.law.sentence})
-    return made(named_law=named, term=term)  # type: ignore[no-any-return]
+    return made(named_law=named, term=term)
 
 
 def _handed(hook: str) -> Callable[..., Any]:

@@ -61,8 +61,8 @@ def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
     return kinds
 
 
-_TABLE = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
-_NAMED = (*_TABLE, *map(named_law.simulated, grown.EFFECTS))
+_TABLE: tuple[type[Effect], ...] = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
+_NAMED: tuple[type[Effect], ...] = (*_TABLE, *(named_law.simulated(one) for one in grown.EFFECTS))
 CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
 """Effects by id and options, as `label` writes them."""
 

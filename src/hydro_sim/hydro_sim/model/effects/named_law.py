@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 from hydro_sim.model.effects import closure
 from hydro_sim.model.effects.base import Effect
@@ -37,7 +38,7 @@ def simulated(named: NamedLaw) -> type[Effect]:
     """The effect in the bench model: it does what the closure of its law does."""
     acting = closure.made(named.law)
     about = {"id": named.id, "options": {}, "__doc__": named.law.sentence}
-    effect = type(named.id, (acting,), about)
+    effect: Any = type(named.id, (acting,), about)
     effect.parameters = tuple(
         replace(one, low=named.bounds[one.name][0], high=named.bounds[one.name][1]) for one in acting.parameters
     )
