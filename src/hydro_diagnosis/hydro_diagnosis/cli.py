@@ -28,8 +28,6 @@ def parser() -> argparse.ArgumentParser:
     options = argparse.ArgumentParser(
         prog="diagnose",
         description="Find, name and size the physics that a simulation leaves out.",
-        epilog="`diagnose --grow REPORT... --id NAME` makes a named effect of a law that was found on several benches; "
-        "`diagnose --grow --help` says how.",
     )
     options.add_argument("recordings", nargs="+", metavar="RECORDING", help=RECORDINGS)
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
@@ -57,6 +55,8 @@ def parser() -> argparse.ArgumentParser:
     )
     options.add_argument("--out", required=True, type=writable_folder, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")
+    group = options.add_argument_group("in place of recordings: diagnose --grow REPORT... --id NAME [--out FOLDER]")
+    growing.add_options(group, required=False)
     return options
 
 
@@ -64,7 +64,10 @@ def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 128 + its number after a signal, with what was finished."""
     if growing.FLAG in arguments:
         return growing.run(arguments)
-    chosen = parser().parse_args(arguments)
+    options = parser()
+    chosen = options.parse_args(arguments)
+    if chosen.id or chosen.law or chosen.json:
+        options.error("--id, --law and --json go with --grow")
     from hydro_diagnosis.pipeline import diagnose  # late, as the next two: not for --help or a slip
     from hydro_diagnosis.report.corrected_bench import write_corrected
     from hydro_diagnosis.report.page import write_page

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydro_bridge.cli.console import Table, UserError, add_json_argument, writable_folder
+from hydro_bridge.cli.console import Table, UserError, writable, writable_folder
 
 if TYPE_CHECKING:
     from hydro_diagnosis.growing.sightings import Sighting
@@ -25,14 +25,20 @@ def parser() -> argparse.ArgumentParser:
         usage="diagnose --grow REPORT... --id NAME [--law FORM] [--out FOLDER] [--json FILE]",
         description="A law that was found on several benches becomes a named effect: its module and its test.",
     )
-    options.add_argument(FLAG, nargs="+", required=True, metavar="REPORT", dest="reports",
-                         help="report.json of two benches or more, or the folders that hold them")  # fmt: skip
-    options.add_argument("--id", required=True, metavar="NAME", help="of the effect, for instance port_drag")
-    options.add_argument("--law", metavar="FORM", help="which one, where the reports have several laws in common")
+    add_options(options, required=True)
     options.add_argument("--out", type=writable_folder, metavar="FOLDER", help="where module and test go (default: "
                          "the source tree in a checkout, else ~/.local/share/hydro/effects)")  # fmt: skip
-    add_json_argument(options)
     return options
+
+
+def add_options(options: argparse.ArgumentParser | argparse._ArgumentGroup, *, required: bool) -> None:
+    """Add the options of `--grow`; `diagnose` lists them in its own help, where none is required."""
+    options.add_argument(FLAG, nargs="+", required=required, metavar="REPORT", dest="reports",
+                         help="report.json of two benches or more, or the folders that hold them: the law that they "
+                         "share becomes a named effect, its module and its test")  # fmt: skip
+    options.add_argument("--id", required=required, metavar="NAME", help="of the effect, for instance port_drag")
+    options.add_argument("--law", metavar="FORM", help="which one, where the reports have several laws in common")
+    options.add_argument("--json", type=writable, metavar="FILE", help="also write the table of the law's numbers")
 
 
 def run(arguments: Sequence[str]) -> int:
