@@ -17,6 +17,8 @@ from hydro_diagnosis.growing.sightings import Estimate, Sighting, units
 
 LEVEL = 0.05
 """Probability of larger deviations, below which one value does not fit all benches."""
+SMALL = 1e-6
+"""Probability below which no figure is given."""
 _HALF_95 = 1.959964
 """Half a 95 % interval, in standard deviations."""
 
@@ -28,9 +30,9 @@ class Agreement:
     name: str
     unit: str
     common: float
-    """Weighted mean; the median where fewer than two benches identify the number."""
+    """Weighted mean; the median where one value does not fit, or fewer than two benches identify the number."""
     low: float | None
-    """Ends of the 95 % interval of the mean; None where there is none."""
+    """Ends of the 95 % interval of the weighted mean; None where fewer than two benches identify the number."""
     high: float | None
     probability: float | None
     """Of deviations as large as these if one value holds for all; None likewise."""
@@ -46,11 +48,11 @@ class Agreement:
         if self.probability is None or self.low is None or self.high is None:
             return f"{self.name}: too few benches identify it to compare its values."
         if not self.one_for_all:
-            return f"{self.name}: each bench has its own value (p = {self.probability:.2g} for one value)."
+            return f"{self.name}: each bench has its own value ({_probability(self.probability)} for one value)."
         interval = f"{self.low:.4g} to {self.high:.4g}"
         return (
             f"{self.name}: one value fits all benches, {self.common:.4g} {self.unit} (95 % {interval}, "
-            f"p = {self.probability:.2g})."
+            f"{_probability(self.probability)})."
         )
 
 
@@ -69,4 +71,10 @@ def _compared(name: str, unit: str, estimates: Sequence[Estimate]) -> Agreement:
     mean = float(weights @ values / weights.sum())
     reach = _HALF_95 / float(np.sqrt(weights.sum()))
     deviation = float(weights @ np.square(values - mean))
-    return Agreement(name, unit, mean, mean - reach, mean + reach, float(chi2.sf(deviation, len(known) - 1)))
+    probability = float(chi2.sf(deviation, len(known) - 1))
+    common = mean if probability >= LEVEL else float(np.median(values))
+    return Agreement(name, unit, common, mean - reach, mean + reach, probability)
+
+
+def _probability(value: float) -> str:
+    return f"p = {value:.2g}" if value >= SMALL else f"p < {SMALL:g}"
