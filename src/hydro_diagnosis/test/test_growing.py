@@ -152,7 +152,7 @@ def grow(folder: Path, which: tuple[str, str], values: Mapping[str, float], tabl
     return folder / "out"
 
 
-@pytest.mark.parametrize(("which", "values"), GROWN, ids=lambda one: "")
+@pytest.mark.parametrize(("which", "values"), GROWN, ids=[form for (_, form), _ in GROWN])
 def test_what_is_written_keeps_the_rules_of_the_repository(
     which: tuple[str, str], values: dict[str, float], tmp_path: Path
 ) -> None:
@@ -172,7 +172,7 @@ def test_the_table_shows_the_numbers_side_by_side(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("which", "values"), GROWN[:3], ids=lambda one: "")
+@pytest.mark.parametrize(("which", "values"), GROWN[:3], ids=[form for (_, form), _ in GROWN[:3]])
 def test_a_grown_effect_passes_its_own_test(which: tuple[str, str], values: dict[str, float], tmp_path: Path) -> None:
     folder = grow(tmp_path, which, values)
     words = [
