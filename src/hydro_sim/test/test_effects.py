@@ -14,6 +14,7 @@ from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Wav
 from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
+from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.catalogue import CATALOGUE, kind_of
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
@@ -54,7 +55,7 @@ def wave(samples: int = 600) -> FloatArray:
 
 
 def test_every_id_of_the_diagnosis_is_simulated() -> None:
-    assert {name.split()[0] for name in CATALOGUE} == IDS
+    assert {name.split()[0] for name in CATALOGUE} == IDS | grown.IDS
 
 
 def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Bench) -> None:
@@ -286,7 +287,7 @@ def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:
     nominal = simulate(AnalyticPlant(bench, noise=0.0), bench, schedule)
     for name in CATALOGUE:
         form = CATALOGUE[name]
-        sizes = SIZES | {"coefficient": COEFFICIENTS.get(name.split()[0], 0.0)}
+        sizes = SIZES | {"coefficient": COEFFICIENTS.get(name.split()[0], 0.0)} | GROWN.get(name, {})
         numbers = {quantity.name: sizes[quantity.name] for quantity in form.parameters}
         changed = with_effects(bench, *NEEDS.get(name, ()), effect(name, **numbers))
         assert kind_of(changed.effects[-1])[0] is form
@@ -298,6 +299,7 @@ def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:
         assert simulate(plant, bench, schedule).tobytes() == run.tobytes(), name
 
 
+GROWN = {one.id: one.seen for one in grown.EFFECTS}
 SEEN = ("load_force", "hydraulic_force", "pressure_a", "pressure_b")
 SIZES = {
     "ratio": 0.95, "current": 2e-4, "time": 2e-3, "bandwidth": 80.0, "damping": 0.8, "half_width": 2e-4,

@@ -213,7 +213,8 @@ class Limited(Closure):
         return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
 
 
-def _made(law: Law | Table) -> type[Closure]:
+def made(law: Law | Table) -> type[Closure]:
+    """The class of closures of a law or table."""
     reach = _REACH * law.typical
     members: dict[str, Any] = {name: parameter(law.unit, -reach, reach, scale=law.typical) for name in law.names}
     element = law.element
@@ -262,4 +263,4 @@ def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ..
     return remembers, acts
 
 
-EFFECTS = tuple(_made(law) for law in grammar.ALL.values())
+EFFECTS = tuple(made(law) for law in grammar.ALL.values())
