@@ -11,6 +11,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.estimation.needed_numbers import connected
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.noise_floor import residual_noise, sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -40,7 +41,8 @@ class Layout:
 class Problem:
     """Segments, the assumed bench, and claims that are already made (`baseline`).
 
-    `like`: the same segments with more rows, whose judged samples are judged here too.
+    `like`: the same segments with more rows, whose judged samples are judged here too. `estimated`: where each fit
+    begins with the numbers that are estimated in all of them.
     """
 
     def __init__(
@@ -50,8 +52,10 @@ class Problem:
         baseline: Sequence[Claim] = (),
         noise: dict[str, float] | None = None,
         like: Problem | None = None,
+        estimated: Sequence[Claim] = (),
     ) -> None:
         self.bench = bench
+        self.estimated = tuple(estimated)
         self.baseline = tuple(baseline)
         likes = like.models if like else [None] * len(segments)
         self.models: list[SegmentModel] = [
@@ -83,17 +87,8 @@ class Problem:
 
     def _checked_blocks(self) -> tuple[str, ...]:
         have = set.intersection(*(set(model.channels) for model in self.models))
-        pressures = {"pressure_a", "pressure_b"} <= have
-        blocks = []
-        if pressures and {"piston_position", "valve_current"} <= have:
-            blocks.append(PRESSURE)
-        if "piston_position" in have and ("hydraulic_force" in have or pressures):
-            blocks.append(MOTION)
-        if {"piston_position", "load_force"} <= have:
-            blocks.append(LOAD)
-        if pressures and "hydraulic_force" in have:
-            blocks.append(HYDRAULIC)
-        return tuple(blocks)
+        present = {one.block for one in connected(have, self.bench)}
+        return tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
 
     def update_weights(self, claims: Sequence[Claim]) -> None:
         """Weigh residuals down: where these claims leave the sign of dry friction in doubt, and by missing rows."""
@@ -141,6 +136,11 @@ class Problem:
         if (channel, segment) in self._unseen:
             return np.asarray(np.maximum(deviation, self._unseen[channel, segment]))
         return deviation
+
+    def with_estimated(self, claims: Sequence[Claim]) -> tuple[Claim, ...]:
+        """The claims, before them the estimated numbers that are not among them."""
+        among = {claim.effect.label for claim in claims if claim.effect.estimated}
+        return (*(one for one in self.estimated if one.effect.label not in among), *claims)
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its noise, one vector in the order of `layout`."""

@@ -58,7 +58,7 @@ class Search:
         for opening in restarts[1 : self.settings.restarts]:
             if not noticeable(self.problem, best.fit.residual) or self._spent > self.settings.effort / 3:
                 break
-            self.progress(f"again from {opening.claims[0].effect.label}")
+            self.progress(f"again from {opening.claims[-1].effect.label}")
             best = self._better(best, self._from(nothing, [opening]))
         self.steps[:] = best.steps
         return best
@@ -78,7 +78,7 @@ class Search:
             for _ in range(SWAPS):
                 if self._spent > self.settings.effort or not self._swap(outcome):
                     break
-            more = len(outcome.fit.claims) < self.settings.most and self._spent < self.settings.effort
+            more = len(outcome.fit.judged) < self.settings.most and self._spent < self.settings.effort
             ranked = self._ranked(outcome.fit) if more else []
         return outcome
 
@@ -122,7 +122,7 @@ class Search:
     def _swap(self, outcome: Outcome) -> bool:
         """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged."""
         changed = False
-        for claim in outcome.fit.claims:
+        for claim in outcome.fit.judged:
             if claim not in outcome.fit.claims:
                 continue
             others = tuple(one for one in outcome.fit.claims if one is not claim)
@@ -149,10 +149,10 @@ class Search:
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
-        while outcome.fit.claims:
+        while outcome.fit.judged:
             smaller = [
                 fit(self.problem, tuple(one for one in outcome.fit.claims if one is not claim))
-                for claim in outcome.fit.claims
+                for claim in outcome.fit.judged
                 if not any(claim.effect.id in one.effect.needs for one in outcome.fit.claims)
             ]
             best = min(smaller, key=lambda one: score(self.problem, one))
