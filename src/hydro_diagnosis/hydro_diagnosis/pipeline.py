@@ -98,6 +98,7 @@ def diagnose(
         On Ctrl-C once the recordings are read; its `report` holds what was finished.
     """
     started = time.monotonic()
+    estimate = tuple(dict.fromkeys(estimate))
     refuse_others(estimate)
     base = baseline(bench, model, estimate)
     given = base.bench
@@ -110,7 +111,8 @@ def diagnose(
     believed, baseline_claims = given, claims_of(given)
     if estimate:
         progress("estimating " + ", ".join(estimate))
-        believed = starting_bench(fitted, given, baseline_claims, estimate)
+        with threadpool_limits(1, "blas"):
+            believed = starting_bench(fitted, given, baseline_claims, estimate)
     candidates = [effect.adapted(believed) for effect in unruled if acts(effect, believed)]
     problem = Problem(fitted, believed, baseline_claims, estimated=standing(believed, estimate))
     if not problem.blocks:

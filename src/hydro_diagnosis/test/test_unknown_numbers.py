@@ -97,15 +97,22 @@ def test_rotary_actuator_is_diagnosed_in_its_units(tmp_path: Path) -> None:
     assert holds(found, "moving_mass", 0.8)
 
 
-def test_number_that_the_recordings_hold_nothing_of_is_left_open(tmp_path: Path) -> None:
+def test_number_that_looks_like_a_cause_says_so(tmp_path: Path) -> None:
     """A spring's rest position and a constant force are one in a motion equation alone."""
-    path = drive(tmp_path / "run.csv")
-    bench = {"moving_mass": MASS, "viscous_friction": VISCOUS, "spring_stiffness": 1.0}
+    path = drive(tmp_path / "run.csv", weight=-40.0)
+    bench = {"moving_mass": MASS, "viscous_friction": VISCOUS, "spring_stiffness": 100.0}
     found = diagnose([path], bench=bench, estimate=["spring_rest_position"])
     rest = found.report.estimated[0]
-    assert "force_offset" in rest.alike or rest.ci95 is None
-    if rest.ci95 is None:
-        assert "spring_rest_position" not in found.corrected.to_mapping()
+    assert {"force_offset", "load_cell_bias:hydraulic_force"} <= set(rest.alike)
+    assert "provided that" in rest.sentence and "force_offset" not in causes(found)
+
+
+def test_number_that_no_equation_here_reads_is_left_open(tmp_path: Path) -> None:
+    bench = {"moving_mass": MASS, "viscous_friction": VISCOUS}
+    found = diagnose([drive(tmp_path / "run.csv")], bench=bench, estimate=["bulk_modulus", "moving_mass"])
+    assert found.report.estimated[0].ci95 is None and "too little" in found.report.estimated[0].sentence
+    assert holds(found, "moving_mass", MASS)
+    assert "bulk_modulus" not in found.corrected.to_mapping()
 
 
 @pytest.mark.parametrize("name", ["stroke", "valve_current_max", "mass"])

@@ -41,7 +41,8 @@ ABOVE = 1.1
 @cache
 def estimable() -> dict[str, Effect]:
     """Numbers of a bench file that can be estimated, and the effect that stands for each."""
-    bench, found = Bench.nominal(), {}
+    bench = Bench.nominal()
+    found: dict[str, Effect] = {}
     for effect in LIBRARY:
         adapted = effect.adapted(bench)
         settled = adapted.settled(bench, {one.name: one.probes[0] for one in adapted.parameters})
