@@ -31,7 +31,9 @@ def parser() -> argparse.ArgumentParser:
     )
     options.add_argument("recordings", nargs="+", metavar="RECORDING", help=RECORDINGS)
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
-    options.add_argument("--bench", metavar="FILE", help="bench.yaml or corrected.yaml (default: the nominal bench)")
+    options.add_argument(
+        "--bench", metavar="FILE", help="bench.yaml or corrected.yaml, with what is known (default: nominal)"
+    )
     options.add_argument(
         "--model",
         metavar="WEIGHTS",
@@ -49,6 +51,13 @@ def parser() -> argparse.ArgumentParser:
         default=[],
         metavar="ID",
         help="causes that it cannot be, for instance backlash or friction_viscous:directional: they are not tried",
+    )
+    options.add_argument(
+        "--estimate",
+        nargs="+",
+        default=[],
+        metavar="NAME",
+        help="numbers of the bench file that are not known, or only roughly: they are estimated from the recordings",
     )
     options.add_argument(
         "--as-wired", action="store_true", help="go on where channels contradict each other or the bench file"
@@ -81,6 +90,7 @@ def run(arguments: Sequence[str]) -> int:
             model=chosen.model,
             columns=chosen.columns,
             without=chosen.without,
+            estimate=chosen.estimate,
             as_wired=chosen.as_wired,
             progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
         )
@@ -94,7 +104,7 @@ def run(arguments: Sequence[str]) -> int:
         return endings.status(interruption)
     _made(chosen.out)
     found.report.write(chosen.out)
-    write_corrected(found.bench, found.assessment.fit.claims, chosen.out / "corrected.yaml")
+    write_corrected(found.corrected, (), chosen.out / "corrected.yaml")
     write_page(found, chosen.out / "report.html")
     refresh_index(chosen.out)
     _say(found, chosen.out)
@@ -124,6 +134,8 @@ def _say(found: Diagnosis, folder: Path) -> None:
                 else f"95 % {estimate.ci95[0]:.4g} to {estimate.ci95[1]:.4g}"
             )
             print(f"    {name} = {estimate.value:.4g} {estimate.unit} ({bounds})")
+    for number in report.estimated:
+        print(f"  {number.sentence}")
     for closure in report.closures:
         print(f"  without a name, in {closure.equation}: {closure.expression}")
         print(f"    {closure.sentence} Closes {closure.share_closed * 100:.3g} % of the held-out gap.")

@@ -115,6 +115,23 @@ class ClosureReport:
 
 
 @dataclass(frozen=True, kw_only=True)
+class NumberEstimate:
+    """A number of the bench that was estimated from the recordings."""
+
+    name: str
+    """Key of bench.yaml."""
+    value: float
+    unit: str
+    ci95: list[float] | None
+    """None if the recordings do not tell it."""
+    given: float | None
+    """Value in the bench file, if it holds one."""
+    alike: list[str]
+    """Causes, or other estimated numbers, that would look the same."""
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Result of a diagnosis."""
 
@@ -126,6 +143,8 @@ class Report:
     """Unnamed remainder: where it is, the variables on which it depends, and the names that were dropped for it."""
     closures: list[ClosureReport] = field(default_factory=list)
     """Terms that model what no name explains; empty where names do, or no term holds on held-out recordings."""
+    estimated: list[NumberEstimate] = field(default_factory=list)
+    """Numbers of the bench that were to be estimated; they are no causes."""
     fit: dict[str, Any]
     next_recording: dict[str, Any] | None
     checked: list[str]

@@ -21,7 +21,9 @@ from hydro_diagnosis.effects import CANDIDATES
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
 from hydro_diagnosis.estimation.free_form import free_forms
 from hydro_diagnosis.estimation.intervals import Interval, all_hold, intervals, surely
+from hydro_diagnosis.estimation.needed_numbers import acts, left_out, refuse_missing, rehearsable
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.unknown_numbers import refuse_others, standing, starting_bench
 from hydro_diagnosis.estimation.unrecorded_rows import untold
 from hydro_diagnosis.experiment_design.next_recording import next_recording
 from hydro_diagnosis.experiment_design.rival_laws import next_for_law
@@ -31,12 +33,14 @@ from hydro_diagnosis.io.identity import identified
 from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.model.baseline import baseline
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.partial_bench import hiding, lacks
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.current_alignment import current_is_early, current_is_late
 from hydro_diagnosis.selection.effect_summary import describe, location_of
 from hydro_diagnosis.selection.localisation import locate, locate_claims, noticeable
+from hydro_diagnosis.selection.number_estimates import number_estimates
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess
@@ -51,10 +55,11 @@ def diagnose(
     recordings: Sequence[str | Path],
     *,
     holdout: Sequence[str | Path] = (),
-    bench: Bench | str | Path | None = None,
+    bench: Bench | Mapping[str, Any] | str | Path | None = None,
     model: str | Path | None = None,
     columns: ColumnMap | Mapping[str, Any] | str | Path | None = None,
     without: Sequence[str] = (),
+    estimate: Sequence[str] = (),
     as_wired: bool = False,
     settings: SearchSettings | None = None,
     progress: Progress = lambda text: None,
@@ -69,13 +74,16 @@ def diagnose(
         Recordings on which nothing is fitted (all are read by joblib: `joblib.parallel_config` chooses backend and
         number of jobs); without, the last recording, or the last third of the only one.
     bench
-        The baseline: a Bench, the path of a bench.yaml or corrected.yaml, or None for the nominal one.
+        The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
+        A file or content needs only the numbers that the recorded channels connect (`needed_numbers`).
     model
         Learned weights as the baseline, in place of `bench` (structured ones: see `baseline`).
     columns
         Column map of a file, or of a bag's fields or topics: see `column_map`.
     without
         Causes that are ruled out, by id or by id and options (`friction_viscous:directional`): they are not tried.
+    estimate
+        Numbers of the bench file that are not known, or only roughly: they are estimated, and are no causes.
     as_wired
         Continue where channels contradict each other or the bench file (`wiring`), instead of refusing them.
     settings
@@ -86,17 +94,28 @@ def diagnose(
     Raises
     ------
     InputError
-        If a recording cannot be diagnosed, in one sentence.
+        If a recording cannot be diagnosed, or numbers are missing that it needs, in one sentence.
     DiagnosisInterrupted
         On Ctrl-C once the recordings are read; its `report` holds what was finished.
     """
-    begun = time.monotonic()
-    base = baseline(bench, model)
-    believed = base.bench
+    started = time.monotonic()
+    estimate = tuple(dict.fromkeys(estimate))
+    refuse_others(estimate)
+    base = baseline(bench, model, estimate)
+    given = base.bench
+    unruled = _candidates(without)
     progress("reading")
-    candidates = [effect.adapted(believed) for effect in _candidates(without)]
-    fitted, held, quality = load_dataset(recordings, holdout, believed, ColumnMap.load(columns), as_wired=as_wired)
-    problem = Problem(fitted, believed, claims_of(believed))
+    read_with = hiding(given, estimate)
+    fitted, held, quality = load_dataset(recordings, holdout, read_with, ColumnMap.load(columns), as_wired=as_wired)
+    channels = set.intersection(*(set(segment.channels) for segment in fitted))
+    refuse_missing(channels, given, estimate)
+    believed, baseline_claims = given, claims_of(given)
+    if estimate:
+        progress("estimating " + ", ".join(estimate))
+        with threadpool_limits(1, "blas"):
+            believed = starting_bench(fitted, given, baseline_claims, estimate)
+    candidates = [effect.adapted(believed) for effect in unruled if acts(effect, believed)]
+    problem = Problem(fitted, believed, baseline_claims, estimated=standing(believed, estimate))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
     search = Search(problem, candidates, settings, progress)
@@ -104,19 +123,21 @@ def diagnose(
         "checked": [name for block, names in _EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in _EQUATIONS.items() if block not in problem.blocks for name in names],
         "recordings": [identified(path) for path in (*recordings, *holdout)],
-        "data_quality": [*base.notes, *quality],
-        "baseline": {"bench": believed.to_mapping(), "model": base.model},
+        "data_quality": [*base.notes, *left_out(channels, believed), *quality],
+        "baseline": {"bench": given.to_mapping(), "model": base.model},
         "versions": {"hydro_diagnosis": _version()},
     }
     try:
         with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
-            return _diagnosed(search, held, facts, begun)
+            return _diagnosed(search, held, facts, started, {name: _given(given, name) for name in estimate})
     except KeyboardInterrupt as interruption:
-        raise DiagnosisInterrupted(_unfinished(search, facts, begun), endings.status(interruption)) from None
+        raise DiagnosisInterrupted(_unfinished(search, facts, started), endings.status(interruption)) from None
 
 
-def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], begun: float) -> Diagnosis:
-    """Search, judge, prove; `facts` go into the report as they are."""
+def _diagnosed(
+    search: Search, held: list[Segment], facts: Mapping[str, Any], begun: float, numbers: Mapping[str, float | None]
+) -> Diagnosis:
+    """Search, judge, prove; `facts` go into the report as they are; `numbers`: estimated ones as they were given."""
     problem, believed, progress = search.problem, search.problem.bench, search.progress
     progress("searching")
     outcome = search.run()
@@ -130,7 +151,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
     simulated: Known = {}
     proof, ahead = (
         held_out(problem, unseen, assessment.fit.claims, models, simulated),
-        next_recording(problem, outcome, assessment),
+        next_recording(problem, outcome, assessment) if rehearsable(believed) else None,
     )
     closing = []
     if assessment.remainder and not late:
@@ -154,6 +175,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         effects=effects,
         remainder=_remainder(assessment, problem),
         closures=closing,
+        estimated=number_estimates(problem, assessment.fit, bounds, search.library, numbers),
         fit=proof,
         next_recording=ahead,
         seconds=time.monotonic() - begun,
@@ -161,6 +183,10 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         **{**facts, "data_quality": [*facts["data_quality"], *(note for note in notes if note)]},
     )
     return Diagnosis(report, believed, problem, assessment, outcome, models)
+
+
+def _given(bench: Bench, name: str) -> float | None:
+    return None if lacks(bench, name) else float(getattr(bench, name))
 
 
 def _names(assessment: Assessment) -> set[str]:
@@ -186,7 +212,7 @@ def _closed(problem: Problem, assessment: Assessment, found: Admitted) -> Assess
     assessment = replace(assessment, fit=found.closed.fit, places=places, dropped=dropped)
     if not noticeable(problem, found.closed.fit.residual):
         return replace(assessment, verdict="modelled", remainder=(), forms=())
-    named = any(claim.effect.named for claim in claims)
+    named = any(claim.effect.named and not claim.effect.estimated for claim in claims)
     verdict = "partly_explained" if named else assessment.verdict
     forms = tuple(free_forms(problem, found.closed.fit)[:6])
     remainder = tuple(locate(problem, found.closed.fit.residual, forms)) or assessment.remainder

@@ -127,6 +127,8 @@ class Effect:
     """Chamber, sensor or form; part of the report, except `form`."""
     reference: float = nan
     """The bench file's value, for effects whose parameter is the true value itself."""
+    estimated: bool = False
+    """Whether it stands for a number that is estimated (`estimation.unknown_numbers`): in every fit, never a claim."""
 
     id: ClassVar[str] = ""
     named: ClassVar[bool] = True

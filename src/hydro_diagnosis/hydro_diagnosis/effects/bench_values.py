@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from hydro_diagnosis.effects.base import HYDRAULIC, PRESSURE, Effect, FitParameter, Values, changed
+from hydro_diagnosis.effects.base import HYDRAULIC, MOTION, PRESSURE, Effect, FitParameter, Values, changed
 from hydro_sim.model.bench import Bench
 
 _RATIO = FitParameter(name="ratio", unit="-", low=0.3, high=3.0, neutral=1.0, probes=(0.95,), smallest=0.003)
@@ -31,7 +31,7 @@ class PistonArea(Effect):
 
     id = "piston_area"
     equations = ("pressure_a", "pressure_b")
-    touches = frozenset({PRESSURE, HYDRAULIC})
+    touches = frozenset({PRESSURE, MOTION, HYDRAULIC})
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:
@@ -46,7 +46,7 @@ class AreaRatio(Effect):
 
     id = "area_ratio"
     equations = ("pressure_b",)
-    touches = frozenset({PRESSURE, HYDRAULIC})
+    touches = frozenset({PRESSURE, MOTION, HYDRAULIC})
     parameters = (_RATIO,)
 
     def bench(self, bench: Bench, values: Values) -> Bench:

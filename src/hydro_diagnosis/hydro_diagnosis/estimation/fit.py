@@ -28,6 +28,11 @@ class Fit:
     """-2 log likelihood up to a constant."""
 
     @property
+    def judged(self) -> tuple[Claim, ...]:
+        """Claims, without the numbers that are estimated in any case."""
+        return tuple(claim for claim in self.claims if not claim.effect.estimated)
+
+    @property
     def free(self) -> int:
         """Number of fitted parameters."""
         return self.jacobian.shape[1]
@@ -94,9 +99,11 @@ def fit(
 ) -> Fit:
     """Levenberg-Marquardt from the claims' values, within their bounds, until the deviance gains less than `tolerance`.
 
-    `fixed`: index of a parameter that stays where it is. `slopes`: the Jacobian nearby; it is then followed by secants
-    (Broyden 1965), one residual a step, instead of being computed at each.
+    Numbers that the problem estimates are fitted too, before the claims. `fixed`: index of a parameter that stays where
+    it is. `slopes`: the Jacobian nearby; it is then followed by secants (Broyden 1965), one residual a step, instead of
+    being computed at each.
     """
+    claims = problem.with_estimated(claims)
     effects = [claim.effect for claim in claims]
     parameters, values = pack(claims)
     low = np.array([parameter.low for parameter in parameters])

@@ -45,7 +45,7 @@ def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
         bounds, standing, k = intervals(problem, found), [], 0
         for claim in found.claims:
             count = len(claim.effect.parameters)
-            if not _holds_nothing(claim, bounds[k : k + count]):
+            if claim.effect.estimated or not _holds_nothing(claim, bounds[k : k + count]):
                 standing.append(claim)
             k += count
         ids = {claim.effect.id for claim in standing}
@@ -58,7 +58,9 @@ def surely(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
 def all_hold(claims: Sequence[Claim], bounds: Sequence[Interval]) -> bool:
     """Return whether no claim's interval includes its absence; `bounds` of all parameters, in the order of `pack`."""
     at = np.cumsum([0, *(len(claim.effect.parameters) for claim in claims)])
-    return not any(_holds_nothing(claim, bounds[at[k] : at[k + 1]]) for k, claim in enumerate(claims))
+    return not any(
+        _holds_nothing(claim, bounds[at[k] : at[k + 1]]) for k, claim in enumerate(claims) if not claim.effect.estimated
+    )
 
 
 def _holds_nothing(claim: Claim, bounds: Sequence[Interval]) -> bool:

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.estimation.needed_numbers import connected
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.noise_floor import residual_noise, sensor_noise
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -60,7 +61,8 @@ class Layout:
 class Problem:
     """Segments, the assumed bench, and claims that are already made (`baseline`).
 
-    `like`: the same segments with more rows, whose judged samples are judged here too.
+    `like`: the same segments with more rows, whose judged samples are judged here too. `estimated`: where each fit
+    begins with the numbers that are estimated in all of them.
     """
 
     def __init__(
@@ -70,8 +72,10 @@ class Problem:
         baseline: Sequence[Claim] = (),
         noise: dict[str, float] | None = None,
         like: Problem | None = None,
+        estimated: Sequence[Claim] = (),
     ) -> None:
         self.bench = bench
+        self.estimated = tuple(estimated)
         self.baseline = tuple(baseline)
         likes = like.models if like else [None] * len(segments)
         self.models: list[SegmentModel] = [
@@ -105,17 +109,8 @@ class Problem:
 
     def _checked_blocks(self) -> tuple[str, ...]:
         have = set.intersection(*(set(model.channels) for model in self.models))
-        pressures = {"pressure_a", "pressure_b"} <= have
-        blocks = []
-        if pressures and {"piston_position", "valve_current"} <= have:
-            blocks.append(PRESSURE)
-        if "piston_position" in have and ("hydraulic_force" in have or pressures):
-            blocks.append(MOTION)
-        if {"piston_position", "load_force"} <= have:
-            blocks.append(LOAD)
-        if pressures and "hydraulic_force" in have:
-            blocks.append(HYDRAULIC)
-        return tuple(blocks)
+        present = {one.block for one in connected(have, self.bench)}
+        return tuple(block for block in (PRESSURE, MOTION, LOAD, HYDRAULIC) if block in present)
 
     def update_weights(self, claims: Sequence[Claim]) -> None:
         """Weigh residuals down: where these claims leave the sign of dry friction in doubt, and by missing rows."""
@@ -178,6 +173,11 @@ class Problem:
             for k in range(len(self.models)):
                 found[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)] = self.deviation(name, k)
         return found
+
+    def with_estimated(self, claims: Sequence[Claim]) -> tuple[Claim, ...]:
+        """The claims, before them the estimated numbers that are not among them."""
+        among = {claim.effect.label for claim in claims if claim.effect.estimated}
+        return (*(one for one in self.estimated if one.effect.label not in among), *claims)
 
     def residual(self, claims: Sequence[Claim]) -> FloatArray:
         """Every residual over its noise, one vector in the order of `layout`."""

@@ -9,10 +9,9 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
-from hydro_diagnosis.closure.candidates import Candidates, laws
+from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.evidence import definite
+from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
@@ -46,17 +45,14 @@ def rival_law(problem: Problem, found: Fit, place: int, without: Fit) -> Fit | N
 
     `without`: the fit of all other claims.
     """
-    tried = Candidates(problem, without, laws(problem)).without(found.claims[place].effect.label)
+    own = found.claims[place].effect.label
+    prospects, _there_is = Screen(problem, without, laws(problem)).prospects(without, TRIED, {own})
     enough = NEARLY * (without.deviance - found.deviance)
-    for _ in range(TRIED):
-        if not tried.terms:
-            break
-        gains, _there_is = tried.gains(problem, without)
-        starts = tried.starts(int(np.argmax(gains)), gains)
-        fitted = min((fit(problem, (*without.claims, start)) for start in starts), key=lambda one: one.deviance)
+    for prospect in prospects:
+        starts = (fit(problem, (*without.claims, start)) for start in prospect.starts)
+        fitted = min(starts, key=lambda one: one.deviance)
         if without.deviance - fitted.deviance >= enough and definite(problem, fitted, fitted.claims[-1]):
             return fitted
-        tried = tried.without(starts[0].effect.label)
     return None
 
 

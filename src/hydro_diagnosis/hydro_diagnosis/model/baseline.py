@@ -8,12 +8,13 @@ effects. Relative to a model learned on a healthy bench a diagnosis names what h
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields, replace
 from math import pi, sqrt
 from pathlib import Path
 from typing import Any
 
+from hydro_diagnosis.partial_bench import completed, read_bench
 from hydro_diagnosis.recording import InputError
 from hydro_sim.files.weights import WeightsError
 from hydro_sim.learned.model import Learned
@@ -40,8 +41,14 @@ class Baseline:
     notes: tuple[str, ...] = ()
 
 
-def baseline(bench: Bench | str | Path | None, model: str | Path | None = None) -> Baseline:
-    """The baseline of a bench, of a bench's file (None: the nominal one), or of learned weights.
+def baseline(
+    bench: Bench | Mapping[str, Any] | str | Path | None,
+    model: str | Path | None = None,
+    estimated: Collection[str] = (),
+) -> Baseline:
+    """The baseline of a bench, of a bench's file or its content (None: the nominal one), or of learned weights.
+
+    Of a bench whose file lacks numbers it is a `PartialBench`; `estimated`: those that will be estimated.
 
     Raises
     ------
@@ -53,13 +60,15 @@ def baseline(bench: Bench | str | Path | None, model: str | Path | None = None) 
             raise InputError("give a bench file or learned weights as baseline, not both: weights hold a bench")
         return _learned(Path(model))
     try:
-        return Baseline(bench if isinstance(bench, Bench) else _read(bench), "analytic")
+        return Baseline(bench if isinstance(bench, Bench) else _read(bench, frozenset(estimated)), "analytic")
     except ValueError as error:
         raise InputError(str(error)) from None
 
 
-def _read(path: str | Path | None) -> Bench:
-    return Bench.nominal() if path is None else Bench.load(path)
+def _read(bench: Mapping[str, Any] | str | Path | None, estimated: frozenset[str]) -> Bench:
+    if bench is None:
+        return Bench.nominal()
+    return completed(bench, estimated) if isinstance(bench, Mapping) else read_bench(bench, estimated)
 
 
 def _learned(path: Path) -> Baseline:

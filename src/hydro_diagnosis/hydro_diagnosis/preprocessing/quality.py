@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_diagnosis.io.table import RawTable, UnusableRecordingError
+from hydro_diagnosis.partial_bench import knows
 from hydro_diagnosis.preprocessing.box_clock import SAME, on_box_clock, rate_note
 from hydro_diagnosis.preprocessing.sensor_faults import Mask, frozen_encoder, repeats
 from hydro_diagnosis.preprocessing.stamps import counted, placed_by_stamps, stamped, uneven
@@ -162,7 +163,8 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
     outside = np.zeros(len(next(iter(columns.values()))), dtype=bool)
     if "piston_position" in columns:
         position = columns["piston_position"]
-        outside |= (position < STOP_MARGIN) | (position > bench.stroke - STOP_MARGIN)
+        if knows(bench, "stroke"):
+            outside |= (position < STOP_MARGIN) | (position > bench.stroke - STOP_MARGIN)
     for name in ("pressure_a", "pressure_b"):
         if name in columns:
             outside |= columns[name] < CAVITATION

@@ -55,7 +55,7 @@ def _overrides(effect: Effect, hook: str) -> bool:
 
 
 def write_corrected(bench: Bench, claims: Sequence[Claim], path: Path) -> None:
-    """Write corrected.yaml."""
+    """Write corrected.yaml, of a bench of which little is known what is known."""
     content = yaml.safe_dump(corrected_bench(bench, claims).to_mapping(), sort_keys=False)
     write_whole(path, f"# bench.yaml with what a diagnosis found; SI units.\n{content}".encode())
 

@@ -38,7 +38,11 @@ def without_varying(problem: Problem, found: Fit, judged: npt.NDArray[np.bool_],
         count = len(claim.effect.parameters)
         slopes = found.jacobian[:, column : column + count]
         column += count
-        removed = 0.0 if claim.effect.id in spared else max(_removed(found, slopes, one, judged) for one in states)
+        removed = (
+            0.0
+            if claim.effect.estimated or claim.effect.id in spared
+            else max(_removed(found, slopes, one, judged) for one in states)
+        )
         if removed <= MOST * remains:
             steady.append(claim)
     return found if len(steady) == len(found.claims) else fit(problem, steady)

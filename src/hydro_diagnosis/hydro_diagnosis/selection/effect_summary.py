@@ -33,7 +33,7 @@ def describe(
     reports, k = [], 0
     for claim in found.claims:
         count = len(claim.effect.parameters)
-        if claim.effect.named:
+        if claim.effect.named and not claim.effect.estimated:
             reports.append(_report(problem, held, outcome, found, claim, bounds[k : k + count]))
         k += count
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])

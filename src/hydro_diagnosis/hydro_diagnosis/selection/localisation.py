@@ -96,7 +96,7 @@ def locate_claims(problem: Problem, found: Fit, nothing: FloatArray) -> list[Pla
     """Return the places where the claimed effects act, by the size of their signatures in the residuals."""
     layout = problem.layout
     power: dict[tuple[str, str], float] = {}
-    for claim in found.claims:
+    for claim in found.judged:
         without = problem.residual(tuple(one for one in found.claims if one is not claim))
         signature = np.bincount(layout.channel, np.square(without - found.residual), len(CHANNELS))
         shown = {name: float(signature[k]) for k, name in enumerate(CHANNELS)}

@@ -88,7 +88,7 @@ class Search:
         for opening in restarts[1 : self.settings.restarts]:
             if not noticeable(self.problem, best.fit.residual) or self._spent > self.settings.effort / 3:
                 break
-            self.progress(f"again from {opening.claims[0].effect.label}")
+            self.progress(f"again from {opening.claims[-1].effect.label}")
             best = self._better(best, self._from(nothing, [opening]))
         self.steps[:] = best.steps
         return best
@@ -108,7 +108,7 @@ class Search:
             for _ in range(SWAPS):
                 if self._tired or not self._swap(outcome, PROMISING):
                     break
-            more = len(outcome.fit.claims) < self.settings.most and not self._tired
+            more = len(outcome.fit.judged) < self.settings.most and not self._tired
             ranked = self._ranked(outcome.fit) if more else []
         return outcome
 
@@ -179,7 +179,7 @@ class Search:
         `promising`: share of a claim's worth that a candidate must promise to be tried.
         """
         changed = False
-        for claim in outcome.fit.claims:
+        for claim in outcome.fit.judged:
             if claim not in outcome.fit.claims:
                 continue
             if any(claim.effect.id in one.effect.needs for one in outcome.fit.claims):
@@ -209,10 +209,10 @@ class Search:
 
     def _backward(self, outcome: Outcome) -> bool:
         changed = False
-        while outcome.fit.claims:
+        while outcome.fit.judged:
             smaller = [
                 self._without(outcome.fit, claim)
-                for claim in outcome.fit.claims
+                for claim in outcome.fit.judged
                 if not any(claim.effect.id in one.effect.needs for one in outcome.fit.claims)
             ]
             best = min(smaller, key=lambda one: score(self.problem, one))

@@ -34,9 +34,10 @@ def is_significant(claim: Claim) -> bool:
 
 def all_significant(problem: Problem, found: Fit) -> bool:
     """Return whether every claim is significant, and beyond the error of noise in its signal and of missing rows."""
-    if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.claims):
+    if not all(is_significant(claim) and _beyond_attenuation(problem, claim) for claim in found.judged):
         return False
-    return all(_beyond(claim, shift) for claim, shift in zip(found.claims, shifts(problem, found), strict=True))
+    moved = zip(found.claims, shifts(problem, found), strict=True)
+    return all(claim.effect.estimated or _beyond(claim, shift) for claim, shift in moved)
 
 
 def _beyond(claim: Claim, shift: FloatArray) -> bool:
@@ -67,7 +68,7 @@ def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
     if noticeable(problem, base.residual) and not noticeable(problem, found.residual):
         return False
     newest = found.claims[-1].effect
-    kin = [claim for claim in base.claims if newest.family and claim.effect.family == newest.family]
+    kin = [claim for claim in base.judged if newest.family and claim.effect.family == newest.family]
     for claim in kin:
         if claim.effect.id in newest.needs:
             continue

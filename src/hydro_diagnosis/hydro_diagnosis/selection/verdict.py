@@ -59,9 +59,9 @@ class Assessment:
 
 def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     """Judge the fit that a search ended with against the fit without claims."""
-    alike, unnamed = coincidence(found.claims), not all(claim.effect.named for claim in found.claims)
+    alike, unnamed = coincidence(found.judged), not all(claim.effect.named for claim in found.claims)
     if not noticeable(problem, found.residual) and not alike and not unnamed:
-        verdict = "explained" if found.claims else "no_mismatch"
+        verdict = "explained" if found.judged else "no_mismatch"
         return Assessment(verdict, found, tuple(locate_claims(problem, found, nothing.residual)), (), (), ())
     kept = nothing if alike else _named(problem, _trusted(problem, found, nothing))
     forms = free_forms(problem, kept)
@@ -71,7 +71,7 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     dropped = tuple(claim for claim in found.claims if claim.effect.label not in labels)
     places = tuple(locate_claims(problem, kept, nothing.residual)) or remainder
     return Assessment(
-        "partly_explained" if kept.claims else "unknown", kept, places, remainder, tuple(forms[:6]), dropped
+        "partly_explained" if kept.judged else "unknown", kept, places, remainder, tuple(forms[:6]), dropped
     )
 
 
@@ -98,7 +98,7 @@ def _suspects(problem: Problem, found: Fit) -> set[str]:
     """Labels of claims that show mainly in channels in which something remains."""
     noisy = remaining(problem, found.residual)
     suspects = set()
-    for claim in found.claims:
+    for claim in found.judged:
         without = problem.residual(tuple(one for one in found.claims if one is not claim))
         shown = mean_squares(problem, without - found.residual)
         if max(shown, key=lambda name: shown[name]) in noisy:
@@ -134,7 +134,7 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str
     while True:
         needed = {name for claim in current.claims for name in claim.effect.needs}
         open_ = [one for one in current.claims if one.effect.label in suspects and one.effect.id not in needed]
-        if not open_ or len(current.claims) == 1:
+        if not open_ or len(current.judged) == 1:
             return current, False
         smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in open_]
         remains = float(np.sum(np.square(current.residual[judged])))

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.findings import channel_errors
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -51,8 +51,8 @@ def held_out(
     what has been simulated of them already, added to.
     """
     equations = equations_told(unseen, claims)
-    if not models or not all(model.channels.keys() >= _SIMULATED for model in models):
-        why = "a forward simulation needs current, position and both pressures"
+    if not models or not all(model.channels.keys() >= _SIMULATED for model in models) or MOTION not in problem.blocks:
+        why = "a forward simulation needs current, position and both pressures, and the moving mass"
         return {"holdout": {}, "horizon_s": HORIZON, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
     horizon = compare(models, before, after, noise, seconds=HORIZON, windows=WINDOWS, shooting=True, known=known)

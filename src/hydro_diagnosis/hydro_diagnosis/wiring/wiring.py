@@ -8,6 +8,7 @@ complaint, the fewest mistakes first. Nothing is ever repaired silently.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import chain, islice
 
@@ -16,6 +17,7 @@ import numpy as np
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.partial_bench import UnknownNumberError, guarded
 from hydro_diagnosis.recording import MEASURED, InputError
 from hydro_diagnosis.wiring.checks import CHECKS
 from hydro_diagnosis.wiring.complaint import Complaint
@@ -92,8 +94,15 @@ def mistakes(table: RawTable, bench: Bench) -> Mistakes | None:
 
 def _complaints(channels: Channels, step: float, bench: Bench) -> tuple[Complaint, ...]:
     """All that no bench does; delays only where signs and sizes are right."""
-    found = tuple(chain.from_iterable(check(channels, step, bench) for check in CHECKS))
-    return found or tuple(delays(channels, step, bench))
+    known = guarded(bench)
+    found = tuple(chain.from_iterable(_as_far_as_known(check(channels, step, known)) for check in CHECKS))
+    return found or tuple(_as_far_as_known(delays(channels, step, known)))
+
+
+def _as_far_as_known(complaints: Iterator[Complaint]) -> Iterator[Complaint]:
+    """Complaints until a check needs a number that the bench file does not hold."""
+    with suppress(UnknownNumberError):
+        yield from complaints
 
 
 def _undone(channels: Channels, step: float, bench: Bench, complaints: tuple[Complaint, ...]) -> tuple[Repair, ...]:

@@ -125,13 +125,11 @@ class Bench:
         ValueError
             In one sentence that names the file, and the key if it is about one.
         """
+        content = read_content(path)
         try:
-            content = yaml.safe_load(Path(path).read_text(encoding="utf-8"))
             return cls.from_mapping(content)
-        except (OSError, UnicodeDecodeError, ValueError) as error:
-            raise ValueError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
-        except yaml.YAMLError as error:
-            raise ValueError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
     @classmethod
     def from_mapping(cls, content: object) -> Bench:
@@ -150,7 +148,9 @@ class Bench:
         if unknown:
             raise ValueError(f"unknown key {unknown[0]!r}")
         if missing:
-            raise ValueError(f"key {missing[0]!r} is missing")
+            several = len(missing) > 1
+            named = ", ".join(repr(name) for name in missing)
+            raise ValueError(f"key{'s' if several else ''} {named} {'are' if several else 'is'} missing")
         values = {key: _number(key, value) for key, value in content.items() if key not in _NOT_NUMBERS}
         learned = content.get("learned")
         if learned is not None:
@@ -199,6 +199,22 @@ Effects that are wrong numbers of the bench file are in the numbers; the others 
 
 
 _NOT_NUMBERS = ("effects", "closures", "learned")
+
+
+def read_content(path: str | Path) -> object:
+    """What a bench file holds, not checked.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read or is not YAML, in one sentence that names it.
+    """
+    try:
+        return yaml.safe_load(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"{path}: {getattr(error, 'strerror', None) or error}") from error
+    except yaml.YAMLError as error:
+        raise ValueError(f"{path}: not YAML: {' '.join(str(error).split())}") from error
 
 
 def _required(entry: Any) -> bool:

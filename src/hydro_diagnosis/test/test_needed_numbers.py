@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bench file needs what the recorded channels connect: the table, and what is said where something is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+import pytest
+import yaml
+
+from hydro_bridge.signals import StateArray
+from hydro_diagnosis import InputError
+from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.estimation.needed_numbers import acts, left_out, needed, refuse_missing
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.partial_bench import NONE, Guarded, PartialBench, completed, knows, numbers, read_bench
+from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.wiring.wiring import mistakes
+from hydro_sim.model.bench import Bench
+
+BENCH = Bench.nominal()
+PRESSURES = ("pressure_a", "pressure_b")
+RIGS = {
+    "force": ("hydraulic_force", "piston_position"),
+    "load": ("load_force", "piston_position"),
+    "valve": (*PRESSURES, "piston_position", "valve_current"),
+    "no current": (*PRESSURES, "piston_position"),
+    "forces": (*PRESSURES, "hydraulic_force"),
+}
+
+
+@pytest.fixture(scope="module")
+def recorded(nominal: StateArray) -> dict[str, np.ndarray]:
+    names = {name for channels in RIGS.values() for name in channels}
+    return {name: nominal[name][1000:4000].astype(np.float64) for name in names}
+
+
+def residual(recorded: dict[str, np.ndarray], channels: Collection[str], bench: Bench) -> np.ndarray:
+    segment = Segment("run", 0.0, 1e-3, {name: recorded[name] for name in channels})
+    return Problem([segment], bench, noise=dict.fromkeys(recorded, 1.0)).residual(())
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_number_that_is_not_needed_changes_no_residual_and_one_that_is_does(
+    rig: str, recorded: dict[str, np.ndarray]
+) -> None:
+    channels = RIGS[rig]
+    asked = set(needed(channels, BENCH))
+    at_all = asked | set(NONE) if "moving_mass" in asked else asked
+    before = residual(recorded, channels, BENCH)
+    others = {name: _moved(name) for name in numbers() if name not in at_all}
+    assert others
+    np.testing.assert_array_equal(residual(recorded, channels, replace(BENCH, **others)), before)
+    for name in at_all:
+        after = residual(recorded, channels, replace(BENCH, **{name: _moved(name)}))
+        assert not np.array_equal(after, before), name
+
+
+def _moved(name: str) -> float:
+    entry = next(entry for entry in fields(Bench) if entry.name == name)
+    value = getattr(BENCH, name)
+    return float(min(1.1 * value + (1e5 if name == "tank_pressure" else 0.0), entry.metadata["high"]))
+
+
+@pytest.mark.parametrize("rig", RIGS)
+def test_equations_read_nothing_that_is_not_known(rig: str, recorded: dict[str, np.ndarray]) -> None:
+    channels = RIGS[rig]
+    known = completed({name: getattr(BENCH, name) for name in needed(channels, BENCH)})
+    assert np.all(np.isfinite(residual(recorded, channels, known)))
+    refuse_missing(channels, known)
+
+
+def test_all_that_is_missing_is_asked_for_at_once() -> None:
+    bench = completed({"piston_area": 2e-4, "area_ratio": 0.6})
+    with pytest.raises(InputError) as refused:
+        refuse_missing(("hydraulic_force", "piston_position", "load_force", *PRESSURES), bench)
+    sentence = str(refused.value)
+    assert "moving_mass (kg, motion equation), spring_stiffness (N/m, load equation)" in sentence
+    assert sentence.endswith("--estimate moving_mass spring_stiffness spring_rest_position")
+    assert "piston_area" not in sentence and "bulk_modulus" not in sentence
+
+
+def test_half_a_spring_is_asked_for() -> None:
+    bench = completed({"moving_mass": 1.0, "spring_stiffness": 1e4})
+    with pytest.raises(InputError, match="spring_rest_position"):
+        refuse_missing(RIGS["force"], bench)
+
+
+def test_pressures_without_force_cell_need_no_mass() -> None:
+    known = {name: getattr(BENCH, name) for name in numbers() if name not in ("moving_mass", *NONE)}
+    bench = completed(known)
+    refuse_missing(RIGS["valve"], bench)
+    assert left_out(RIGS["valve"], bench) == [
+        "the motion equation was left out: the bench file does not hold moving_mass"
+    ]
+    assert "moving_mass" in needed(RIGS["valve"], completed({**known, "moving_mass": 1.2}))
+
+
+def test_bench_holds_and_writes_only_what_is_known(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text("moving_mass: 95.109\n")
+    bench = read_bench(path)
+    assert isinstance(bench, PartialBench) and bench.to_mapping() == {"moving_mass": 95.109}
+    assert knows(bench, "moving_mass", "viscous_friction") and not knows(bench, "stroke")
+    assert bench.viscous_friction == bench.spring_stiffness == 0.0
+    assert replace(bench, viscous_friction=3.0).to_mapping() == {"moving_mass": 95.109, "viscous_friction": 3.0}
+    with pytest.raises(ValueError, match=r"'bulk_modulus', 'piston_area'.*are missing"):
+        Bench.load(path)
+
+
+def test_whole_file_is_the_bench_that_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(yaml.safe_dump(BENCH.to_mapping()))
+    assert read_bench(path) == BENCH and type(read_bench(path)) is Bench
+
+
+@pytest.mark.parametrize(
+    ("content", "why"),
+    [
+        ("moving_mass: -1", r"moving_mass = -1.0 is not a number in"),
+        ("mass: 1", "unknown key 'mass'"),
+        ("- 1", "mapping"),
+    ],
+)
+def test_wrong_content_is_refused_with_the_file(content: str, why: str, tmp_path: Path) -> None:
+    path = tmp_path / "bench.yaml"
+    path.write_text(content)
+    with pytest.raises(ValueError, match=rf"bench.yaml: .*{why}"):
+        read_bench(path)
+
+
+def test_causes_that_need_what_is_not_known_are_not_tried() -> None:
+    bench = completed({"moving_mass": 1.0})
+    acting = {effect.id for effect in LIBRARY if acts(effect, bench)}
+    assert {"friction_coulomb", "friction_viscous", "moving_mass", "force_offset"} <= acting
+    assert not acting & {"end_cushion", "spring_rest", "spring_stiffness", "backlash"}
+
+
+def test_wiring_is_checked_as_far_as_the_bench_is_known(nominal: StateArray) -> None:
+    columns = {name: nominal[name].astype(np.float64) for name in ("hydraulic_force", "piston_position", "load_force")}
+    columns["load_force"] = -columns["load_force"]
+    table = RawTable("run", nominal["time"].astype(np.float64), None, columns)
+    assert mistakes(table, completed({"moving_mass": 1.0})) is None  # a stroke says whether the piston moves at all
+    found = mistakes(table, completed({"moving_mass": 1.0, "stroke": 0.08}))
+    assert found is not None and [repair.field for repair in found.repairs] == ["load_force"]
+
+
+def test_guard_tells_what_is_not_known() -> None:
+    bench = cast(Bench, Guarded(BENCH, frozenset({"valve_nominal_flow"})))
+    assert bench.stroke == 0.08
+    with pytest.raises(Exception, match="valve_gain"):
+        _ = bench.valve_gain

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Numbers that are estimated: their values and intervals, the causes beside them, and where nothing can be told."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+import yaml
+
+from hydro_bridge.signals import StateArray
+from hydro_diagnosis import Diagnosis, InputError, diagnose
+from hydro_diagnosis.cli import run
+from hydro_diagnosis.estimation.unknown_numbers import estimable
+from hydro_sim.model.bench import Bench
+
+RIG = {"hydraulic_force": "force", "piston_position": "x"}
+MASS, DRY, VISCOUS = 37.0, 9.0, 40.0
+
+
+def drive(
+    path: Path,
+    mass: float = MASS,
+    dry: float = DRY,
+    viscous: float = VISCOUS,
+    travel: float = 0.02,
+    noise: float = 0.2,
+    weight: float = 0.0,
+) -> Path:
+    """Force and position of a carriage without a load, written apart from the diagnosis; 12 s at 1 kHz."""
+    time = np.arange(12000) * 1e-3
+    x, v, a = np.full_like(time, 2.5 * travel), np.zeros_like(time), np.zeros_like(time)
+    for share, omega, phase in ((0.6, 4.1, 0.0), (0.3, 11.3, 1.0), (0.1, 26.7, 2.0)):
+        x += travel * share * np.sin(omega * time + phase)
+        v += travel * share * omega * np.cos(omega * time + phase)
+        a -= travel * share * omega**2 * np.sin(omega * time + phase)
+    rng = np.random.default_rng(5)
+    force = mass * a + viscous * v + dry * np.sign(v) + weight + rng.normal(0.0, noise, len(time))
+    x = x + rng.normal(0.0, 1e-7, len(time))
+    pd.DataFrame({"time": time, "hydraulic_force": force, "piston_position": x}).to_csv(path, index=False)
+    return path
+
+
+def causes(found: Diagnosis) -> dict[str, float]:
+    return {effect.id: next(iter(effect.parameters.values())).value for effect in found.report.effects}
+
+
+def holds(found: Diagnosis, name: str, truth: float) -> bool:
+    one = next(one for one in found.report.estimated if one.name == name)
+    assert one.ci95 is not None, one.sentence
+    return one.ci95[0] <= truth <= one.ci95[1]
+
+
+def test_bench_of_one_number_and_no_load_is_diagnosed_and_written(tmp_path: Path) -> None:
+    (tmp_path / "bench.yaml").write_text(f"moving_mass: {MASS}\n")
+    recording, out = str(drive(tmp_path / "run.csv")), tmp_path / "out"
+    assert run([recording, "--bench", str(tmp_path / "bench.yaml"), "--out", str(out), "--quiet"]) == 0
+    corrected = yaml.safe_load((out / "corrected.yaml").read_text())
+    assert set(corrected) == {"moving_mass", "viscous_friction", "effects"}
+    assert corrected["moving_mass"] == MASS
+    assert corrected["viscous_friction"] == pytest.approx(VISCOUS, rel=0.03)
+    assert [one["id"] for one in corrected["effects"]] == ["friction_coulomb"]
+    again = diagnose([recording], bench=out / "corrected.yaml")
+    assert again.report.verdict == "no_mismatch"
+    assert any("no spring" in note for note in again.report.data_quality)
+
+
+def test_unknown_mass_is_estimated_beside_hidden_dry_friction(tmp_path: Path) -> None:
+    found = diagnose([drive(tmp_path / "run.csv")], bench={"viscous_friction": VISCOUS}, estimate=["moving_mass"])
+    assert found.report.verdict == "explained"
+    assert causes(found) == {"friction_coulomb": pytest.approx(DRY, rel=0.02)}
+    assert holds(found, "moving_mass", MASS)
+    estimated = found.report.estimated[0]
+    assert (estimated.unit, estimated.given) == ("kg", None)
+    assert found.corrected.moving_mass == estimated.value
+    assert found.corrected.to_mapping().keys() == {"moving_mass", "viscous_friction", "effects"}
+
+
+def test_roughly_known_number_is_estimated_too(tmp_path: Path) -> None:
+    bench = {"moving_mass": 5.0}
+    found = diagnose([drive(tmp_path / "run.csv")], bench=bench, estimate=["moving_mass", "viscous_friction"])
+    assert causes(found) == {"friction_coulomb": pytest.approx(DRY, rel=0.02)}
+    assert holds(found, "moving_mass", MASS) and holds(found, "viscous_friction", VISCOUS)
+    assert found.report.estimated[0].given == 5.0
+
+
+def test_rotary_actuator_is_diagnosed_in_its_units(tmp_path: Path) -> None:
+    """Radians as metres, newton metres as newtons, kg m2 as kg."""
+    path = drive(tmp_path / "run.csv", mass=0.8, dry=4.0, viscous=2.0, travel=0.7, noise=0.1)
+    found = diagnose([path], bench={"viscous_friction": 2.0}, estimate=["moving_mass"])
+    assert causes(found) == {"friction_coulomb": pytest.approx(4.0, rel=0.02)}
+    assert holds(found, "moving_mass", 0.8)
+
+
+def test_number_that_looks_like_a_cause_says_so(tmp_path: Path) -> None:
+    """A spring's rest position and a constant force are one in a motion equation alone."""
+    path = drive(tmp_path / "run.csv", weight=-40.0)
+    bench = {"moving_mass": MASS, "viscous_friction": VISCOUS, "spring_stiffness": 100.0}
+    found = diagnose([path], bench=bench, estimate=["spring_rest_position"])
+    rest = found.report.estimated[0]
+    assert {"force_offset", "load_cell_bias:hydraulic_force"} <= set(rest.alike)
+    assert "provided that" in rest.sentence and "force_offset" not in causes(found)
+
+
+def test_number_that_no_equation_here_reads_is_left_open(tmp_path: Path) -> None:
+    bench = {"moving_mass": MASS, "viscous_friction": VISCOUS}
+    found = diagnose([drive(tmp_path / "run.csv")], bench=bench, estimate=["bulk_modulus", "moving_mass"])
+    assert found.report.estimated[0].ci95 is None and "too little" in found.report.estimated[0].sentence
+    assert holds(found, "moving_mass", MASS)
+    assert "bulk_modulus" not in found.corrected.to_mapping()
+
+
+@pytest.mark.parametrize("name", ["stroke", "valve_current_max", "mass"])
+def test_number_without_an_effect_is_refused_with_those_that_have_one(name: str, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=f"'{name}'.*moving_mass.*spring_rest_position"):
+        diagnose([tmp_path / "none.csv"], estimate=[name])
+
+
+def test_each_number_of_an_effect_can_be_estimated() -> None:
+    assert {name: effect.id for name, effect in estimable().items()} == {
+        "bulk_modulus": "bulk_modulus", "piston_area": "piston_area", "area_ratio": "area_ratio",
+        "supply_pressure": "supply_pressure", "tank_pressure": "tank_pressure", "valve_nominal_flow": "valve_gain",
+        "dead_volume_a": "dead_volume", "dead_volume_b": "dead_volume", "moving_mass": "moving_mass",
+        "viscous_friction": "friction_viscous", "spring_stiffness": "spring_stiffness",
+        "spring_rest_position": "spring_rest",
+    }  # fmt: skip
+
+
+Record = Callable[..., StateArray]
+Frame = Callable[[StateArray], pd.DataFrame]
+
+
+def without(bench: Bench, *names: str) -> Mapping[str, Any]:
+    return {key: value for key, value in bench.to_mapping().items() if key not in names}
+
+
+@pytest.mark.slow
+def test_unknown_numbers_of_a_cylinder_beside_a_hidden_leak(record: Record, frame: Frame, tmp_path: Path) -> None:
+    leak = {"id": "leakage_internal", "parameters": {"coefficient": 2e-12}}
+    truth = replace(Bench.nominal(), dead_volume_a=3.1e-4, moving_mass=2.6, effects=(leak,))
+    frame(record(truth, 7)).to_csv(tmp_path / "run.csv", index=False)
+    bench = without(truth, "dead_volume_a", "moving_mass", "effects")
+    found = diagnose([tmp_path / "run.csv"], bench=bench, estimate=["dead_volume_a", "moving_mass"])
+    assert causes(found) == {"leakage_internal": pytest.approx(2e-12, rel=0.05)}
+    assert holds(found, "dead_volume_a", 3.1e-4) and holds(found, "moving_mass", 2.6)
+    assert type(Bench.from_mapping(found.corrected.to_mapping())) is Bench
+
+
+@pytest.mark.slow
+def test_double_rod_cylinder(record: Record, frame: Frame, tmp_path: Path) -> None:
+    dry = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
+    believed = replace(Bench.nominal(), area_ratio=1.0)
+    frame(record(replace(believed, effects=(dry,)), 8)).to_csv(tmp_path / "run.csv", index=False)
+    found = diagnose([tmp_path / "run.csv"], bench=believed)
+    assert causes(found) == {"friction_coulomb": pytest.approx(8.0, rel=0.05)}
