@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 MODULES = sorted(path for path in ROOT.glob("src/hydro_*/hydro_*/**/*.py"))
-COMPILED = ("njit", "vectorize", "guvectorize", "cfunc", "overload")
+COMPILED = ("njit", "register_jitable", "vectorize", "guvectorize", "cfunc", "overload")
 
 
 def is_compiled(function: ast.FunctionDef | ast.AsyncFunctionDef) -> bool:

@@ -8,6 +8,7 @@ the same list of elementary operations.
 from __future__ import annotations
 
 import subprocess
+import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -61,7 +62,7 @@ def formatted(head: str, functions: Sequence[tuple[str, str, Sequence[str]]], fi
     for signature, docstring, lines in functions:
         body = "\n    ".join(lines)
         text += f'\n\n@njit(cache=True)\ndef {signature}:\n    """{docstring}"""\n    {body}\n'
-    command = ["ruff", "format", "-", "--stdin-filename", str(file)]
+    command = [sys.executable, "-m", "ruff", "format", "-", "--stdin-filename", str(file)]
     return subprocess.run(command, input=text, text=True, capture_output=True, check=True).stdout
 
 
