@@ -36,7 +36,7 @@ from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.current_alignment import current_is_early, current_is_late
 from hydro_diagnosis.selection.effect_summary import describe, location_of
 from hydro_diagnosis.selection.localisation import locate, locate_claims, noticeable
-from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
+from hydro_diagnosis.selection.outcome import NAMES, Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess
 from hydro_diagnosis.validation.equations import equations_told, held_out
@@ -98,7 +98,7 @@ def diagnose(
     problem = Problem(fitted, believed, claims_of(believed))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
-    search = Search(problem, candidates, settings, progress)
+    search = Search(problem, candidates, settings or NAMES, progress)
     facts: dict[str, Any] = {
         "checked": [name for block, names in _EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in _EQUATIONS.items() if block not in problem.blocks for name in names],
@@ -145,7 +145,7 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
             proof = {**closed.held, "equations": equations_told(unseen, assessment.fit.claims)}
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, unseen, outcome, assessment, bounds)
-    notes = (late, current_is_early(problem, effects), hidden)
+    notes = (late, current_is_early(problem, effects), hidden, _cut_short(outcome, assessment))
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
@@ -159,6 +159,13 @@ def _diagnosed(search: Search, held: list[Segment], facts: Mapping[str, Any], be
         **{**facts, "data_quality": [*facts["data_quality"], *(note for note in notes if note)]},
     )
     return Diagnosis(report, believed, problem, assessment, outcome, models)
+
+
+def _cut_short(outcome: Outcome, assessment: Assessment) -> str:
+    """Note on a search that ended before nothing paid; empty where it did not, or where names leave nothing."""
+    if not outcome.cut_short or not assessment.remainder:
+        return ""
+    return f"the search for causes ended early ({outcome.cut_short}): there may be more than it names"
 
 
 def _names(assessment: Assessment) -> set[str]:

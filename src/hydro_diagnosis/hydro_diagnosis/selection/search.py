@@ -15,10 +15,10 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.estimation.fit import Fit, fit, pack, with_one_more, without_one
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.estimation.score_test import Prospect, Signatures, screen
-from hydro_diagnosis.selection.localisation import noticeable
-from hydro_diagnosis.selection.outcome import Outcome, SearchSettings, Step, score
+from hydro_diagnosis.selection.localisation import mean_squares, noticeable, remaining
+from hydro_diagnosis.selection.outcome import MINOR, Outcome, SearchSettings, Step, score
 from hydro_diagnosis.selection.significance import all_significant, form_error
 
 SCREEN_TOLERANCE = 1.0
@@ -99,18 +99,38 @@ class Search:
         self.steps.clear()
         self._signatures = Signatures()
         outcome = Outcome(nothing, nothing)
-        ranked = list(opening)
+        ranked, idle = list(opening), 0
         for _ in range(2 * self.settings.most):
             if ranked:
+                idle = idle + 1 if self._mimics(outcome.fit, ranked[0]) else 0
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
             elif not self._backward(outcome) and (self._tired or not self._swap(outcome, 0.0)):
                 break
             for _ in range(SWAPS):
                 if self._tired or not self._swap(outcome, PROMISING):
                     break
-            more = len(outcome.fit.claims) < self.settings.most and not self._tired
-            ranked = self._ranked(outcome.fit) if more else []
+            ranked = [] if idle >= self.settings.patience else self._further(outcome)
         return outcome
+
+    def _further(self, outcome: Outcome) -> list[Fit]:
+        """What may join the outcome; nothing if the search must end, and the outcome says why."""
+        if self._tired:
+            outcome.cut_short = f"its effort of {self.settings.effort} evaluations was spent"
+            return []
+        ranked = self._ranked(outcome.fit)
+        if ranked and len(outcome.fit.claims) >= self.settings.most:
+            outcome.cut_short = f"it looks for {self.settings.most} causes at most"
+            return []
+        outcome.cut_short = ""
+        return ranked
+
+    def _mimics(self, base: Fit, found: Fit) -> bool:
+        """Return whether a claim removes little of what remains in the channel in which it removes most."""
+        before, after = (mean_squares(self.problem, one.residual) for one in (base, found))
+        counts = dict(zip(CHANNELS, self.problem.layout.count(), strict=True))
+        channel = max(before, key=lambda name: (before[name] - after[name]) * counts[name])
+        excess = remaining(self.problem, found.residual).get(channel, 1.0) - 1.0
+        return before[channel] - after[channel] < MINOR * excess
 
     @property
     def _spent(self) -> int:
