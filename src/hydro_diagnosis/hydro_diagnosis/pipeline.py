@@ -41,7 +41,7 @@ from hydro_diagnosis.selection.current_alignment import current_is_early, curren
 from hydro_diagnosis.selection.effect_summary import describe, location_of
 from hydro_diagnosis.selection.localisation import locate, locate_claims, noticeable
 from hydro_diagnosis.selection.number_estimates import number_estimates
-from hydro_diagnosis.selection.outcome import Outcome, SearchSettings
+from hydro_diagnosis.selection.outcome import NAMES, Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess
 from hydro_diagnosis.validation.equations import equations_told, held_out
@@ -118,7 +118,7 @@ def diagnose(
     problem = Problem(fitted, believed, baseline_claims, estimated=standing(believed, estimate))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
-    search = Search(problem, candidates, settings, progress)
+    search = Search(problem, candidates, settings or NAMES, progress)
     facts: dict[str, Any] = {
         "checked": [name for block, names in _EQUATIONS.items() if block in problem.blocks for name in names],
         "not_checked": [name for block, names in _EQUATIONS.items() if block not in problem.blocks for name in names],
@@ -168,7 +168,7 @@ def _diagnosed(
             proof = {**closed.held, "equations": equations_told(unseen, assessment.fit.claims)}
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, unseen, outcome, assessment, bounds)
-    notes = (late, current_is_early(problem, effects), hidden)
+    notes = (late, current_is_early(problem, effects), hidden, _cut_short(outcome, assessment))
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
@@ -187,6 +187,13 @@ def _diagnosed(
 
 def _given(bench: Bench, name: str) -> float | None:
     return None if lacks(bench, name) else float(getattr(bench, name))
+
+
+def _cut_short(outcome: Outcome, assessment: Assessment) -> str:
+    """Note on a search that ended before nothing paid; empty where it did not, or where names leave nothing."""
+    if not outcome.cut_short or not assessment.remainder:
+        return ""
+    return f"the search for causes ended early ({outcome.cut_short}): there may be more than it names"
 
 
 def _names(assessment: Assessment) -> set[str]:

@@ -23,6 +23,8 @@ class SearchSettings:
     """
     most: Annotated[int, quantity("-", 0, 100)] = 6
     """Claims at most."""
+    patience: Annotated[int, quantity("-", 1, 100)] = 100
+    """Claims one after the other that may remove less than `MINOR` of what remains where they act: more is mimicry."""
     shortlist: Annotated[int, quantity("-", 1, 1000)] = 7
     """Prospects that are fitted in full at each step."""
     form_error: Annotated[float, quantity("-", 0.0, 1.0)] = 0.035
@@ -31,8 +33,14 @@ class SearchSettings:
     """First claims that are tried, one search each, as long as something remains unexplained."""
     effort: Annotated[int, quantity("-", 100, 1000000)] = 9000
     """Evaluations of all residuals after which no further claim is looked for, and a third of which may go before
-    the search begins again: some 4 ms each for 60 s of data.
+    the search begins again: some 3 ms each for 60 s of data.
     """
+
+
+NAMES = SearchSettings(most=12, patience=2)
+"""Of a search among names alone: where nothing remains, or what remains has no name, it ends by itself."""
+MINOR = 0.1
+"""Share of what remains in a channel below which a claim says little about it."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +61,8 @@ class Outcome:
     steps: list[Step] = field(default_factory=list)
     rivals: dict[str, list[Fit]] = field(default_factory=dict)
     """By a claim's label: fits in which another cause stands in its place, best first."""
+    cut_short: str = ""
+    """Why the search ended before nothing paid, in words; empty if it did not."""
 
 
 def score(problem: Problem, found: Fit) -> float:

@@ -7,9 +7,10 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
 from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.estimation.unrecorded_rows import shifts
-from hydro_diagnosis.selection.localisation import noticeable
+from hydro_diagnosis.selection.localisation import mean_squares, noticeable, remaining
+from hydro_diagnosis.selection.outcome import MINOR
 
 ABSENT = 0.05
 """Share of a shape's neutral value within which an effect without amplitudes is absent."""
@@ -78,3 +79,12 @@ def form_error(problem: Problem, base: Fit, found: Fit, share: float) -> bool:
         if added < share**2 * signature:
             return True
     return False
+
+
+def nibbles(problem: Problem, base: Fit, found: Fit) -> bool:
+    """Return whether the newest claim removes little of what remains in the channel in which it removes most."""
+    before, after = (mean_squares(problem, one.residual) for one in (base, found))
+    counts = dict(zip(CHANNELS, problem.layout.count(), strict=True))
+    channel = max(before, key=lambda name: (before[name] - after[name]) * counts[name])
+    excess = remaining(problem, found.residual).get(channel, 1.0) - 1.0
+    return before[channel] - after[channel] < MINOR * excess
