@@ -73,7 +73,7 @@ def composed(carrier: Carrier, modulation: Modulation) -> Law:
     return Law(
         carrier.equation,
         f"{carrier.name}, {modulation.name}" if modulation.name else carrier.name,
-        _over(of, carrier.unit, modulation.unit),
+        divided(of, carrier.unit, modulation.unit),
         modulation.text.format(carrier.text).removeprefix("1 " if modulation.name and modulation.text != "{}" else ""),
         f"{carrier.phrase}{modulation.phrase}.",
         carrier.size / (carrier.scale * modulation.scale),
@@ -99,7 +99,7 @@ def _powers(unit: str) -> dict[str, int]:
     return found
 
 
-def _over(unit: str, *others: str) -> str:
+def divided(unit: str, *others: str) -> str:
     """A unit divided by others."""
     powers = _powers(unit)
     for other in others:
