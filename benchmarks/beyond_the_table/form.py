@@ -77,6 +77,8 @@ TEXTS = {
     "(w - u), w' = (u - w) / time within +-rate": _form("current", 1.0, memory=True),
     "q (1 - sqrt(|dp| / (|dp| + transition)))": _form("current pressure_a pressure_b", 1.0),
     "q |dp|": _form("current pressure_a pressure_b", 2.5),
+    "(w - p_a), w' = (p_a - w) / (rising or falling)": _form("pressure_a", 1.0, memory=True),
+    "(w - p_b), w' = (p_b - w) / (rising or falling)": _form("pressure_b", 1.0, memory=True),
     "f_h^2": _form("hydraulic_force", 2.0),
     "f_h |f_h|": _form("hydraulic_force", 2.0),
     "f_h^3": _form("hydraulic_force", 3.0),

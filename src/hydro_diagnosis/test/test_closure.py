@@ -15,7 +15,8 @@ from hydro_bridge.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.cli import run
 from hydro_diagnosis.closure.admission import admitted, harmless, reports, share_closed
-from hydro_diagnosis.closure.selection import Closed, closures
+from hydro_diagnosis.closure.growth import Closed
+from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals

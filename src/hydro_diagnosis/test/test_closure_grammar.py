@@ -106,6 +106,14 @@ def test_a_curved_gauge_is_undone() -> None:
         ("load", "second spring outwards", {"coefficient": 2e3, "threshold": 0.045}, 0.03),
         ("sensor", "quadratic reading of load_force", {"coefficient": 8e-5}, 0.02),
         ("sensor", "quadratic reading of pressure_a", {"coefficient": 2e-9}, 0.1),
+        ("sensor", "pick-up of current of hydraulic_force", {"coefficient": 2000.0}, 0.01),
+        ("sensor", "zero of pressure_b, from the start", {"coefficient": 2e5, "time": 4.0}, 0.03),
+        ("pressure_b", "carried oil, outwards", {"coefficient": 0.03}, 0.03),
+        ("pressure", "leak, at a place", {"coefficient": 2e-13, "centre": 0.043, "width": 4e-3}, 0.05),
+        ("actuation", "null, as throttling warms", {"coefficient": 0.1, "time": 3.0}, 0.05),
+        ("actuation", "throttled flow, of the return", {"coefficient": 1.0, "resistance": 2e15}, 0.1),
+        ("motion", "drag, levelling off", {"coefficient": 400.0, "level": 0.03}, 0.05),
+        ("load", "rubbing by deflection", {"coefficient": 500.0}, 0.05),
     ],
 )
 def test_a_law_is_found_with_all_of_its_numbers(

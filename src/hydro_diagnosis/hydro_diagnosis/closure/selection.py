@@ -23,7 +23,7 @@ from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import score
-from hydro_diagnosis.selection.verdict import Assessment, coincidence
+from hydro_diagnosis.selection.verdict import MOST_OF_THE_GAP, Assessment, coincidence
 from hydro_sim.model.effects.catalogue import CLOSURES
 
 
@@ -51,8 +51,8 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
         return beside
     alone = grown_by_law(problem, base, screen) if _names(beside.fit) != _names(base) else beside
-    if not names:
-        return alone
+    if not names or alone.gain >= MOST_OF_THE_GAP * screen.gains(base)[1]:
+        return alone  # a small remainder of the right law's form is no reason to look for names
     likely: dict[str, Effect] = {}
     for fitted in (base, beside.fit, alone.fit):
         likely |= {one.effect.label: one.effect for one in fitted.claims if isinstance(one.effect, Closure)}

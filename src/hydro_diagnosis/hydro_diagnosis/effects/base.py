@@ -75,6 +75,9 @@ class Memory(Protocol):
     def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
         """A slow signal s plus `first` [s] times s' plus `second` [s^2] times s''."""
 
+    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+        """First-order lag of a signal, its rises by another time constant [s] than its falls."""
+
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """Position [m] of what is dragged through a gap of `width` [m] (the play operator)."""
 
@@ -150,6 +153,11 @@ class Effect:
     def rounds(self) -> str:
         """Channel whose readings lose their kinks (where the current steps) by this effect."""
         return ""
+
+    @property
+    def turns(self) -> bool:
+        """Whether it rounds rises otherwise than falls: other channels cannot be delayed alike."""
+        return False
 
     @property
     def curves(self) -> str:

@@ -225,6 +225,30 @@ class GaugeClosure(SensorClosure):
         return signal
 
 
+class SnubberClosure(SensorClosure):
+    """A pressure sensor that follows rises and falls at different rates."""
+
+    @property
+    def rounds(self) -> str:
+        return self.law.where
+
+    @property
+    def turns(self) -> bool:
+        return True
+
+    def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if channel != self.law.where:
+            return signal
+        late = memory.turning(signal, values["rising"], values["falling"])
+        return signal + values["coefficient"] * (late - signal)
+
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if channel != self.law.where:
+            return reading
+        led = memory.lead(reading, 1.0, 0.0) - reading  # the slope, times 1 s
+        return reading + values["coefficient"] * led * np.where(led > 0.0, values["rising"], values["falling"])
+
+
 class ValveClosure(Closure):
     """A term of the spool's position."""
 
@@ -252,6 +276,7 @@ def closure(
     acting = {"motion": MotionClosure, "load": LoadClosure, "actuation": ValveClosure, "sensor": SensorClosure}
     kind = EdgeClosure if law.where == "edges" else acting.get(law.equation, FlowClosure)
     kind = GaugeClosure if law.where.startswith("pressure") else kind
+    kind = SnubberClosure if law.element is not None and law.element.kind == "turn" else kind
     options = {"equation": law.equation, "form": law.form}
     return kind(options, law=law, limits=limits, probes=probes, numbers=bench)
 

@@ -45,6 +45,25 @@ def limited(signal, step, rate, time):
     return mean
 
 
+@njit(cache=True)
+def turning(signal, step, rising, falling):
+    """Lag w' = (s - w) / T of a signal that is straight between samples, shape (n,), from its first value.
+
+    T is `rising` [s] while s is above w, `falling` while it is below; a sample is taken in parts, each as held.
+    """
+    parts = 8
+    out = np.empty(len(signal))
+    now = signal[0]
+    out[0] = now
+    up, down = 1.0 - np.exp(-step / parts / rising), 1.0 - np.exp(-step / parts / falling)
+    for k in range(1, len(signal)):
+        for part in range(parts):
+            off = signal[k - 1] + (part + 0.5) / parts * (signal[k] - signal[k - 1]) - now
+            now += off * (up if off > 0.0 else down)
+        out[k] = now
+    return out
+
+
 def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
     """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there."""
     decay = float(np.exp(-step / time))

@@ -13,7 +13,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.effects.path_memory import along, held_lag
+from hydro_diagnosis.effects.path_memory import along, held_lag, turning
 
 
 class RecordMemory:
@@ -44,6 +44,10 @@ class RecordMemory:
         slope = np.gradient(smoothed, self.step)
         bend = np.gradient(slope, self.step)
         return np.asarray(signal + first * slope + second * bend)
+
+    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+        """See `Memory.turning`; the signal is a straight line between samples."""
+        return np.asarray(turning(np.ascontiguousarray(signal), self.step, rising, falling))
 
     def play(self, key: str, position: FloatArray, width: float) -> FloatArray:
         """See `Memory.play`; it starts in the middle of the gap."""
@@ -85,6 +89,10 @@ class StepMemory:
         raise NotImplementedError
 
     def lead(self, signal: FloatArray, first: float, second: float) -> FloatArray:
+        """Not needed while stepping, as above."""
+        raise NotImplementedError
+
+    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
         """Not needed while stepping, as above."""
         raise NotImplementedError
 

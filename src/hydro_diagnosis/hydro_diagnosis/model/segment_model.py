@@ -79,7 +79,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""
         bench = self.bench(claims)
-        late = [claim for claim in claims if claim.effect.rounds.startswith("pressure")]
+        late = [one for one in claims if one.effect.rounds.startswith("pressure") and not one.effect.turns]
         others = [claim for claim in claims if claim not in late]
 
         def delayed(signal: FloatArray, but: str) -> FloatArray:

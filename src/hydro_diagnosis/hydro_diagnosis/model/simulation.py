@@ -279,3 +279,8 @@ class _ColumnMemory(RecordMemory):
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         single = super().lag
         return np.apply_along_axis(lambda column: single(key, column, time_constant, start), 0, signal)
+
+    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
+        return np.apply_along_axis(
+            lambda column: super(_ColumnMemory, self).turning(column, rising, falling), 0, signal
+        )

@@ -20,6 +20,7 @@ moves no path::
     heat  w' = |s'| / D - w / T        0 at first: what work has warmed and time cools
     slow  w' = (s - w) / T             0 at first: a size that is followed, or time alone (s = 1)
     rate  w' = (s - w) / T, within [-R, R]
+    turn  w' = (s - w) / T, with one T while s is above w and another while it is below
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ class Number:
 class Element:
     """Memory of a law: a state that follows one of `Signals`, over the law's further numbers."""
 
-    kind: Literal["lag", "path", "heat", "rate", "slow"]
+    kind: Literal["lag", "path", "heat", "rate", "slow", "turn"]
     signal: str
     """An attribute of `Signals`; of slow states also `time`, for what time alone drives."""
 

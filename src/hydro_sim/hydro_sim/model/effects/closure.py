@@ -126,6 +126,15 @@ class Lagging(Closure):
         return self.past
 
 
+class Turning(Lagging):
+    """A law that lags behind a signal, its rises by another time than its falls."""
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        p_a, p_b = self.at.pressures
+        off = getattr(Signals(pressure_a=p_a, pressure_b=p_b), self.element.signal) - self.past
+        return {"past": eq.choose(off > 0.0, off / self.rising, off / self.falling)}
+
+
 class Warming(Closure):
     """A law that motion warms and time cools; a still bench is cold."""
 
@@ -244,6 +253,7 @@ def _states(element: Element, equation: str) -> dict[str, Any]:
     where = {"where": hidden(unit, scale=scale)}
     return {
         "lag": {"past": hidden(unit, scale=scale, integrated=True)},
+        "turn": {"past": hidden(unit, scale=scale, integrated=True)},
         "heat": {"past": hidden("-", scale=1.0, integrated=True)},
         "path": {"bent": hidden("-", scale=1.0), **where},
         "rate": where,
@@ -251,7 +261,7 @@ def _states(element: Element, equation: str) -> dict[str, Any]:
     }[element.kind]
 
 
-_MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "rate": Limited, "slow": Following}
+_MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "rate": Limited, "slow": Following, "turn": Turning}
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:

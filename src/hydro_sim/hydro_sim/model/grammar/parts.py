@@ -18,9 +18,8 @@ from hydro_sim.model.laws import Element, Law, Number, Signals
 
 EQUATION_UNITS = {
     "motion": "N", "load": "N", "pressure": "m3/s", "pressure_a": "m3/s", "pressure_b": "m3/s", "actuation": "A",
-    "edges": "-", "hydraulic_force": "N", "load_force": "N",
-}  # fmt: skip
-"""Unit of an equation's terms; of the valve's edges: a share of their flow. Of a sensor: by channel, else Pa."""
+    }  # fmt: skip
+"""Unit of an equation's terms."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,11 +68,11 @@ class Modulation:
 
 def composed(carrier: Carrier, modulation: Modulation) -> Law:
     """The law of a carrier and a modulation."""
-    of = EQUATION_UNITS.get(carrier.where or carrier.equation, "Pa")
+    of = _unit_of(carrier)
     return Law(
         carrier.equation,
         f"{carrier.name}, {modulation.name}" if modulation.name else carrier.name,
-        _over(of, carrier.unit, modulation.unit),
+        divided(of, carrier.unit, modulation.unit),
         modulation.text.format(carrier.text).removeprefix("1 " if modulation.name and modulation.text != "{}" else ""),
         f"{carrier.phrase}{modulation.phrase}.",
         carrier.size / (carrier.scale * modulation.scale),
@@ -85,6 +84,13 @@ def composed(carrier: Carrier, modulation: Modulation) -> Law:
         carrier.degree + modulation.degree,
         modulation.gate,
     )
+
+
+def _unit_of(carrier: Carrier) -> str:
+    """Unit of a carrier's equation; of the valve's edges a term is a share of their flow."""
+    if carrier.equation == "sensor":
+        return "N" if carrier.where.endswith("force") else "Pa"
+    return "-" if carrier.where == "edges" else EQUATION_UNITS[carrier.equation]
 
 
 _POWER = re.compile(r"(sqrt\(Pa\)|sqrt\(m/s\)|[A-Za-z]+)(\d*)")
@@ -99,7 +105,7 @@ def _powers(unit: str) -> dict[str, int]:
     return found
 
 
-def _over(unit: str, *others: str) -> str:
+def divided(unit: str, *others: str) -> str:
     """A unit divided by others."""
     powers = _powers(unit)
     for other in others:

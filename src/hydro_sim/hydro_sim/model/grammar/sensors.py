@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_sim.model.grammar.words import LAG, creep
-from hydro_sim.model.laws import Law
+from hydro_sim.model.laws import Element, Law, Number
 
 _CELLS = (("hydraulic_force", "f_h", "piston rod"), ("load_force", "f_l", "load"))
 
@@ -33,6 +33,17 @@ def _of_gauge(chamber: str) -> Law:
                1e-9, _SQUARES[chamber], where=f"pressure_{chamber}")  # fmt: skip
 
 
+def _snubber(chamber: str) -> Law:
+    return Law("sensor", f"snubber of pressure_{chamber}", "-",
+               f"(w - p_{chamber}), w' = (p_{chamber} - w) / (rising or falling)",
+               f"The pressure sensor of chamber {chamber.upper()} follows rises and falls at different rates: typical "
+               "of a snubber with a check valve; 1: all of it.",
+               1.0, lambda at, n: at.memory - getattr(at, f"pressure_{chamber}"),
+               Element("turn", f"pressure_{chamber}"),
+               (Number("rising", "s", (5e-4, 2e-3, 1e-2)), Number("falling", "s", (5e-4, 2e-3, 1e-2))),
+               where=f"pressure_{chamber}")  # fmt: skip
+
+
 _SQUARES = {"a": lambda at, n: at.pressure_a * at.pressure_a, "b": lambda at, n: at.pressure_b * at.pressure_b}
 LAWS: tuple[Law, ...] = (
     Law("sensor", "creep of the cell at the rod", "-", "w, w' = (f_h - w) / time",
@@ -40,4 +51,5 @@ LAWS: tuple[Law, ...] = (
         0.05, lambda at, n: at.memory, creep("force"), LAG, where="hydraulic_force"),
     *(law for cell in _CELLS for law in _of_cell(*cell)),
     *(_of_gauge(chamber) for chamber in "ab"),
+    *(_snubber(chamber) for chamber in "ab"),
 )  # fmt: skip
