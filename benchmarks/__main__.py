@@ -33,6 +33,7 @@ STUDIES = frozenset(
         "relearned_filter",
         "sac_peers",
         "training_seeds",
+        "unnamed_physics",
         "view_recording",
     }
 )

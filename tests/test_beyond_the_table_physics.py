@@ -26,7 +26,8 @@ AREA_B = BENCH.area_ratio * BENCH.piston_area
 CORNER = 2.0 * math.pi * BENCH.load_cell_bandwidth
 SIZED = [kind for kind in KINDS if kind.name != "spool_rate"]
 """Those whose size is not a limit (of which none is infinite)."""
-OWN = {"hose_memory": 6e6, "gauge_snubber": 1e7, "spool_rate": 5e-3, "friction_lag": 0.05, "flexible_mount": 1e-3}
+OWN = {"hose_memory": 6e6, "gauge_snubber": 1e7, "spool_rate": 5e-3, "friction_lag": 0.05, "flexible_mount": 1e-3,
+       "rod_bellows": 1e-2}  # fmt: skip
 """Scale of a kind's own state, where it is not 1."""
 
 
@@ -67,7 +68,7 @@ def test_a_kind_moves_the_states_of_its_equation_alone(kind: Kind) -> None:
             assert gained_a * (state[PRESSURE_A] - state[PRESSURE_B]) <= 0.0
         if kind.equations == ("load",):
             assert BENCH.moving_mass * change[VELOCITY] == pytest.approx(-change[CELL_RATE] / CORNER**2, rel=1e-9)
-        if kind.equations == ("motion",):
+        if kind.equations == ("motion",) and kind.name != "rod_bellows":  # whose air gives some of it back
             assert change[VELOCITY] * state[VELOCITY] <= 0.0, "friction takes power out"
     assert moved == allowed
 

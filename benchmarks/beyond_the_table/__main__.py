@@ -4,7 +4,7 @@
 Each case conceals one such kind, alone, beside named causes or under more noise, or nothing at all; it records two runs
 of 25 s (the second is held out) and runs `diagnose` on them in a process of its own.
 
-    python -m benchmarks.beyond_the_table --half dev --cases 20        the sixteen kinds alone, and four clean ones
+    python -m benchmarks.beyond_the_table --half sealed --cases 20     the sixteen kinds alone, and four clean ones
     python -m benchmarks.beyond_the_table --half dev --kinds drag_square --cases 5
 
 Ctrl-C loses no finished case: run it again to go on. OUT/SEED/NAME/ holds the report and what it cost.

@@ -2,7 +2,9 @@
 """Whether a law that was found has the form that its kind's right form was fixed as.
 
 What a right form is was fixed in `kinds`, blind; here the texts of the grammar's laws are read in those words: what a
-law depends on, and its degree. A test holds the list against the grammar.
+law depends on, and its degree. Laws that have names are listed, which a test holds against the grammar; compositions
+say it themselves: the signals of carrier and modulation, the powers of those that multiply, and a state, unless it
+hangs on time alone.
 """
 
 from __future__ import annotations
@@ -11,6 +13,8 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from benchmarks.beyond_the_table.kinds import Kind
+from hydro_sim.model.grammar import COMPOSITIONS
+from hydro_sim.model.laws import Law
 
 
 class Form(NamedTuple):
@@ -80,6 +84,15 @@ TEXTS = {
     "f_l |f_l|": _form("load_force", 2.0),
     "f_l^3": _form("load_force", 3.0),
 }
+"""By the text of a law that has a name."""
+
+
+def _composition(law: Law) -> Form:
+    signals = {law.where if one == "force" else one for one in law.uses}
+    return Form(frozenset(signals), law.degree, law.element is not None and law.element.signal != "time")
+
+
+FORMS = {**{law.text: _composition(law) for law in COMPOSITIONS}, **TEXTS}
 """By the text of a law."""
 
 
@@ -88,7 +101,7 @@ def right_form(kind: Kind, closure: Mapping[str, Any]) -> bool:
     if closure["form"] != "law" or closure["equation"] not in places(kind):
         return False
     text = closure["expression"].partition(" * ")[2]
-    form = next((form for known, form in TEXTS.items() if text == known or text.startswith(f"{known}, ")), None)
+    form = next((form for known, form in FORMS.items() if text == known or text.startswith(f"{known}, ")), None)
     if form is None or form.variables != kind.variables or form.memory != kind.memory:
         return False
     return kind.degree is None or form.degree == kind.degree

@@ -9,12 +9,13 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
+from benchmarks.beyond_the_table.physics.load import brake
 from benchmarks.beyond_the_table.physics.places import MEMORY
 from benchmarks.beyond_the_table.physics.rates import all_rates, rested
 from benchmarks.beyond_the_table.physics.sensors import misread
 from benchmarks.foreign_truth.bench import Numbers, numbers
 from benchmarks.foreign_truth.box import PERIOD, command, sense
-from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY, rub
+from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from benchmarks.foreign_truth.plant import LOGGED
 
 FloatArray = npt.NDArray[np.float64]
@@ -26,7 +27,7 @@ SPREAD = 1e-3
 @njit
 def _step(kind, size, shape, bench, time, current, slope, state, step, work):
     first, between, total = work[0], work[1], work[2]
-    rub(bench, state, 0.5 * step)
+    brake(kind, size, bench, state, 0.5 * step)
     all_rates(kind, size, shape, bench, time, current, slope, state, total)
     between[:] = total
     for reach, weight in ((0.5, 2.0), (0.5, 2.0), (1.0, 1.0)):
@@ -38,7 +39,7 @@ def _step(kind, size, shape, bench, time, current, slope, state, step, work):
             total[n] += weight * first[n]
     for n in range(STATES):
         state[n] += step / 6.0 * total[n]
-    rub(bench, state, 0.5 * step)
+    brake(kind, size, bench, state, 0.5 * step)
     state[PRESSURE_A], state[PRESSURE_B] = max(state[PRESSURE_A], -1e5), max(state[PRESSURE_B], -1e5)
     if state[POSITION] < 0.0:
         state[POSITION], state[VELOCITY] = 0.0, max(state[VELOCITY], 0.0)

@@ -13,7 +13,7 @@ from benchmarks.foreign_truth.box import PERIOD
 from benchmarks.foreign_truth.cases import Case
 from benchmarks.foreign_truth.plant import SUBSTEPS, FloatArray, run
 from hydro_bridge.bags.recording import BagWriter
-from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS
+from hydro_bridge.signals import STATE_DTYPE, STATE_FIELDS, StateArray
 
 SECONDS = 25.0
 RUNS = {"sines": 80.0, "steps": 65.0}
@@ -87,14 +87,19 @@ def recorded(case: Case, folder: Path, seconds: float = SECONDS, substeps: int =
 
 def write_bag(folder: Path, log: FloatArray) -> None:
     """Write a log, shape (n, LOGGED), as a rosbag2 folder that there is not yet."""
+    with BagWriter(folder) as bag:
+        bag.write_states(states_of(log))
+
+
+def states_of(log: FloatArray) -> StateArray:
+    """A log, shape (n, LOGGED), as a recording holds it."""
     states = np.zeros(len(log), STATE_DTYPE)
     states["sequence"] = np.arange(len(log))
     states["time"] = EPOCH + PERIOD * states["sequence"]
     for column, name in enumerate(STATE_FIELDS):
         states[name] = log[:, column]
     states["flags"] = log[:, len(STATE_FIELDS)]
-    with BagWriter(folder) as bag:
-        bag.write_states(states)
+    return states
 
 
 def _write_table(path: Path, log: FloatArray) -> None:

@@ -21,7 +21,8 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.preprocessing.smoothing import smooth
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING, advance, hydraulic_force
+from hydro_sim.model.equations import LOAD_CELL_DAMPING, hydraulic_force
+from hydro_sim.model.hydraulics import advance
 
 LENGTH, WINDOWS, STEPS = 70, 24, 5
 NAMES = {

@@ -13,7 +13,7 @@ from benchmarks.peers.run import DROOPS, LAGS, Signals
 from hydro_diagnosis.effects.base import FloatArray
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 Terms = dict[str, FloatArray]
 

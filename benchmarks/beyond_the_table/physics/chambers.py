@@ -8,6 +8,8 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    BLOW_BY,
+    FLOATING_RING,
     HOSE,
     HOT_LEAK,
     LEAK_BY_MOTION,
@@ -15,6 +17,7 @@ from benchmarks.beyond_the_table.physics.places import (
     MEMORY,
     PORT_RELIEF,
     ROD_FILM,
+    WEEPING_FITTING,
     WORN_BORE,
 )
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, root
@@ -33,6 +36,8 @@ def lost_flows(kind, size, shape, bench, state):
         return size * max(a - shape, 0.0), 0.0
     if kind == ROD_FILM:
         return 0.0, size * bench.area_ratio * bench.piston_area * max(velocity, 0.0)
+    if kind == WEEPING_FITTING:
+        return 0.0, size * root(b - bench.tank_pressure)
     flow = across(kind, size, shape, a, b, state)
     return flow, -flow
 
@@ -46,14 +51,20 @@ def across(kind, size, shape, a, b, state):
         return size * (a - b) * max(math.tanh(state[VELOCITY] / shape), 0.0)
     if kind == WORN_BORE:
         return size * (a - b) * math.exp(-(((state[POSITION] - WORN) / shape) ** 2))
+    if kind == BLOW_BY:
+        return -size * max(b - a - shape, 0.0)
+    if kind == FLOATING_RING:
+        return size * (a - b) * (1.0 - state[MEMORY] ** 2)
     return size * (a - b) * state[MEMORY] if kind == HOT_LEAK else 0.0
 
 
 @njit
 def memory_rate(kind, shape, bench, current, state):
-    """Rate of the hose's inner pressure [Pa/s], and of the warmth that a throttling valve leaves in the oil."""
+    """Rate of the hose's inner pressure [Pa/s], of throttled oil's warmth, of the ring's place in its groove."""
     if kind == HOSE:
         return (state[PRESSURE_A] - state[MEMORY]) / shape
     if kind == HOT_LEAK:
         return (abs(current) / bench.valve_nominal_current - state[MEMORY]) / shape
+    if kind == FLOATING_RING:
+        return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
     return 0.0

@@ -8,19 +8,25 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    GRIP_MASS,
     LEAF_SPRING,
     MEMORY,
     MOUNT,
     REBOUND_DAMPER,
+    SPECIMEN_DAMPING,
+    SPECIMEN_SOFTENS,
     SPRING_HYSTERESIS,
     STOP_SPRING,
 )
-from benchmarks.foreign_truth.equations import POSITION, VELOCITY, spring
+from benchmarks.foreign_truth.equations import CELL_RATE, POSITION, VELOCITY, rub, spring
+
+WORKED = 0.1
+"""m/s at which a specimen has warmed by 1 in the end."""
 
 
 @njit
 def extra_load(kind, size, shape, bench, state):
-    """Force [N] that the load adds to its spring's."""
+    """Force [N] that the load adds to its spring's, but for a mass of its own."""
     position, velocity = state[POSITION], state[VELOCITY]
     if kind == SPRING_HYSTERESIS:
         return size * state[MEMORY]
@@ -33,16 +39,33 @@ def extra_load(kind, size, shape, bench, state):
     if kind == LEAF_SPRING:
         stretch = abs(position - bench.spring_rest_position)
         return size * bench.spring_stiffness * stretch * math.tanh(velocity / shape)
-    return 0.0
+    if kind == SPECIMEN_DAMPING:
+        return size * velocity
+    return -size * state[MEMORY] * spring(bench, position) if kind == SPECIMEN_SOFTENS else 0.0
+
+
+@njit
+def mass(kind, size):
+    """Mass [kg] that the load's cell accelerates."""
+    return size if kind == GRIP_MASS else 0.0
+
+
+@njit
+def brake(kind, size, bench, state, seconds):
+    """Let the piston's dry friction act for a while on the load's mass too: its cell reads that."""
+    before, carried = state[VELOCITY], mass(kind, size)
+    rub(bench, state, seconds * bench.moving_mass / (bench.moving_mass + carried))
+    corner = 2.0 * math.pi * bench.load_cell_bandwidth
+    state[CELL_RATE] += corner**2 * carried * (state[VELOCITY] - before)
 
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of the spring's path, and of the mount's foot [m/s]."""
+    """Rate of the spring's path, of the mount's foot [m/s], and of the specimen's warmth."""
     memory, velocity = state[MEMORY], state[VELOCITY]
     if kind == SPRING_HYSTERESIS:
         return (velocity - abs(velocity) * memory) / shape
     if kind == MOUNT:
         load = spring(bench, state[POSITION] - memory)
         return (size * load / bench.spring_stiffness - memory) / shape
-    return 0.0
+    return (abs(velocity) / WORKED - memory) / shape if kind == SPECIMEN_SOFTENS else 0.0

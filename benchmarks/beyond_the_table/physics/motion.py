@@ -9,12 +9,16 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     BORE_SCORE,
+    COLD_START,
     CUSHION,
     DRAG,
     FRICTION_LAG,
     FRICTION_POSITION,
+    GLAND_PRESSURE,
     HEAT,
+    LIP_FILM,
     MEMORY,
+    ROD_BELLOWS,
     SEAL,
     SHEAR_THINNING,
 )
@@ -29,8 +33,8 @@ SCORED = 0.043
 
 
 @njit
-def extra_force(kind, size, shape, bench, state):
-    """Force [N] on the piston, beside the load's."""
+def extra_force(kind, size, shape, bench, time, state):
+    """Force [N] on the piston, beside the load's, at a time [s]."""
     position, velocity, memory = state[POSITION], state[VELOCITY], state[MEMORY]
     if kind == DRAG:
         return -size * velocity * abs(velocity)
@@ -46,12 +50,22 @@ def extra_force(kind, size, shape, bench, state):
         return -size * math.exp(-((memory / STRIBECK) ** 2)) * math.tanh(velocity / TURN)
     if kind == BORE_SCORE:
         return -size * math.exp(-(((position - SCORED) / shape) ** 2)) * math.tanh(velocity / TURN)
+    if kind == GLAND_PRESSURE:
+        return -size * state[PRESSURE_B] * math.tanh(velocity / shape)
+    if kind == LIP_FILM:
+        return -size * velocity / math.sqrt(abs(velocity) + shape)
+    if kind == ROD_BELLOWS:
+        return -size * (position - bench.spring_rest_position - memory)
+    if kind == COLD_START:
+        return -size * math.exp(-time / shape) * velocity
     return -size * velocity / (1.0 + abs(velocity) / shape) if kind == SHEAR_THINNING else 0.0
 
 
 @njit
-def memory_rate(kind, shape, state):
-    """Rate of the travelled warmth, and of the velocity [m/s2] that the film has followed."""
+def memory_rate(kind, shape, bench, state):
+    """Rate of the travelled warmth, of the velocity that the film has followed [m/s2], of the bellows' air [m/s]."""
     if kind == HEAT:
         return abs(state[VELOCITY]) / shape - state[MEMORY] / 10.0
+    if kind == ROD_BELLOWS:
+        return (state[POSITION] - bench.spring_rest_position - state[MEMORY]) / shape
     return (state[VELOCITY] - state[MEMORY]) / shape if kind == FRICTION_LAG else 0.0

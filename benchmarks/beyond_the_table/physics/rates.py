@@ -32,7 +32,7 @@ def rested(kind, bench, start):
 def memory_rate(kind, size, shape, bench, current, slope, state):
     """Rate of the kind's own state; `slope` is the current's [A/s]."""
     rate = valve.memory_rate(kind, size, shape, bench, current, slope, state)
-    rate += chambers.memory_rate(kind, shape, bench, current, state) + motion.memory_rate(kind, shape, state)
+    rate += chambers.memory_rate(kind, shape, bench, current, state) + motion.memory_rate(kind, shape, bench, state)
     rate += load.memory_rate(kind, size, shape, bench, state)
     return rate + sensors.memory_rate(kind, size, shape, bench, state)
 
@@ -40,7 +40,7 @@ def memory_rate(kind, size, shape, bench, current, slope, state):
 @njit
 def all_rates(kind, size, shape, bench, time, current, slope, state, out):
     """Time derivatives of the states with the kind's physics, dry friction left out."""
-    given = valve.drawn(kind, size, shape, current, state[MEMORY])
+    given = valve.drawn(kind, size, shape, bench, current, state)
     rates(bench, time, given, state, out)
     volume_a = bench.dead_volume_a + bench.piston_area * state[POSITION]
     volume_b = bench.dead_volume_b + bench.area_ratio * bench.piston_area * (bench.stroke - state[POSITION])
@@ -49,6 +49,8 @@ def all_rates(kind, size, shape, bench, time, current, slope, state, out):
     out[PRESSURE_A] -= stiffness(bench, state[PRESSURE_A]) / volume_a * (lost_a + blocked_a)
     out[PRESSURE_B] -= stiffness(bench, state[PRESSURE_B]) / volume_b * (lost_b + blocked_b)
     added = load.extra_load(kind, size, shape, bench, state)
-    out[VELOCITY] += (motion.extra_force(kind, size, shape, bench, state) - added) / bench.moving_mass
-    out[CELL_RATE] += (2.0 * math.pi * bench.load_cell_bandwidth) ** 2 * added
+    out[VELOCITY] += (motion.extra_force(kind, size, shape, bench, time, state) - added) / bench.moving_mass
+    carried = load.mass(kind, size)
+    out[VELOCITY] *= bench.moving_mass / (bench.moving_mass + carried)
+    out[CELL_RATE] += (2.0 * math.pi * bench.load_cell_bandwidth) ** 2 * (added + carried * out[VELOCITY])
     out[MEMORY] = memory_rate(kind, size, shape, bench, current, slope, state)

@@ -8,14 +8,17 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    CELL_BYPASS,
     CELL_CREEP,
     CELL_CURVE,
     CELL_PICKUP,
+    ENCODER_PLAY,
+    GAUGE_LIMIT,
     GAUGE_SNUBBER,
     GAUGE_WARMS,
     MEMORY,
 )
-from benchmarks.foreign_truth.equations import PRESSURE_A, PRESSURE_B
+from benchmarks.foreign_truth.equations import CELL, PRESSURE_A, PRESSURE_B, VELOCITY
 
 RISING = 5e-4
 """s, lag of a snubber whose check valve is open."""
@@ -40,14 +43,22 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[5] += size * (1.0 - math.exp(-time / shape))
     if kind == GAUGE_SNUBBER and size > 0.0:
         row[5] += state[MEMORY] - state[PRESSURE_B]
+    if kind == CELL_BYPASS:
+        row[2] += size * max(-state[CELL], 0.0)
+    if kind == GAUGE_LIMIT:
+        row[5] -= size * max(state[PRESSURE_B] - shape, 0.0)
+    if kind == ENCODER_PLAY:
+        row[6] -= size * state[MEMORY]
 
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of what the cell has crept by [N/s], and of the pressure [Pa/s] behind the snubber."""
+    """Rate of what the cell has crept by [N/s], of the pressure [Pa/s] behind the snubber, of the coupling's path."""
     if kind == CELL_CREEP:
         return (hydraulic_force(bench, state) - state[MEMORY]) / shape
     if kind == GAUGE_SNUBBER:
         above = state[PRESSURE_B] - state[MEMORY]
         return above / (RISING if above > 0.0 else max(size, RISING))
+    if kind == ENCODER_PLAY:
+        return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
     return 0.0

@@ -8,9 +8,12 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    JET_FORCE,
+    LOAD_NULL,
     MEMORY,
     NULL_WARMS,
     RETURN_FILTER,
+    SILTED_EDGE,
     SPOOL_RATE,
     SPOOL_STOP,
     TRANSITION,
@@ -21,8 +24,9 @@ from benchmarks.foreign_truth.equations import PRESSURE_A, PRESSURE_B, flow_gain
 
 
 @njit
-def drawn(kind, size, shape, current, memory):
+def drawn(kind, size, shape, bench, current, state):
     """Current [A] that an ideal valve would have been given."""
+    memory = state[MEMORY]
     if kind == VALVE_HYSTERESIS:
         return current - size * memory
     if kind == VALVE_CURVE:
@@ -31,19 +35,33 @@ def drawn(kind, size, shape, current, memory):
         return current - size * max(current - shape, 0.0)
     if kind == NULL_WARMS:
         return current + size * memory
+    if kind == JET_FORCE:
+        over_a, over_b = drops(bench, current >= 0.0, state)
+        return current / (1.0 + size * (over_a + over_b))
+    if kind == LOAD_NULL:
+        return current - size * (state[PRESSURE_A] - state[PRESSURE_B])
     return memory if kind == SPOOL_RATE else current
+
+
+@njit
+def drops(bench, out, state):
+    """Pressure [Pa] that each chamber's open edge takes, driving the piston out or in."""
+    a, b = state[PRESSURE_A], state[PRESSURE_B]
+    if out:
+        return bench.supply_pressure - a, b - bench.tank_pressure
+    return a - bench.tank_pressure, bench.supply_pressure - b
 
 
 @njit
 def blocked_flows(kind, size, bench, time, current, state):
     """Flows [m3/s] that the edges do not pass: into chamber A and out of chamber B, as `lost_flows` counts them."""
-    if kind != TRANSITION and kind != RETURN_FILTER:
+    if kind != TRANSITION and kind != RETURN_FILTER and kind != SILTED_EDGE:
         return 0.0, 0.0
-    a, b = state[PRESSURE_A], state[PRESSURE_B]
     moved = flow_gain(bench) * opening(bench, time, current)
     out = moved >= 0.0
-    over_a = bench.supply_pressure - a if out else a - bench.tank_pressure
-    over_b = b - bench.tank_pressure if out else bench.supply_pressure - b
+    over_a, over_b = drops(bench, out, state)
+    if kind == SILTED_EDGE:
+        return 0.0, -size * max(moved, 0.0) * root(over_b)
     if kind == TRANSITION:
         short_a = root(over_a) - over_a / math.sqrt(abs(over_a) + size)
         short_b = root(over_b) - over_b / math.sqrt(abs(over_b) + size)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`ros2 run hydro_diagnosis diagnose RECORDING... --out DIR`."""
+"""`ros2 run hydro_diagnosis diagnose RECORDING... --out DIR`, and `diagnose --grow REPORT... --id NAME` (`growing`)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hydro_bridge.process import endings
 from hydro_bridge.viewer.runs import refresh_index
 from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.formats.suffixes import SUFFIXES
+from hydro_diagnosis.growing import command as growing
 from hydro_diagnosis.recording import InputError
 
 if TYPE_CHECKING:
@@ -25,7 +26,8 @@ RECORDINGS = "rosbag2 folder or .mcap, or a file of another logger: " + ", ".joi
 def parser() -> argparse.ArgumentParser:
     """The command line."""
     options = argparse.ArgumentParser(
-        prog="diagnose", description="Find, name and size the physics that a simulation leaves out."
+        prog="diagnose",
+        description="Find, name and size the physics that a simulation leaves out.",
     )
     options.add_argument("recordings", nargs="+", metavar="RECORDING", help=RECORDINGS)
     options.add_argument("--holdout", nargs="+", default=[], metavar="RECORDING", help="not fitted, checked on")
@@ -62,12 +64,19 @@ def parser() -> argparse.ArgumentParser:
     )
     options.add_argument("--out", required=True, type=writable_folder, metavar="DIR", help="where the report goes")
     options.add_argument("--quiet", action="store_true", help="no progress")
+    group = options.add_argument_group("in place of recordings: diagnose --grow REPORT... --id NAME [--out FOLDER]")
+    growing.add_options(group, required=False)
     return options
 
 
 def run(arguments: Sequence[str]) -> int:
     """Diagnose and write; 0 whatever the verdict, 128 + its number after a signal, with what was finished."""
-    chosen = parser().parse_args(arguments)
+    if growing.FLAG in arguments:
+        return growing.run(arguments)
+    options = parser()
+    chosen = options.parse_args(arguments)
+    if chosen.id or chosen.law or chosen.json:
+        options.error("--id, --law and --json go with --grow")
     from hydro_diagnosis.pipeline import diagnose  # late, as the next two: not for --help or a slip
     from hydro_diagnosis.report.corrected_bench import write_corrected
     from hydro_diagnosis.report.page import write_page

@@ -26,6 +26,7 @@ from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unknown_numbers import refuse_others, standing, starting_bench
 from hydro_diagnosis.estimation.unrecorded_rows import untold
 from hydro_diagnosis.experiment_design.next_recording import next_recording
+from hydro_diagnosis.experiment_design.rival_laws import next_for_law
 from hydro_diagnosis.findings import INTERRUPTED, DiagnosisInterrupted, Report
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.identity import identified
@@ -162,6 +163,7 @@ def _diagnosed(
             problem, bounds, before = closed.closed.problem, within, _names(assessment)
             assessment, closing = _closed(problem, assessment, closed), reports(closed, bounds)
             ahead = ahead if _names(assessment) == before else None  # it would tell names apart that are not claimed
+            ahead = ahead or next_for_law(problem, assessment.fit)
             unseen.update_weights(assessment.fit.claims)
             proof = {**closed.held, "equations": equations_told(unseen, assessment.fit.claims)}
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)

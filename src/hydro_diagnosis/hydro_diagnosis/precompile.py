@@ -7,7 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.leakage import LeakageInternal
+from hydro_diagnosis.effects.valve import ValveGain
 from hydro_diagnosis.model.memory import RecordMemory
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.recording import MEASURED, Segment
+from hydro_sim.model.bench import Bench
 
 
 def _memory() -> None:
@@ -16,5 +23,17 @@ def _memory() -> None:
     record.play("p", path, 0.1)
 
 
-STEPS: dict[str, Callable[[], None]] = {"diagnosis": _memory}
+def _equations() -> None:
+    """Residuals and simulation of a bench at rest, with and without effects in its chambers."""
+    rest = {name: np.full(200, 1e6 if name.startswith("pressure") else 0.0) for name in MEASURED}
+    model = SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), Bench.nominal())
+    begins = np.arange(20, 40, 10)
+    for claims in ((), (Claim(LeakageInternal(), {"coefficient": 0.0}),), (Claim(ValveGain(), {"ratio": 1.0}),)):
+        run = model.chamber_run(claims)
+        model.arc_residual(run), model.pressure_residuals(run), model.motion_residual(claims)
+        plant = Plant.of(model, claims)
+        plant.run(plant.start(begins), begins, 3)
+
+
+STEPS: dict[str, Callable[[], None]] = {"diagnosis": _memory, "chamber equations of the diagnosis": _equations}
 """By what is said while one runs. Recordings are simulated by `hydro_sim`, whose own steps compile that."""

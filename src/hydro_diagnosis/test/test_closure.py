@@ -49,7 +49,7 @@ def dragged(record: Callable[..., StateArray]) -> list[Segment]:
 def test_quadratic_drag_is_a_law_with_its_interval_and_closes_the_gap(dragged: list[Segment]) -> None:
     problem = Problem(dragged[:1], BENCH)
     nothing = fit(problem, ())
-    found = closures(problem, assess(problem, nothing, nothing))
+    found = list(closures(problem, assess(problem, nothing, nothing)))
     law = found[0]
     assert law.form == "law"
     assert [claim.effect.label for claim in law.fit.claims] == ["closure:motion:quadratic drag"]
@@ -75,7 +75,7 @@ def test_quadratic_drag_is_a_law_with_its_interval_and_closes_the_gap(dragged: l
 
 def test_a_clean_recording_has_no_closure(problem: Problem) -> None:
     nothing = fit(problem, ())
-    assert closures(problem, assess(problem, nothing, nothing)) == []
+    assert list(closures(problem, assess(problem, nothing, nothing))) == []
 
 
 def test_share_closed_counts_what_stands_above_the_noise() -> None:

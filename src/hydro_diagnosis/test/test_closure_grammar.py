@@ -72,7 +72,7 @@ def test_laminar_edges_pass_what_is_proportional_to_a_small_drop_and_the_root_of
     p_a, p_b = np.array([1e6, 15.9e6]), np.array([2e5, 8e6])
     effect = law("actuation", "laminar edges")
     lost_a, lost_b = edge_losses(
-        BENCH, (opened, 0.0), (p_a, p_b), lambda drop: effect.value(Signals(drop=drop), BENCH, [1.0, transition])
+        BENCH, (opened, 0.0), (p_a, p_b), lambda at: effect.value(at, BENCH, [1.0, transition])
     )
     fed, drained = BENCH.supply_pressure - p_a, p_b - BENCH.tank_pressure
     np.testing.assert_allclose(opened * np.sqrt(fed) - lost_a, opened * fed / np.sqrt(fed + transition), rtol=1e-3)
@@ -114,7 +114,7 @@ def test_a_law_is_found_with_all_of_its_numbers(
     truth = replace(BENCH, closures=({"equation": equation, "form": form, "parameters": numbers},))
     problem = problem_of(record(truth, 3))
     nothing = fit(problem, ())
-    found = closures(problem, assess(problem, nothing, nothing))[0]
+    found = next(closures(problem, assess(problem, nothing, nothing)))
     assert [claim.effect.label for claim in found.fit.claims] == [f"closure:{equation}:{form}"]
     assert not noticeable(problem, found.fit.residual)
     for bound, value in zip(intervals(problem, found.fit), numbers.values(), strict=True):

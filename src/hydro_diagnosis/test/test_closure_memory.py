@@ -53,7 +53,7 @@ def test_what_a_bench_remembers_is_found_with_both_numbers(
     truth = replace(BENCH, closures=({"equation": equation, "form": form, "parameters": parameters},))
     problem = _problem(record(truth, 3))
     nothing = fit(problem, ())
-    law = closures(problem, assess(problem, nothing, nothing))[0]
+    law = next(closures(problem, assess(problem, nothing, nothing)))
     assert [claim.effect.label for claim in law.fit.claims] == [f"closure:{equation}:{form}"]
     assert not noticeable(problem, law.fit.residual)
     amplitude, shape = intervals(problem, law.fit)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import replace
 from pathlib import Path
 
@@ -29,20 +30,60 @@ BENCH = Bench.nominal()
 LIMITS = {
     "position": (0.02, 0.06), "velocity": (-0.3, 0.3), "pressure_difference": (-5e6, 5e6), "current": (-0.02, 0.02),
     "force": (-400.0, 400.0), "pressure_a": (3e6, 9e6), "pressure_b": (3e6, 9e6),
+    "past_motion": (0.0, 0.02), "past_opening": (0.0, 1e-3), "elapsed": (0.0, 0.25),
 }  # fmt: skip
+SHARES = {"saturation": -1.0, "curve": -0.1, "gain, as the coil": -0.01}
+"""Of the typical size: a valve that opens further makes this loop swing."""
 BEGINS, LENGTH = np.arange(300, 1100, 100), 40
-TERMS = [pytest.param(law, id=f"{law.equation} {law.form}") for law in grammar.ALL.values()]
+
+
+def every_part() -> list[Law]:
+    """Compositions in which each carrier and each modulation of an equation stands at least once."""
+    seen: set[tuple[str, str, str]] = set()
+    chosen = []
+    for law in sorted(grammar.COMPOSITIONS, key=lambda one: zlib.crc32(one.form.encode())):
+        carrier, _, modulation = law.form.partition(", ")
+        place = (
+            law.where
+            if law.where.startswith("load")
+            else ""
+            if law.where.startswith("h")
+            else law.equation[:8] + law.where
+        )
+        new = {(place, carrier, ""), (place, "", modulation)} - seen
+        if new:
+            seen |= new
+            chosen.append(law)
+    return chosen
+
+
+def every_table() -> list[Table]:
+    """Tables in which each variable and each factor of an equation stands at least once."""
+    seen: set[tuple[str, str]] = set()
+    chosen = []
+    for table in grammar.TABLES:
+        place = "of the load" if table.where == "load_force" else table.equation[:8]
+        new = {(place, table.variable), (place, table.factor.text if table.factor else "")} - seen
+        if new:
+            seen |= new
+            chosen.append(table)
+    return chosen
+
+
+TERMS = [pytest.param(law, id=f"{law.equation} {law.form}") for law in (*grammar.LAWS, *every_part(), *every_table())]
 
 
 def claimed(law: Law | Table) -> Claim:
     """A term at its typical size; a table goes up and down."""
     effect = closure(law, BENCH, LIMITS[law.variable] if isinstance(law, Table) else (0.0, 1.0))
     amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
-    sign = -1.0 if law.form == "saturation" else 1.0  # a valve that opens further makes this loop swing
-    sizes = {one.name: sign * one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
+    share = next((one for form, one in SHARES.items() if law.form.startswith(form)), 1.0)
+    sizes = {one.name: share * one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
     starts = effect.nothing() * 2
     placed = isinstance(law, Law) and any(number.over for number in law.numbers)
-    return Claim(effect, {**starts[1 if placed else -2], **sizes})  # a threshold that this motion passes
+    start = starts[-2 if "below a pressure" in law.form else 1 if placed else -2]  # a threshold that this motion passes
+    passed = {"threshold": 9.5e6} if law.form.endswith("a pressure of B") else {}
+    return Claim(effect, {**start, **passed, **sizes})
 
 
 def entry(claim: Claim) -> dict[str, object]:
@@ -54,7 +95,9 @@ def entry(claim: Claim) -> dict[str, object]:
 def test_simulation_and_diagnosis_mean_the_same_term(law: Law | Table) -> None:
     claim = claimed(law)
     bench = replace(BENCH, closures=(entry(claim),))
-    amplitude = 560.0 if "from A to B" in law.form else 280.0  # p_a is below p_b for the most part
+    amplitude = (
+        560.0 if "from A to B" in law.form or "driven out" in law.form else 280.0
+    )  # p_a is below p_b for the most part
     reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=0.9)
     run = simulate(
         AnalyticPlant(bench, noise=0.0), BENCH, Schedule(reference=reference, gains=(60.0, 10.0), seconds=1.2)
@@ -79,7 +122,7 @@ def test_simulation_and_diagnosis_mean_the_same_term(law: Law | Table) -> None:
         }
 
     with_it, without = apart([claim]), apart([])
-    assert max(with_it.values()) < 2e-5
+    assert max(with_it.values()) < (1e-4 if law in grammar.COMPOSITIONS else 2e-5)  # some turn round within a sample
     assert max(without[name] / with_it[name] for name in with_it) > 100.0
 
 
@@ -116,16 +159,13 @@ def test_a_closure_is_no_effect() -> None:
         replace(BENCH, effects=({"id": "closure", **made},))
 
 
-@pytest.mark.parametrize("table", [pytest.param(one, id=f"{one.equation} {one.form}") for one in grammar.TABLES])
+@pytest.mark.parametrize("table", [pytest.param(one, id=f"{one.equation} {one.form}") for one in every_table()])
 def test_a_table_is_the_same_number_by_number(table: Table) -> None:
     low, high = LIMITS[table.variable]
     over = np.linspace(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, 501)
     at = laws.Signals(velocity=np.full_like(over, 0.03), pressure_a=np.full_like(over, 2e5))
-    at = (
-        replace(at, pressure_a=over)
-        if table.variable == "pressure_difference"
-        else replace(at, **{table.variable: over})
-    )
+    name = {"pressure_difference": "pressure_a", **dict.fromkeys(tables.PASTS, "memory")}.get(table.variable)
+    at = replace(at, **{name or table.variable: over})
     values = {name: float(np.sin(k)) for k, name in enumerate(table.names[2:])}
     wanted = table.value(at, BENCH, [low, high, *values.values()])
     np.testing.assert_allclose(

@@ -68,7 +68,7 @@ def test_a_large_law_of_the_forces_hides_none_of_the_flows(record: Callable[...,
 def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law(dragged: Problem) -> None:
     nothing = fit(dragged, ())
     names = [NAMES[label] for label in ("friction_viscous", "friction_coulomb", "moving_mass")]
-    law = closures(dragged, assess(dragged, nothing, nothing), names)[0]
+    law = next(closures(dragged, assess(dragged, nothing, nothing), names))
     values = {claim.effect.label: claim.values for claim in law.fit.claims}
     assert set(values) == {DRAG, "friction_coulomb"}
     assert values["friction_coulomb"]["force"] == pytest.approx(8.0, rel=0.05)

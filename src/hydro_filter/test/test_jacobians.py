@@ -16,7 +16,7 @@ from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import STATES, state_scale
 from hydro_sim.box import force_law
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
 
 CURRENTS = (-0.04, -0.004, 0.003, 0.05)
@@ -109,7 +109,7 @@ def test_dynamics_agree_with_the_simulated_plant(bench: Bench, states: FloatArra
     constants = bench.constants()[0]
 
     def measured(y: FloatArray) -> FloatArray:
-        force, load = hydraulics.hydraulic_force(constants, y[0], y[1]), hydraulics.load_force(constants, y[2])
+        force, load = equations.hydraulic_force(bench, y[0], y[1]), equations.spring_force(bench, y[2])
         h = hydraulics.velocity_term(constants, y[2], y[3])
         force_rate = h + hydraulics.input_gain(constants, y[2], y[0], y[1], current) * current
         return np.array([force, force_rate, load, bench.spring_stiffness * y[3], *y[:4]])

@@ -11,9 +11,10 @@ import pytest
 from casadi import Function
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
-from hydro_sim.model import hydraulics, sensors
+from hydro_sim.model import equations, hydraulics, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
+from hydro_sim.model.effects import grown
 from hydro_sim.model.effects.catalogue import CATALOGUE, kind_of
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors
@@ -54,7 +55,7 @@ def wave(samples: int = 600) -> FloatArray:
 
 
 def test_every_id_of_the_diagnosis_is_simulated() -> None:
-    assert {name.split()[0] for name in CATALOGUE} == IDS
+    assert {name.split()[0] for name in CATALOGUE} == IDS | grown.IDS
 
 
 def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Bench) -> None:
@@ -64,7 +65,7 @@ def test_a_bench_without_effects_moves_as_the_force_laws_equations_say(bench: Be
     last = np.zeros(1, CONDITIONING_DTYPE)
 
     def read() -> FloatArray:
-        raw = np.array([hydraulics.hydraulic_force(constants[0], y[0], y[1]), y[4], y[0], y[1], y[2]])
+        raw = np.array([equations.hydraulic_force(bench, y[0], y[1]), y[4], y[0], y[1], y[2]])
         sensors.sense(settings[0], noise.row(), raw)
         return raw
 
@@ -182,7 +183,7 @@ def test_a_leak_evens_the_chambers_out_exponentially(bench: Bench) -> None:
     heavy = replace(bench, moving_mass=1e4, spring_stiffness=1e8, viscous_friction=1e6)
     leaking = with_effects(heavy, effect("leakage_internal", coefficient=1e-12))
     states = response(leaking, np.zeros(300))[1]
-    volume_a, volume_b = hydraulics.volumes(bench.constants()[0], 0.04)
+    volume_a, volume_b = equations.volumes(bench, 0.04)
     rest = hydraulics.rest_state(bench.constants()[0])
     rate = 1e-12 * bench.bulk_modulus * (1.0 / volume_a + 1.0 / volume_b)
     expected = (rest[0] - rest[1]) * np.exp(-rate * SAMPLE_PERIOD * np.arange(1, 301))
@@ -201,8 +202,7 @@ def test_friction_that_slides_takes_its_level_from_the_force(bench: Bench) -> No
     """Retracting against friction, f_h - b v - f_l is minus the level once the mass no longer accelerates."""
     rough = with_effects(bench, effect("friction_coulomb form=directional", force_positive=12.0, force_negative=30.0))
     y = response(rough, np.full(400, -2e-3))[1][-1]
-    constants = bench.constants()[0]
-    left = hydraulics.hydraulic_force(constants, y[0], y[1]) - 60.0 * y[3] - hydraulics.load_force(constants, y[2])
+    left = equations.hydraulic_force(bench, y[0], y[1]) - 60.0 * y[3] - equations.spring_force(bench, y[2])
     assert y[3] < -1e-3
     assert left == pytest.approx(-30.0, abs=0.2)
 
@@ -287,7 +287,7 @@ def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:
     nominal = simulate(AnalyticPlant(bench, noise=0.0), bench, schedule)
     for name in CATALOGUE:
         form = CATALOGUE[name]
-        sizes = SIZES | {"coefficient": COEFFICIENTS.get(name.split()[0], 0.0)}
+        sizes = SIZES | {"coefficient": COEFFICIENTS.get(name.split()[0], 0.0)} | GROWN.get(name, {})
         numbers = {quantity.name: sizes[quantity.name] for quantity in form.parameters}
         changed = with_effects(bench, *NEEDS.get(name, ()), effect(name, **numbers))
         assert kind_of(changed.effects[-1])[0] is form
@@ -299,6 +299,7 @@ def test_every_form_runs_in_the_loop_and_changes_it(bench: Bench) -> None:
         assert simulate(plant, bench, schedule).tobytes() == run.tobytes(), name
 
 
+GROWN = {one.id: one.seen for one in grown.EFFECTS}
 SEEN = ("load_force", "hydraulic_force", "pressure_a", "pressure_b")
 SIZES = {
     "ratio": 0.95, "current": 2e-4, "time": 2e-3, "bandwidth": 80.0, "damping": 0.8, "half_width": 2e-4,

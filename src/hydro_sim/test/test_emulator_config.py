@@ -20,7 +20,7 @@ from hydro_sim.emulator.truth.outside import Outside
 from hydro_sim.emulator.truth.parameters import compile_parameters
 from hydro_sim.excitation.schedules import Segment, load_schedule
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 CONTRACT = set(
     """

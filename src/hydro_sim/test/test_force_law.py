@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from hydro_bridge.serial.frames import INTEGRAL_FORMS
 from hydro_bridge.signals import ReferenceSignal, Waveform
 from hydro_sim.box import force_law
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -53,7 +53,7 @@ def test_error_dies_out_as_equation_q25_says(bench: Bench, form: int) -> None:
     y, integral, errors = hydraulics.rest_state(record), 0.0, []
     for _ in range(20000):
         x = np.array([0.0, 0.0, 0.0, 0.0, y[0], y[1], y[2], y[3]])
-        error = 50.0 - hydraulics.hydraulic_force(record, y[0], y[1])
+        error = 50.0 - equations.hydraulic_force(bench, y[0], y[1])
         errors.append(error)
         action = force_law.integral_action(form, integral, k_i)
         u = force_law.nominal_current(record, x, error, action, 0.0, k_p, 1.0)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from math import exp, log, pi, sqrt
+from math import copysign, exp, log, pi, sqrt
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
 
 STEP = 5e-5
@@ -36,24 +36,33 @@ def run(bench: Bench, y: FloatArray, current: float, seconds: float, step: float
     current=st.floats(-0.05, 0.05),
 )
 @settings(max_examples=200, deadline=None)
-def test_force_rate_from_the_two_pressure_equations_is_h_plus_g_u(
+def test_force_rate_from_the_two_pressure_equations_is_the_papers_h_plus_g_u(
     pressures: tuple[float, float], position: float, velocity: float, current: float
 ) -> None:
-    """The erratum: with the plus of `input_gain`, eq. q13 follows from the two mass balances."""
+    """The erratum: eq. q14, and eq. q15 with a plus, follow from the two mass balances."""
     bench = Bench.nominal()
+    flow_a, flow_b = (bench.valve_gain * copysign(sqrt(abs(drop)), drop) for drop in (
+        (bench.supply_pressure - pressures[0], pressures[1]) if current >= 0.0
+        else (pressures[0], bench.supply_pressure - pressures[1])))  # fmt: skip
+    volume_a = bench.dead_volume_a + bench.piston_area * position
+    volume_b = bench.dead_volume_b + bench.area_ratio * bench.piston_area * (bench.stroke - position)
     record = bench.constants()[0]
     rate_a, rate_b = hydraulics.pressure_rates(record, *pressures, position, velocity, current)
     derived = bench.piston_area * rate_a - bench.area_ratio * bench.piston_area * rate_b
     h = hydraulics.velocity_term(record, position, velocity)
     g = hydraulics.input_gain(record, position, *pressures, current)
     assert h + g * current == pytest.approx(derived, rel=1e-9, abs=1e-3)
+    stiffness = bench.bulk_modulus * bench.piston_area**2 * (1.0 / volume_a + bench.area_ratio**2 / volume_b)
+    assert h == pytest.approx(-stiffness * velocity, rel=1e-9)
+    flows = flow_a / volume_a + bench.area_ratio * flow_b / volume_b
+    assert g == pytest.approx(bench.bulk_modulus * bench.piston_area * flows, rel=1e-9, abs=1e-3)
 
 
 def test_with_the_printed_minus_the_gain_would_all_but_cancel(bench: Bench) -> None:
     record = bench.constants()[0]
     y = hydraulics.rest_state(record)
     gain_a, gain_b = hydraulics.flow_gains(record, y[0], y[1], 1.0)
-    volume_a, volume_b = hydraulics.volumes(record, y[2])
+    volume_a, volume_b = equations.volumes(bench, y[2])
     term_a, term_b = gain_a / volume_a, bench.area_ratio * gain_b / volume_b
     g = hydraulics.input_gain(record, y[2], y[0], y[1], 1.0)
     assert g == pytest.approx(bench.bulk_modulus * bench.piston_area * (term_a + term_b))
@@ -96,8 +105,8 @@ def test_free_piston_moves_steadily_at_the_closed_form_speed(ideal: Bench, curre
 def test_oil_that_flows_in_is_displaced_or_compressed(bench: Bench) -> None:
     record = bench.constants()[0]
     states = run(bench, hydraulics.rest_state(record), 2e-3, 0.1, step=1e-5)
-    flows = np.array([hydraulics.chamber_flows(record, y[0], y[1], 2e-3) for y in states]) * (1.0, -1.0)
-    oil = np.array([hydraulics.volumes(record, y[2]) for y in states])
+    flows = np.array([hydraulics.chamber_flows(record, y[0], y[1], 2e-3) for y in states])
+    oil = np.array([equations.volumes(bench, y[2]) for y in states])
     inflow = np.trapezoid(flows, dx=1e-5, axis=0)
     compressed = np.array([np.trapezoid(oil[:, i] / bench.bulk_modulus, states[:, i]) for i in (0, 1)])
     np.testing.assert_allclose(oil[-1] - oil[0] + compressed, inflow, rtol=1e-6)
@@ -109,12 +118,12 @@ def test_energy_is_conserved_with_a_closed_valve_and_no_friction(bench: Bench) -
     record = free.constants()[0]
     start = hydraulics.rest_state(record)
     start[3] = 0.2
-    initial = hydraulics.volumes(record, start[2])
+    initial = equations.volumes(bench, start[2])
 
     def energy(y: FloatArray) -> float:
         pressed = y[2] - free.spring_rest_position
         stored = 0.5 * free.moving_mass * y[3] ** 2 + 0.5 * free.spring_stiffness * pressed**2
-        for volume, first, pressure in zip(hydraulics.volumes(record, y[2]), initial, start[:2], strict=True):
+        for volume, first, pressure in zip(equations.volumes(bench, y[2]), initial, start[:2], strict=True):
             stored -= pressure * (volume - first) - free.bulk_modulus * (volume * log(volume / first) - volume + first)
         return float(stored)
 

@@ -17,7 +17,7 @@ from hydro_sim.identification import adam, learn, training
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.learned.region import Region
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.neural import deep, mlp, network, normalized
 from hydro_sim.neural.deep_model import DeepModel
@@ -89,7 +89,7 @@ def test_an_untrained_residual_is_the_simulated_bench(data, bench):
     chosen = DeepModel.untrained(data.training, (8, 8), 0, bench)
     y, x = hydraulics.rest_state(bench.constants()[0]), np.zeros(8)
     x[4:7] = y[:3]
-    x[0] = hydraulics.hydraulic_force(bench.constants()[0], y[0], y[1])
+    x[0] = equations.hydraulic_force(bench, y[0], y[1])
     currents = 3e-3 * np.sin(2 * np.pi * 3.0 * 1e-3 * np.arange(300))
     predicted = chosen.predict(x[None], currents[None])[0]
     for k, current in enumerate(currents):

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hydro_diagnosis.closure.selection import Closed
+from hydro_diagnosis.closure.growth import Closed
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.intervals import Interval
@@ -50,12 +50,11 @@ def admitted(
     `unseen`, `models`: the held-out recordings; `named`: `fit` of report.json with the names alone; `known`:
     what has been simulated already.
     """
-    tried: list[tuple[Closed, dict[str, Any], float | None]] = []
+    errors: dict[str, float | None] = {}
     for closed in candidates:
         held = held_out(problem, unseen, closed.fit.claims, models, known)
-        tried.append((closed, held, share_closed(named, held) if harmless(named, held) else None))
-    errors = {closed.form: share for closed, _, share in tried}
-    for closed, held, share in tried:
+        share = share_closed(named, held) if harmless(named, held) else None
+        errors[closed.form] = share
         if share is not None and share > WORTH:
             return Admitted(closed, _with_named(held, named), share, errors)
     return None

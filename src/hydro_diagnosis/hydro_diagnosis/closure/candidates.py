@@ -8,33 +8,40 @@ from copy import copy
 
 import numpy as np
 
-from hydro_diagnosis.closure.evidence import HeldOutBlocks, column
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.closure.evidence import HeldOutBlocks
+from hydro_diagnosis.closure.responses import Responses, shown
+from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.effects.path_memory import held_lag
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model import grammar
 from hydro_sim.model.laws import Law
+from hydro_sim.model.tables import SETTLING, Table
 
 INSIDE = 0.1
 """Percentiles of its variable that a table leaves out at either end."""
-QUANTILES = (0.1, 0.3, 0.5, 0.7, 0.9)
+QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
 """Of a threshold's signal: where thresholds are looked for."""
 EDGE = 0.02
 """Share of a threshold's signal that is left on either side of it."""
-PROMISING = 6
+PROMISING = 4
 """Laws that a joint search with names tries, beside names alone and beside the laws that were found first."""
 
 
 def laws(problem: Problem) -> list[Claim]:
     """Laws that these recordings can show, their thresholds within what was recorded."""
-    found = [placed for law in grammar.LAWS if (placed := _placed(law, problem)) is not None]
+    found = [placed for law in (*grammar.LAWS, *grammar.COMPOSITIONS) if (placed := _placed(law, problem)) is not None]
     return [one for effect in found for one in _nothing(effect)]
 
 
 def _placed(law: Law, problem: Problem) -> Closure | None:
     effect = closure(law, problem.bench)
+    if law.gate and _visible(effect, problem):
+        signal, side = law.gate
+        share = float(np.mean(side * _recorded(problem, signal) > 0.0))
+        return effect if EDGE < share < 1.0 - EDGE else None  # else it is the law without the gate, or nothing
     over = next((number.over for number in law.numbers if number.over), "")
     if not over or not _visible(effect, problem):
         return effect if not over and _visible(effect, problem) else None
@@ -47,7 +54,7 @@ def tables(problem: Problem) -> list[Claim]:
     found = []
     for table in grammar.TABLES:
         if _visible(closure(table, problem.bench), problem):
-            low, high = np.percentile(_recorded(problem, table.variable, table.where), [INSIDE, 100.0 - INSIDE])
+            low, high = np.percentile(_over(problem, table), [INSIDE, 100.0 - INSIDE])
             if high > low:
                 found += _nothing(closure(table, problem.bench, (float(low), float(high))))
     return found
@@ -56,22 +63,37 @@ def tables(problem: Problem) -> list[Claim]:
 _SIZES = {"speed": "velocity", "opening": "current"}
 
 
-def _recorded(problem: Problem, name: str, channel: str = "") -> FloatArray:
-    """Recorded values of a signal that laws and tables run over; `channel`: of the sensor that it is."""
-    variable = channel or _SIZES.get(name, name)
-    values = np.concatenate([variable_of(model, variable)[model.settle :] for model in problem.models])
+def _recorded(problem: Problem, name: str) -> FloatArray:
+    """Recorded values of a signal that laws and tables run over."""
+    values = np.concatenate([variable_of(model, _SIZES.get(name, name))[model.settle :] for model in problem.models])
     return np.abs(values) if name in _SIZES else values
+
+
+def _over(problem: Problem, table: Table) -> FloatArray:
+    """Recorded values of a table's variable."""
+    if table.element is None:
+        return _recorded(problem, table.where if table.variable == "force" else table.variable)
+    driver = table.element.signal
+    passed = []
+    for model in problem.models:
+        ones = np.ones_like(model.time)
+        signal = ones if driver == "time" else np.abs(variable_of(model, _SIZES[driver]))
+        passed.append(held_lag(signal, model.step, SETTLING, 0.0)[1][model.settle :])
+    return np.concatenate(passed)
+
+
+_CHANNELS = {"current": "valve_current", "position": "piston_position", "velocity": "piston_position"}
+"""Channels that signals are recorded in, if they are none themselves."""
 
 
 def _visible(effect: Closure, problem: Problem) -> bool:
     have = set.intersection(*(set(model.channels) for model in problem.models))
     law = effect.law
-    text = law.text if isinstance(law, Law) else f"{law.variable} {law.form}"
-    if law.where == "load_force" or ("p_" not in text and "pressure" not in text):
-        needed = {law.where} - {"", "edges"}
-    else:
-        needed = {"pressure_a", "pressure_b"}
-    return bool(effect.touches & set(problem.blocks)) and needed <= have
+    if isinstance(law, Table) or law.uses:
+        needed = {_CHANNELS.get(one, one) for one in law.uses} - {"time"}
+        return bool(effect.touches & set(problem.blocks)) and needed | ({law.where} - {"", "edges"}) <= have
+    pressures = {"pressure_a", "pressure_b"} if "p_" in law.text and law.where != "load_force" else set()
+    return bool(effect.touches & set(problem.blocks)) and pressures | ({law.where} - {"", "edges"}) <= have
 
 
 def _nothing(effect: Closure) -> list[Claim]:
@@ -79,11 +101,12 @@ def _nothing(effect: Closure) -> list[Claim]:
 
 
 class Candidates:
-    """Terms that may join a fit, and what each does to the residual there."""
+    """Tables that may join a fit, and what each does to the residual there, to first order."""
 
     def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
         self.terms = list(terms)
-        self.columns: list[FloatArray] = [column(problem, base, one) for one in terms]
+        ways = [Responses(problem, model, (*problem.baseline, *base.claims)) for model in problem.models]
+        self.columns: list[FloatArray] = [_columns(problem, base, ways, one) for one in terms]
 
     def without(self, label: str) -> Candidates:
         """All but the terms of one law."""
@@ -93,32 +116,17 @@ class Candidates:
 
     def gains(self, problem: Problem, base: Fit) -> tuple[FloatArray, float]:
         """Held-out deviance that each term gains, and that which there is to gain."""
-        blocks = HeldOutBlocks(problem, base, self.columns)
-        before = blocks.deviance(())
+        before = HeldOutBlocks(problem, base, ()).deviance(())
         there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
-        return before - np.array([blocks.deviance((k,)) for k in range(len(self.terms))]), there_is
+        after = [HeldOutBlocks(problem, base, [columns]).deviance((0,)) for columns in self.columns]
+        return before - np.array(after), there_is
 
-    def promising(self, problem: Problem, base: Fit) -> list[Effect]:
-        """The laws of a forward selection beside a fit, to first order: each gains most beside those before it."""
-        blocks = HeldOutBlocks(problem, base, self.columns)
-        chosen: list[int] = []
-        laws: dict[str, Effect] = {}
-        while len(laws) < PROMISING:
-            left = [k for k, one in enumerate(self.terms) if one.effect.label not in laws]
-            if not left:
-                break
-            chosen.append(min(left, key=lambda k: blocks.deviance((*chosen, k))))
-            effect = self.terms[chosen[-1]].effect
-            laws[effect.label] = effect
-        return list(laws.values())
 
-    def starts(self, best: int, gains: FloatArray) -> list[Claim]:
-        """The best term, and of a law with several further numbers the best with each other value of the first."""
-        effect = self.terms[best].effect
-        found: dict[float, Claim] = {}
-        names = [one.name for one in effect.parameters if one.smallest == 0.0]
-        for k in np.argsort(-gains):
-            one = self.terms[k]
-            if one.effect.label == effect.label and (len(names) > 1 or k == best):
-                found.setdefault(one.values[names[0]] if len(names) > 1 else 0.0, one)
-        return list(found.values())
+def _columns(problem: Problem, base: Fit, ways: Sequence[Responses], claim: Claim) -> FloatArray:
+    """Responses of the residual to a claim's amplitudes at neutral, in spans; shape (n, amplitudes)."""
+    probes = [Claim(claim.effect, {**claim.values, one.name: one.span}) for one in claim.effect.parameters
+              if one.smallest > 0.0]  # fmt: skip
+    columns = np.zeros((len(problem.layout.channel), len(probes)))
+    for channel, responses in shown(problem, base, ways, probes).items():
+        columns[problem.layout.channel == channel] = responses.T
+    return columns

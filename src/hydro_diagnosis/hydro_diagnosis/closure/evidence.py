@@ -72,16 +72,6 @@ class HeldOutBlocks:
         return float(np.sum(self._count * np.log(variance) + squares / variance))
 
 
-def column(problem: Problem, found: Fit, claim: Claim) -> FloatArray:
-    """Derivatives of the residual by a claim's amplitudes at neutral, in spans; shape (n, amplitudes)."""
-    slopes = []
-    for one in claim.effect.parameters:
-        if one.smallest > 0.0:  # the others are shapes: without an amplitude they change nothing
-            probe = Claim(claim.effect, {**claim.values, one.name: one.neutral + one.span})
-            slopes.append(problem.residual((*found.claims, probe)) - found.residual)
-    return np.column_stack(slopes) if slopes else np.zeros((len(found.residual), 0))
-
-
 def definite(problem: Problem, found: Fit, claim: Claim) -> bool:
     """Return whether each further number of a law is known, and off its bounds.
 

@@ -8,16 +8,16 @@ searched together (`together`): names that the judgement dropped may come back, 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from copy import copy
-from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.closure.candidates import Candidates, laws, tables
-from hydro_diagnosis.closure.evidence import definite
+from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
+from hydro_diagnosis.closure.growth import CONDENSED, LEAST, TERMS, Closed, count_terms, grown_by_law
+from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
-from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.effects.base import Effect
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
@@ -26,61 +26,52 @@ from hydro_diagnosis.selection.outcome import score
 from hydro_diagnosis.selection.verdict import Assessment, coincidence
 from hydro_sim.model.effects.catalogue import CLOSURES
 
-TERMS = 3
-"""Largest number of terms of a law."""
-LEAST = 0.02
-"""Share of the possible gain that a term must bring: less is mimicry of another form."""
-CONDENSED = 0.05
-"""Share of a smooth function's gain by which a law may fall short of it."""
-PATIENCE = 24
-"""Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
 
-
-@dataclass(frozen=True)
-class Closed:
-    """Names and closure estimated together."""
-
-    fit: Fit
-    form: str
-    """law or smooth."""
-    gain: float
-    """Held-out deviance that it gains over the names alone."""
-    problem: Problem
-    """The problem with the weights of the fit."""
-
-
-def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> list[Closed]:
+def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] = ()) -> Iterator[Closed]:
     """Models of the remainder, the preferred first; none where no term holds on held-out blocks.
 
-    `names`: causes that may stand beside a law though the judgement does not claim them.
+    `names`: causes that may stand beside a law though the judgement does not claim them. A smooth function is looked
+    for only where laws leave something, or are refused.
     """
     if not assessment.remainder:
-        return []
+        return
     by_law = _by_law(problem, assessment.fit, names)
     left = noticeable(by_law.problem, by_law.fit.residual)
-    below = by_law if left else Closed(assessment.fit, "smooth", 0.0, problem)
-    by_table = _by_table(below)
-    law_will_do = not left or by_law.gain >= (1.0 - CONDENSED) * by_table.gain
-    both = (by_law, by_table) if law_will_do else (by_table, by_law)
-    return [one for one in both if one.gain > 0.0]
+    if not left and by_law.gain > 0.0:
+        yield by_law
+    by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem))
+    both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)
+    yield from (one for one in (both if left else (by_table,)) if one.gain > 0.0)
 
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
-    """Laws beside the names that stand; if they leave something, names and laws that together leave nothing."""
-    tried = Candidates(problem, base, laws(problem))
-    grown, gain = _grown(problem, base, tried)
-    if gain > 0.0 and len((kept := paying(problem, grown)).claims) < len(grown.claims):
-        grown, gain = kept, held_out_gain(problem, base, kept)  # names or terms that stood for another's numbers
-    one_by_one = Closed(grown, "law", gain, problem)
-    if not names or (gain > 0.0 and not noticeable(problem, grown.residual)):
-        return one_by_one
-    likely = list({law.label: law for fitted in (base, grown) for law in tried.promising(problem, fitted)}.values())
+    """Laws and names that together leave nothing; else laws alone beside the names that stand."""
+    screen = Screen(problem, base, laws(problem))
+    beside = grown_by_law(problem, base, screen, names)
+    if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
+        return beside
+    alone = grown_by_law(problem, base, screen) if _names(beside.fit) != _names(base) else beside
+    if not names:
+        return alone
+    likely: dict[str, Effect] = {}
+    for fitted in (base, beside.fit, alone.fit):
+        likely |= {one.effect.label: one.effect for one in fitted.claims if isinstance(one.effect, Closure)}
+        likely |= {one.effect.label: one.effect for one in screen.prospects(fitted, PROMISING)[0]}
     weighed = copy(problem)  # its weights are its own, all else is shared
-    found = together(weighed, names, likely)
-    room = min(TERMS, CLOSURES - len(problem.bench.closures))
-    if noticeable(weighed, found.residual) or coincidence(found.claims) or not 0 < _terms(found) <= room:
-        return one_by_one  # where something remains, names may be there for want of what is missing: none is forced
-    return Closed(found, "law", held_out_gain(weighed, fit(weighed, base.claims), found), weighed)
+    found = together(weighed, names, list(likely.values()))
+    gain = held_out_gain(weighed, fit(weighed, base.claims), found)
+    both = Closed(found, "law", gain, weighed)
+    return both if not noticeable(weighed, found.residual) and _sound(both) else alone
+
+
+def _sound(closed: Closed) -> bool:
+    """Return whether there are as many laws as may be, and no coincidence of names."""
+    room = min(TERMS, CLOSURES - len(closed.problem.bench.closures))
+    return 0 < count_terms(closed.fit) <= room and not coincidence(closed.fit.claims)
+
+
+def _names(found: Fit) -> set[str]:
+    return {claim.effect.label for claim in found.claims if not isinstance(claim.effect, Closure)}
 
 
 def _by_table(below: Closed) -> Closed:
@@ -89,44 +80,29 @@ def _by_table(below: Closed) -> Closed:
     Names stay: a table takes the form of any of them.
     """
     problem, before = below.problem, below.fit
-    fitted = paying(problem, _grown(problem, before, Candidates(problem, before, tables(problem)))[0], names_stay=True)
+    fitted = paying(
+        problem, _grown_by_table(problem, before, Candidates(problem, before, tables(problem))), names_stay=True
+    )
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
         return Closed(before, "smooth", 0.0, problem)  # no table, or none that pays
     return Closed(fitted, "smooth", below.gain + held_out_gain(problem, before, fitted), problem)
 
 
-def _terms(found: Fit) -> int:
-    return sum(isinstance(claim.effect, Closure) for claim in found.claims)
-
-
-def _grown(problem: Problem, base: Fit, tried: Candidates) -> tuple[Fit, float]:
-    """The fit with the terms that pay, and the held-out deviance that they gain."""
-    current, gained, taken, disguised = base, 0.0, 0, 0.0
-    room = min(TERMS, CLOSURES - len(problem.bench.closures) - _terms(base))
+def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
+    """The fit with the tables that pay."""
+    current = base
+    room = min(TERMS, CLOSURES - len(problem.bench.closures) - count_terms(base))
+    taken = 0
     while taken < room and tried.terms and noticeable(problem, current.residual):
         gains, there_is = tried.gains(problem, current)
         best = int(np.argmax(gains))
-        if gains[best] < max(THRESHOLD, LEAST * there_is, (1.0 - CONDENSED) * disguised):
+        if gains[best] < max(THRESHOLD, LEAST * there_is):
             break
-        starts = tried.starts(best, gains)
-        tried = tried.without(starts[0].effect.label)
-        better = _fitted(problem, current, starts)
+        start = tried.terms[best]
+        tried = tried.without(start.effect.label)
+        better = fit(problem, (*current.claims, start))
         if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
             continue
-        if not definite(problem, better, better.claims[-1]):
-            disguised = float(gains[best])  # what gains less would stand in for the name or law that this one is
-            continue
-        gained += float(gains[best])
         taken += 1
-        current, disguised = better, 0.0
-    return current, gained
-
-
-def _fitted(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
-    """The fit with a term from the first start at which its further numbers come to be known, else from the best."""
-    fits = []
-    for start in starts:
-        fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
-        if definite(problem, fits[-1], fits[-1].claims[-1]):
-            return fits[-1]
-    return fits[0]
+        current = better
+    return current

@@ -25,7 +25,7 @@ THRESHOLD = 30.0
 """Deviance that a term must gain on held-out blocks, and any claim in evidence."""
 FORM_ERROR = SearchSettings().form_error
 """Share of the present terms' signature that an error of their form may explain: another term must explain more."""
-SETTINGS = SearchSettings(restarts=2, effort=4000)
+SETTINGS = SearchSettings(restarts=1, effort=1500)
 """Less effort than for names alone: a missing law is found first."""
 
 

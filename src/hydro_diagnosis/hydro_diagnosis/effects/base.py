@@ -63,6 +63,9 @@ class FitParameter:
 class Memory(Protocol):
     """Elements with a past, either over a whole record or one step at a time."""
 
+    beside: Mapping[str, FloatArray]
+    """What stands beside a sensor, by the names of `hydro_sim.model.laws.Signals`, where it is read."""
+
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where."""
 
@@ -234,3 +237,8 @@ class Claim:
     def to_mapping(self) -> dict[str, Any]:
         """Return the entry of corrected.yaml."""
         return {"id": self.effect.id, **self.effect.options, "parameters": dict(self.values)}
+
+
+def changes(claim: Claim, hook: str) -> bool:
+    """Whether a claim's effect acts in this hook of `Effect`."""
+    return getattr(type(claim.effect), hook) is not getattr(Effect, hook)

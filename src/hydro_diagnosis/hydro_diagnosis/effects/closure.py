@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Any
 
@@ -23,12 +24,12 @@ from hydro_diagnosis.effects.base import (
     Oil,
     Values,
 )
-from hydro_diagnosis.effects.path_memory import along, limited
+from hydro_diagnosis.effects.path_memory import along, held_lag, limited
 from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Element, Law, Number, Signals, edge_losses, sensed
-from hydro_sim.model.tables import KNOTS, Table
+from hydro_sim.model.tables import KNOTS, SETTLING, Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
@@ -76,9 +77,9 @@ class Closure(Effect):
     @property
     def element(self) -> Element | None:
         """Memory element of the term."""
-        return self.law.element if isinstance(self.law, Law) else None
+        return self.law.element
 
-    @property
+    @cached_property
     def parameters(self) -> tuple[FitParameter, ...]:  # type: ignore[override]
         law, size = self.law, self.law.typical
         names = ("coefficient",) if isinstance(law, Law) else law.names[2:]
@@ -131,6 +132,8 @@ class Closure(Effect):
         element = self.element
         if element is None:
             return at
+        if element.kind == "slow":
+            return replace(at, memory=memory.lag(self.label, self._driver(at), values.get("time", SETTLING), 0.0))
         signal = getattr(at, element.signal)
         if element.kind == "lag":
             return replace(at, memory=memory.lag(self.label, signal, values["time"]))
@@ -138,6 +141,13 @@ class Closure(Effect):
             work = np.abs(at.velocity) * (values["time"] / values["path"])
             return replace(at, memory=memory.lag(self.label, work, values["time"], 0.0))
         return replace(at, memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
+
+    def _driver(self, at: Signals) -> FloatArray:
+        """What a slow state follows."""
+        signal = self.element.signal if self.element else ""
+        if signal != "time":
+            return np.asarray(getattr(at, signal))
+        return np.ones(np.broadcast_shapes(*(np.shape(one) for one in (at.position, at.current, at.force))))
 
     def given(self, at: Signals, values: Values, bench: Bench | None = None) -> FloatArray:
         """Value of the term, in the unit of its equation."""
@@ -163,7 +173,8 @@ class FlowClosure(Closure):
 
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        out = self.given(self._remembering(Signals(oil.position, oil.velocity, *oil.pressures), memory, values), values)
+        at = Signals(oil.position, oil.velocity, *oil.pressures, oil.spool.mean(axis=-1))
+        out = self.given(self._remembering(at, memory, values), values, self.numbers)
         by_a, by_b = {"pressure": (-1.0, 1.0), "pressure_a": (-1.0, 0.0), "pressure_b": (0.0, -1.0)}[self.law.equation]
         return flows[0] + by_a * out, flows[1] + by_b * out
 
@@ -177,7 +188,7 @@ class EdgeClosure(Closure):
         assert bench is not None
         opened, closed = (np.fmax(sign * oil.spool, 0.0).mean(axis=-1) for sign in (1.0, -1.0))
         openings = bench.valve_gain * opened, bench.valve_gain * closed
-        lost = edge_losses(bench, openings, oil.pressures, lambda drop: self.given(Signals(drop=drop), values))
+        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(at, values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
 
@@ -185,7 +196,8 @@ class LoadClosure(Closure):
     """A force of the load."""
 
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
-        return force + self.given(self._remembering(Signals(motion.position), memory, values), values, bench)
+        at = Signals(motion.position, motion.velocity)
+        return force + self.given(self._remembering(at, memory, values), values, bench)
 
 
 class SensorClosure(Closure):
@@ -194,7 +206,8 @@ class SensorClosure(Closure):
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.law.where:
             return signal
-        return signal + self.given(self._remembering(sensed(channel, signal), memory, values), values)
+        at = sensed(channel, signal, memory.beside)
+        return signal + self.given(self._remembering(at, memory, values), values)
 
 
 class GaugeClosure(SensorClosure):
@@ -202,12 +215,13 @@ class GaugeClosure(SensorClosure):
 
     @property
     def curves(self) -> str:
-        return self.law.where
+        return self.law.where if self.law.where in (self.law.uses or self.law.where) else ""
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
         for _ in range(_INVERSIONS if channel == self.law.where else 0):
-            signal = reading - self.given(sensed(channel, signal), values)
+            at = sensed(channel, signal, memory.beside)
+            signal = reading - self.given(self._remembering(at, memory, values), values)
         return signal
 
 
@@ -220,6 +234,9 @@ class ValveClosure(Closure):
         at, path = Signals(current=spool), np.ascontiguousarray(spool).ravel()
         if self.element is not None and self.element.kind == "path":
             at = replace(at, memory=along(path, 1.0 / values["path"], np.ones_like(path)).reshape(spool.shape))
+        elif self.element is not None and self.element.kind == "slow":
+            warm = held_lag(self._driver(at).ravel(), substep, values.get("time", SETTLING), 0.0)[1]
+            at = replace(at, memory=warm.reshape(spool.shape))
         elif self.element is not None:
             at = replace(at, memory=limited(path, substep, values["rate"], values["time"]).reshape(spool.shape))
         return spool + self.given(at, values)

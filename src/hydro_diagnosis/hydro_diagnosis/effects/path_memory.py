@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Elements that run along a record: Dahl's, over a path, and a lag of limited rate."""
+"""Elements that run along a record: Dahl's, over a path, a lag, and a lag of limited rate."""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from scipy.signal import lfilter
+
+from hydro_bridge.signals import FloatArray
 
 
 @njit(cache=True)
@@ -40,3 +43,11 @@ def limited(signal, step, rate, time):
         mean[k] = signal[k] - np.sign(off) * area / step
         now = signal[k] - np.sign(off) * near * left
     return mean
+
+
+def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
+    """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there."""
+    decay = float(np.exp(-step / time))
+    before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[start])
+    begins = np.asarray(before, dtype=np.float64)
+    return begins, begins + (1.0 - (1.0 - decay) * time / step) * (signal - begins)

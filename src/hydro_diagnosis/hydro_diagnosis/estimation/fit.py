@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.problem import Problem
 
 
 @dataclass(frozen=True)
@@ -42,13 +42,13 @@ def spreads(problem: Problem, residual: FloatArray) -> FloatArray:
     """Mean square of each channel's residual, at least 1 (the noise), shape (5,)."""
     layout = problem.layout
     count = np.maximum(layout.count(), 1.0)
-    return np.maximum(np.bincount(layout.channel, np.square(residual), len(CHANNELS)) / count, 1.0)
+    return np.maximum(layout.squares(residual) / count, 1.0)
 
 
 def deviance(problem: Problem, residual: FloatArray) -> float:
     """-2 log likelihood up to a constant, with a channel's variance at its most likely value of 1 or more."""
     layout = problem.layout
-    squares = np.bincount(layout.channel, np.square(residual), len(CHANNELS))
+    squares = layout.squares(residual)
     variance = np.maximum(squares / np.maximum(layout.count(), 1.0), 1.0)
     return float(np.sum(layout.count() * np.log(variance) + squares / variance))
 
@@ -70,28 +70,38 @@ def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
     return tuple(claims)
 
 
-def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray) -> FloatArray:
-    """One-sided differences, towards the neutral value's far side unless a bound stands there."""
+def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, first: int = 0) -> FloatArray:
+    """One-sided differences, towards the neutral value's far side unless a bound stands there.
+
+    `first`: parameter from which on columns are computed.
+    """
     parameters, values = pack(claims)
     effects = [claim.effect for claim in claims]
-    columns = np.empty((len(residual), len(values)))
-    for k, parameter in enumerate(parameters):
+    columns = np.empty((len(residual), len(values) - first))
+    for k, parameter in enumerate(parameters[first:], first):
         step = 1e-3 * parameter.span
         if values[k] + step > parameter.high:
             step = -step
         moved = values.copy()
         moved[k] += step
-        columns[:, k] = (problem.residual(unpack(effects, moved)) - residual) * (parameter.span / step)
+        columns[:, k - first] = (problem.residual(unpack(effects, moved)) - residual) * (parameter.span / step)
     return columns
 
 
 def fit(
-    problem: Problem, claims: Sequence[Claim], *, iterations: int = 8, tolerance: float = 0.1, fixed: int | None = None
+    problem: Problem,
+    claims: Sequence[Claim],
+    *,
+    iterations: int = 8,
+    tolerance: float = 0.1,
+    fixed: int | None = None,
+    slopes: FloatArray | None = None,
 ) -> Fit:
     """Levenberg-Marquardt from the claims' values, within their bounds, until the deviance gains less than `tolerance`.
 
     Numbers that the problem estimates are fitted too, before the claims. `fixed`: index of a parameter that stays where
-    it is.
+    it is. `slopes`: the Jacobian nearby; it is then followed by secants (Broyden 1965), one residual a step, instead of
+    being computed at each.
     """
     claims = problem.with_estimated(claims)
     effects = [claim.effect for claim in claims]
@@ -101,8 +111,8 @@ def fit(
     span = np.array([parameter.span for parameter in parameters])
     residual = problem.residual(claims)
     best = deviance(problem, residual)
-    damping = 1e-4
-    slopes = jacobian(problem, claims, residual)
+    damping, secant = 1e-4, slopes is not None
+    slopes = jacobian(problem, claims, residual) if slopes is None else slopes
     for _ in range(iterations if len(values) else 0):
         weight = 1.0 / spreads(problem, residual)[problem.layout.channel]
         normal = slopes.T @ (slopes * weight[:, None])
@@ -124,8 +134,29 @@ def fit(
         if not improved:
             break
         gained, best = best - reached, reached
+        step = (trial - values) / span
+        if secant:
+            slopes = slopes + np.outer(outcome - residual - slopes @ step, step / max(float(step @ step), 1e-300))
         values, residual, damping = trial, outcome, damping * 0.1
-        slopes = jacobian(problem, unpack(effects, values), residual)
+        if not secant:
+            slopes = jacobian(problem, unpack(effects, values), residual)
         if gained < tolerance:
             break
     return Fit(unpack(effects, values), residual, slopes, best)
+
+
+def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
+    """The fit with another claim, the slopes of its parameters computed and those of `found` taken over."""
+    claims = (*found.claims, claim)
+    own = jacobian(problem, claims, problem.residual(claims), found.free)
+    return fit(problem, claims, tolerance=tolerance, slopes=np.column_stack([found.jacobian, own]))
+
+
+def without_one(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:
+    """The fit without a claim, by the slopes of `found`."""
+    counts = [len(one.effect.parameters) for one in found.claims]
+    at = found.claims.index(claim)
+    begin = sum(counts[:at])
+    slopes = np.delete(found.jacobian, range(begin, begin + counts[at]), axis=1)
+    others = (*found.claims[:at], *found.claims[at + 1 :])
+    return fit(problem, others, tolerance=tolerance, slopes=slopes)

@@ -24,6 +24,8 @@ from hydro_diagnosis.estimation.unrecorded_rows import shifts
 QUANTILE = 1.96
 SYSTEMATIC = 0.03
 """Share of a parameter's smallest size worth claiming; shapes have their own: `FitParameter.systematic`."""
+PROFILING = 4
+"""Steps by secants in which the other parameters follow a moved one."""
 _BLOCK = 0.25
 
 
@@ -123,7 +125,7 @@ def _profiled(problem: Problem, found: Fit, index: int, value: float, step: floa
     if not np.isfinite(step) or step == 0.0:
         return abs(step)
     values[index] = value + step
-    moved = fit(problem, unpack(effects, values), iterations=2, fixed=index)
+    moved = fit(problem, unpack(effects, values), iterations=PROFILING, fixed=index, slopes=found.jacobian)
     rise = moved.deviance - found.deviance
     wanted = (QUANTILE * inflation) ** 2
     return abs(step) * float(np.clip(sqrt(wanted / rise) if rise > 0.0 else 2.0, 0.5, 2.0))

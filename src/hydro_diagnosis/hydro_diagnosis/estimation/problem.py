@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -35,7 +37,25 @@ class Layout:
 
     def count(self) -> FloatArray:
         """Entries per channel, shape (5,)."""
+        return self._count
+
+    def squares(self, residual: FloatArray) -> FloatArray:
+        """Sum of each channel's squares, shape (5,)."""
+        sums = np.zeros(len(CHANNELS))
+        for index, begin, end in self._stretches:
+            part = residual[begin:end]
+            sums[index] += part @ part
+        return sums
+
+    @cached_property
+    def _count(self) -> FloatArray:
         return np.bincount(self.channel, minlength=len(CHANNELS)).astype(np.float64)
+
+    @cached_property
+    def _stretches(self) -> list[tuple[int, int, int]]:
+        """Channel, begin and end of the stretches of one channel each."""
+        edges = [0, *(np.flatnonzero(np.diff(self.channel)) + 1).tolist(), len(self.channel)]
+        return [(int(self.channel[begin]), begin, end) for begin, end in pairwise(edges)]
 
 
 class Problem:
@@ -72,6 +92,8 @@ class Problem:
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
         self._doubt: list[FloatArray] = []
+        self._deviations: dict[tuple[str, int], FloatArray | float] = {}
+        """By channel and segment: `deviation` under the present doubt, as far as asked for."""
         self._unseen: dict[tuple[str, int], FloatArray] = {}
         """By channel and segment: what the rows that are missing may hide, shape of the residuals, physical unit."""
         self.evaluations = 0
@@ -92,6 +114,7 @@ class Problem:
 
     def update_weights(self, claims: Sequence[Claim]) -> None:
         """Weigh residuals down: where these claims leave the sign of dry friction in doubt, and by missing rows."""
+        self._deviations = {}
         if MOTION in self.blocks:
             everything, reversals = (*self.baseline, *claims), sum(model.reversals for model in self.models)
             self._doubt = [model.kept(model.friction_doubt(everything, reversals)) for model in self.models]
@@ -128,6 +151,12 @@ class Problem:
 
     def deviation(self, channel: str, segment: int) -> FloatArray | float:
         """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
+        key = channel, segment
+        if key not in self._deviations:
+            self._deviations[key] = self._deviation(channel, segment)
+        return self._deviations[key]
+
+    def _deviation(self, channel: str, segment: int) -> FloatArray | float:
         deviation: FloatArray | float = self._noises[segment][channel]
         if channel == "motion":
             deviation = np.hypot(deviation, self._doubt[segment])
@@ -136,6 +165,14 @@ class Problem:
         if (channel, segment) in self._unseen:
             return np.asarray(np.maximum(deviation, self._unseen[channel, segment]))
         return deviation
+
+    def deviations(self) -> FloatArray:
+        """`deviation` of every residual in the order of `layout`."""
+        layout, found = self.layout, np.empty(len(self.layout.time))
+        for name in (CHANNELS[index] for index in np.unique(layout.channel)):
+            for k in range(len(self.models)):
+                found[(layout.channel == CHANNELS.index(name)) & (layout.segment == k)] = self.deviation(name, k)
+        return found
 
     def with_estimated(self, claims: Sequence[Claim]) -> tuple[Claim, ...]:
         """The claims, before them the estimated numbers that are not among them."""
@@ -173,11 +210,11 @@ class Problem:
     def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
         acting = tuple(claim for claim in claims if block in claim.effect.touches)
         key = (block, *((claim.effect.label, *claim.values.values()) for claim in acting))
-        if key not in self._cache:
-            if len(self._cache) > _CACHE:
-                self._cache.pop(next(iter(self._cache)))
-            self._cache[key] = [compute(model, acting) for model in self.models]
-        return self._cache[key]
+        found = self._cache.pop(key, None) or [compute(model, acting) for model in self.models]
+        if len(self._cache) > _CACHE:
+            self._cache.pop(next(iter(self._cache)))
+        self._cache[key] = found  # the one that was asked for longest ago goes first
+        return found
 
     @staticmethod
     def _pressure(model: SegmentModel, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -13,7 +13,8 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model import equations as eq
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 UNIT_SIZE = {"pressure_a": 1e-7, "pressure_b": 1e-7, "actuation": 1e-4, "motion": 1.0, "load": 1.0}
 """Scale of the basis functions, so that columns are of similar length."""
@@ -33,15 +34,10 @@ class Responses:
             for model, bench in zip(problem.models, self._benches, strict=True):
                 oil = model.oil(everything)
                 self._stiff.append(chambers.compliances(bench, oil, everything))
-                p_a, p_b = oil.pressures
-                root, p_s, p_t, opened = (
-                    chambers.signed_root,
-                    bench.supply_pressure,
-                    bench.tank_pressure,
-                    oil.spool.mean(axis=-1) >= 0,
-                )
-                self._roots.append((np.where(opened, root(p_s - p_a), root(p_a - p_t)), np.where(opened, root(p_b -
-                p_t), root(p_s - p_b))))  # fmt: skip
+                opened = oil.spool.mean(axis=-1) >= 0
+                drops = zip(*eq.edge_drops(bench.supply_pressure, bench.tank_pressure, *oil.pressures), strict=True)
+                root_a, root_b = (eq.signed_root(np.where(opened, out, back)) for out, back in drops)
+                self._roots.append((root_a, root_b))
 
     @property
     def visible(self) -> bool:
@@ -72,7 +68,7 @@ class Responses:
         if self.equation in ("pressure_a", "pressure_b", "actuation"):
             return self._chambers(k, model, hidden)
         if self.equation == "motion":
-            return {"motion": -model.kept(model.finish(hidden))}
+            return {"motion": -model.kept_finish(hidden)}
         if self.equation == "load":
             return self._load(k, model, hidden)
         return self._sensor(k, model, hidden)
@@ -87,15 +83,15 @@ class Responses:
             if self.equation == "actuation":
                 flow = flow * self._benches[k].valve_gain * self._roots[k][index] * (1.0 if index == 0 else -1.0)
             built = np.concatenate([[0.0], np.cumsum((self._stiff[k][index] * flow)[:-1])])
-            shown[name] = -model.kept(model.smooth(forget(built, model.step)))
+            shown[name] = -model.kept_smooth(forget(built, model.step))
         return shown
 
     def _load(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
         bandwidth = self._benches[k].load_cell_bandwidth
         seen = hidden if bandwidth is None else model.memory.low_pass("", hidden, bandwidth, LOAD_CELL_DAMPING)
-        shown = {"load": -model.kept(model.smooth(seen))}
+        shown = {"load": -model.kept_smooth(seen)}
         if "motion" in self.problem.blocks:
-            shown["motion"] = -model.kept(model.finish(hidden))
+            shown["motion"] = -model.kept_finish(hidden)
         return shown
 
     def _sensor(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:
@@ -103,12 +99,12 @@ class Responses:
         means = model.means(hidden)
         area = self._benches[k].piston_area
         if self.sensor == "load_force":
-            return {"load": model.kept(model.smooth(hidden))}
+            return {"load": model.kept_smooth(hidden)}
         if self.sensor == "hydraulic_force":
-            shown["motion"] = model.kept(model.smooth(hidden))
+            shown["motion"] = model.kept_smooth(hidden)
             shown["hydraulic"] = means
         else:
-            shown[self.sensor] = model.kept(model.smooth(forget(hidden, model.step))) * 1e4
+            shown[self.sensor] = model.kept_smooth(forget(hidden, model.step)) * 1e4
             share = 1.0 if self.sensor == "pressure_a" else -self._benches[k].area_ratio
             shown["hydraulic"] = -area * share * means * 1e4
         present = {CHANNELS[index] for index in np.unique(self.problem.layout.channel)}

@@ -8,8 +8,9 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+import numpy.typing as npt
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Values
 from hydro_diagnosis.estimation.fit import Fit, deviance, spreads
 from hydro_diagnosis.estimation.problem import Problem
 
@@ -20,6 +21,25 @@ class Prospect:
 
     claim: Claim
     gain: float
+
+
+class Signatures:
+    """Changes of the residual by the candidates at their starts, kept for claims that differ by a few.
+
+    What a candidate does depends little on the other claims: to rank candidates, not to fit them, it may be old.
+    """
+
+    def __init__(self) -> None:
+        self._seen: dict[tuple[object, ...], npt.NDArray[np.float32]] = {}
+
+    def of(self, problem: Problem, fit: Fit, claim: Claim, deviations: FloatArray) -> FloatArray:
+        """A candidate's signature beside a fit, over the residuals' present `deviations`."""
+        key = (claim.effect.label, *claim.values.values())
+        if key not in self._seen:
+            signature = problem.residual((*fit.claims, claim)) - fit.residual
+            self._seen[key] = (signature * deviations).astype(np.float32)
+            return signature
+        return self._seen[key] / deviations
 
 
 def allowed(library: Sequence[Effect], claims: Sequence[Claim], blocks: Sequence[str]) -> Iterator[Effect]:
@@ -37,14 +57,21 @@ def cause(effect: Effect) -> tuple[str, ...]:
     return (effect.id, *(f"{key}={value}" for key, value in telling.items()))
 
 
-def screen(problem: Problem, fit: Fit, library: Sequence[Effect]) -> list[Prospect]:
-    """Prospects, the most promising first."""
+def screen(
+    problem: Problem, fit: Fit, library: Sequence[Effect], signatures: Signatures | None = None
+) -> list[Prospect]:
+    """Prospects, the most promising first; `signatures` that are known already are not computed again."""
     weight = np.sqrt(1.0 / spreads(problem, fit.residual))[problem.layout.channel]
     basis = _basis(fit.jacobian * weight[:, None])
     left = _without(basis, fit.residual * weight)
+    known, deviations = signatures or Signatures(), problem.deviations()
     prospects = []
     for effect in allowed(library, fit.claims, problem.blocks):
-        looks = [_look(problem, fit, effect, start, weight, basis, left) for start in _starts(effect)]
+        looks = []
+        for start in _starts(effect):
+            claim = Claim(effect, start)
+            direction = _without(basis, known.of(problem, fit, claim, deviations) * weight)
+            looks.append(_look(problem, claim, direction, weight, left))
         prospects.append(max(looks, key=lambda prospect: prospect.gain))
     return sorted(prospects, key=lambda prospect: -prospect.gain)
 
@@ -66,26 +93,17 @@ def _starts(effect: Effect) -> Iterator[dict[str, float]]:
         yield dict(zip(names, values, strict=True))
 
 
-def _look(
-    problem: Problem,
-    fit: Fit,
-    effect: Effect,
-    start: dict[str, float],
-    weight: FloatArray,
-    basis: FloatArray,
-    left: FloatArray,
-) -> Prospect:
-    outcome = problem.residual((*fit.claims, Claim(effect, start)))
-    direction = _without(basis, (outcome - fit.residual) * weight)
-    power = float(direction @ direction)
+def _look(problem: Problem, claim: Claim, direction: FloatArray, weight: FloatArray, left: FloatArray) -> Prospect:
+    effect, power = claim.effect, float(direction @ direction)
     if power <= 1e-12:
-        return Prospect(Claim(effect, start), 0.0)
+        return Prospect(claim, 0.0)
     amount = -float(direction @ left) / power
     amount = min(amount, 3.0 if len(effect.parameters[0].probes) > 1 else 100.0)
     if amount <= 0.0 and _bounded(effect):
-        return Prospect(Claim(effect, start), 0.0)
+        return Prospect(claim, 0.0)
     reached = deviance(problem, (left + amount * direction) / weight)
-    return Prospect(Claim(effect, _moved(effect, start, amount)), deviance(problem, left / weight) - reached)
+    moved = Claim(effect, _moved(effect, claim.values, amount))
+    return Prospect(moved, deviance(problem, left / weight) - reached)
 
 
 def _bounded(effect: Effect) -> bool:
@@ -93,7 +111,7 @@ def _bounded(effect: Effect) -> bool:
     return main.neutral in (main.low, main.high)
 
 
-def _moved(effect: Effect, start: dict[str, float], amount: float) -> dict[str, float]:
+def _moved(effect: Effect, start: Values, amount: float) -> dict[str, float]:
     """Starting values: amplitudes scaled by what the first-order look suggests, shapes as probed."""
     moved = dict(start)
     for parameter in effect.parameters:

@@ -45,12 +45,18 @@ def next_recording(problem: Problem, outcome: Outcome, assessment: Assessment) -
         return None
     label, rival = pair
     names = [label.split(":")[0], rival.claims[-1].effect.id]
-    gains = [(expected_gain(problem, reference, assessment.fit, rival), reference) for reference in catalog()]
+    alike = f"{names[0]} and {names[1]} explain these recordings alike"
+    return proposal(problem, assessment.fit, rival, names, alike)
+
+
+def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike: str) -> dict[str, Any]:
+    """The reference of the catalog on which two fits differ most; `alike`: how near they are, without a full stop."""
+    gains = [(expected_gain(problem, reference, claimed, rival), reference) for reference in catalog()]
     gain, reference = max(gains, key=lambda one: one[0])
     if gain < CLOSE:
         why = f"No reference tells {names[0]} from {names[1]} on this bench: another sensor or a known load would."
         return {"why": why, "separates": names, "reference": None, "expected_gain": gain}
-    why = f"{names[0]} and {names[1]} explain these recordings alike; on this reference they differ most."
+    why = f"{alike}; on this reference they differ most, by {gain**0.5:.3g} standard deviations of the noise."
     return {"why": why, "separates": names, "reference": _as_mapping(reference), "expected_gain": gain}
 
 

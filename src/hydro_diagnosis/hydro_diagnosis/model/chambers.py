@@ -13,7 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Memory, Oil, Openings
+from hydro_diagnosis.effects.base import Claim, FloatArray, Memory, Oil, Openings, changes
+from hydro_diagnosis.model import kernels
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 
 SUBSTEPS = 4
@@ -23,13 +25,7 @@ _FIRST_MOMENT = (0.5 - (np.arange(SUBSTEPS) + 0.5) / SUBSTEPS) / SUBSTEPS
 
 def moves_spool(claim: Claim) -> bool:
     """Whether a claim acts between the current and the edges, where a sample's command need not stay constant."""
-    return type(claim.effect).command is not Effect.command
-
-
-def signed_root(drop: FloatArray) -> FloatArray:
-    """Odd square root: flow reverses with the pressure drop."""
-    root: FloatArray = np.copysign(np.sqrt(np.abs(drop)), drop)
-    return root
+    return changes(claim, "command")
 
 
 def nominal_openings(bench: Bench, spool: FloatArray) -> Openings:
@@ -56,39 +52,52 @@ def spool_position(current: FloatArray, substep: float, claims: Sequence[Claim])
 
 def net_flows(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[FloatArray, FloatArray]:
     """Flow [m3/s] into chamber A and into chamber B, leaks included."""
-    edges = nominal_openings(bench, oil.spool)
-    for claim in claims:
-        edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
-    p_a, p_b = oil.pressures
-    supply = np.full_like(p_a, bench.supply_pressure)
-    sagging = [claim for claim in claims if type(claim.effect).supply is not Effect.supply]
-    for _ in range(3 if sagging else 0):
-        demand = edges.supply_a * signed_root(supply - p_a) + edges.supply_b * signed_root(supply - p_b)
-        supply = np.full_like(p_a, bench.supply_pressure)
-        for claim in sagging:
-            supply = claim.effect.supply(supply, demand, memory, claim.values)
-    tank = bench.tank_pressure
-    into_a = edges.supply_a * signed_root(supply - p_a) - edges.a_tank * signed_root(p_a - tank)
-    into_b = edges.supply_b * signed_root(supply - p_b) - edges.b_tank * signed_root(p_b - tank)
-    flows = into_a, into_b
+    tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
+    flows = np.empty_like(p_a), np.empty_like(p_b)
+    if any(changes(claim, "openings") or changes(claim, "supply") for claim in claims):
+        edges, supply = _fed(bench, oil, claims, memory)
+        openings = edges.supply_a, edges.a_tank, edges.supply_b, edges.b_tank
+        kernels.edge_flows(*flows, *openings, p_a, p_b, supply, tank)
+    else:
+        kernels.nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, tank)
     for claim in claims:
         flows = claim.effect.flows(flows, oil.pressures, tank, claim.values)
         flows = claim.effect.inflows(flows, oil, memory, claim.values)
     return flows
 
 
+def _fed(bench: Bench, oil: Oil, claims: Sequence[Claim], memory: Memory) -> tuple[Openings, FloatArray]:
+    """The valve's edges and the supply pressure [Pa] under the claims."""
+    edges = nominal_openings(bench, oil.spool)
+    for claim in claims:
+        edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
+    p_a, p_b = oil.pressures
+    supply = np.full_like(p_a, bench.supply_pressure)
+    sagging = [claim for claim in claims if changes(claim, "supply")]
+    for _ in range(3 if sagging else 0):
+        (drop_a, _), (_, drop_b) = eq.edge_drops(supply, bench.tank_pressure, p_a, p_b)
+        demand = edges.supply_a * eq.signed_root(drop_a) + edges.supply_b * eq.signed_root(drop_b)
+        supply = np.full_like(p_a, bench.supply_pressure)
+        for claim in sagging:
+            supply = claim.effect.supply(supply, demand, memory, claim.values)
+    return edges, supply
+
+
 def compliances(bench: Bench, oil: Oil, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
     """beta/V [Pa/m3] of both chambers."""
-    moduli = []
-    for pressure in oil.pressures:
-        modulus = np.full_like(pressure, bench.bulk_modulus)
-        for claim in claims:
-            modulus = claim.effect.stiffness(modulus, pressure, claim.values)
-        moduli.append(modulus)
-    area = bench.piston_area
-    volume_a = bench.dead_volume_a + area * oil.position
-    volume_b = bench.dead_volume_b + bench.area_ratio * area * (bench.stroke - oil.position)
-    return moduli[0] / volume_a, moduli[1] / volume_b
+    softer = [claim for claim in claims if changes(claim, "stiffness")]
+    moduli: list[FloatArray | float] = [bench.bulk_modulus, bench.bulk_modulus]
+    if softer:
+        moduli = [_modulus(bench, pressure, softer) for pressure in oil.pressures]
+    stiff: tuple[FloatArray, FloatArray] = eq.stiffnesses(bench, (moduli[0], moduli[1]), oil.position)
+    return stiff
+
+
+def _modulus(bench: Bench, pressure: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+    modulus = np.full_like(pressure, bench.bulk_modulus)
+    for claim in claims:
+        modulus = claim.effect.stiffness(modulus, pressure, claim.values)
+    return modulus
 
 
 @dataclass(frozen=True)
@@ -107,16 +116,11 @@ def force_arc(
     bench: Bench, oil: Oil, stiff: tuple[FloatArray, FloatArray], acceleration: FloatArray, step: float
 ) -> FloatArray:
     """dt times the integral of f_h'(s) (1/2 - s) over a sample, s from 0 to 1 (Euler-Maclaurin) [N], shape (n,)."""
-    gain, (p_a, p_b), alpha = bench.valve_gain, oil.pressures, bench.area_ratio
     moment = _FIRST_MOMENT if oil.spool.shape[-1] == SUBSTEPS else np.zeros(1)
-    positive = np.maximum(oil.spool, 0.0) @ moment
-    negative = positive - oil.spool @ moment
-    root, p_s, p_t = signed_root, bench.supply_pressure, bench.tank_pressure
-    flow_a = gain * (positive * root(p_s - p_a) - negative * root(p_a - p_t))
-    flow_b = gain * (negative * root(p_s - p_b) - positive * root(p_b - p_t))
-    swept = -bench.piston_area * acceleration * step / 12.0
-    rate = stiff[0] * (flow_a - swept) - alpha * stiff[1] * (flow_b + alpha * swept)
-    per_interval = bench.piston_area * rate * step
+    flows = kernels.first_moments(
+        bench.valve_gain, moment, oil.spool, *oil.pressures, bench.supply_pressure, bench.tank_pressure
+    )
+    per_interval = eq.force_rate(bench, stiff, flows, -acceleration * step / 12.0) * step
     around: FloatArray = 0.5 * (per_interval + np.concatenate([per_interval[:1], per_interval[:-1]]))
     return around
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.ndimage import distance_transform_edt
 from scipy.special import ndtr
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, changes
 from hydro_diagnosis.effects.friction import SLIP_VELOCITY
 from hydro_diagnosis.model.segment_record import SegmentRecord
 from hydro_diagnosis.preprocessing.smoothing import KINEMATIC_WIDTH
@@ -49,23 +49,30 @@ class ForceBalance(SegmentRecord):
         piston passes within milliseconds would read a quarter too small.
         """
         force = np.zeros_like(self.x)
-        dry = any(type(claim.effect).drag is not Effect.drag for claim in claims)
+        dry = any(changes(claim, "drag") for claim in claims)
         if not dry or any(claim.effect.bristles for claim in claims):
             return force
-        for node, weight in _GAUSS_HERMITE:
-            velocity = self.v + node * KINEMATIC_WIDTH * self.spacing * self.step * self.a
-            force += weight * self.dry_friction_level(claims, velocity) * np.tanh(velocity / SLIP_VELOCITY)
+        for weight, velocity, sign in self._seen_velocities:
+            force += weight * self.dry_friction_level(claims, velocity) * sign
         return force
 
-    def force_on_rod(self, claims: Sequence[Claim]) -> FloatArray:
-        """Hydraulic force [N] that the recorded motion needs, at the total width."""
+    @cached_property
+    def _seen_velocities(self) -> tuple[tuple[float, FloatArray, FloatArray], ...]:
+        """Weight, velocity [m/s] and its smoothed sign at each node of the first Gaussian."""
+        width = KINEMATIC_WIDTH * self.spacing * self.step
+        nodes = ((weight, self.v + node * width * self.a) for node, weight in _GAUSS_HERMITE)
+        return tuple((weight, velocity, np.tanh(velocity / SLIP_VELOCITY)) for weight, velocity in nodes)
+
+    def required_force(self, claims: Sequence[Claim]) -> FloatArray:
+        """Hydraulic force [N] that the recorded motion needs, as the first Gaussian sees it."""
         bench = self.bench(claims)
-        level = self.dry_friction_level(claims)
         force = self.dry_friction(claims)
-        for claim in claims:
+        resisting = [claim for claim in claims if changes(claim, "resistance")]
+        level = self.dry_friction_level(claims) if resisting else force
+        for claim in resisting:
             force = claim.effect.resistance(force, level, self.kinematics, self.memory, claim.values)
         inertia = bench.moving_mass * self.a + bench.viscous_friction * self.v
-        return self.finish(inertia + force + self.spring_force(bench, claims, self.kinematics))
+        return inertia + force + self.spring_force(bench, claims, self.kinematics)
 
     def friction_doubt(self, claims: Sequence[Claim], reversals: int = 1) -> FloatArray:
         """Standard deviation [N] of the dry friction, because the velocity near standstill is only known so well.

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
@@ -12,24 +13,23 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.effects.path_memory import along
+from hydro_diagnosis.effects.path_memory import along, held_lag
 
 
 class RecordMemory:
     """Memory over a record that is sampled every `step` seconds; it starts in equilibrium with the first sample."""
 
-    def __init__(self, step: float) -> None:
+    def __init__(self, step: float, beside: Mapping[str, FloatArray] | None = None) -> None:
         self.step = step
+        self.beside = beside or {}
         self.traces: dict[str, FloatArray] = {}
         """The states that were passed, for simulations that start along the record."""
 
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         """See `Memory.lag`; the signal is held between samples, the outcome is the mean over each sample."""
-        decay = float(np.exp(-self.step / time_constant))
-        before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[signal[0] if start is None else start])
-        self.traces[key] = np.asarray(before, dtype=np.float64)
-        share = 1.0 - (1.0 - decay) * time_constant / self.step
-        return self.traces[key] + share * (signal - self.traces[key])
+        begin = float(signal[0]) if start is None else start
+        self.traces[key], mean = held_lag(signal, self.step, time_constant, begin)
+        return mean
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """See `Memory.low_pass`; the signal is a straight line between samples."""
@@ -62,6 +62,7 @@ class StepMemory:
 
     def __init__(self, step: float) -> None:
         self.step = step
+        self.beside: Mapping[str, FloatArray] = {}
         self._states: dict[str, FloatArray] = {}
         self._next: dict[str, FloatArray] = {}
 

@@ -4,21 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Oil
-from hydro_diagnosis.model import chambers
+from hydro_diagnosis.effects.base import Claim, FloatArray, Oil, changes
+from hydro_diagnosis.model import chambers, kernels
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.segment_record import SegmentRecord
 from hydro_diagnosis.preprocessing.white_noise import white_noise
 from hydro_diagnosis.recording import Segment
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 
 Kept = TypeVar("Kept")
-SHELF = 8
+SHELF = 10
 """Largest number of intermediate results that a segment keeps."""
 HASTENED = 3
 """Iterations between the pressures behind lagging sensors and the flows that they drive."""
@@ -39,8 +41,8 @@ class ChamberObserver(SegmentRecord):
 
     def oil(self, claims: Sequence[Claim]) -> Oil:
         """Middle of each sample interval: the last interval repeats, so that lengths stay n."""
-        moving = [claim for claim in claims if chambers.moves_spool(claim)]
-        sensing = [claim for claim in claims if type(claim.effect).unmeasure is not Effect.unmeasure]
+        moving = sorted(filter(chambers.moves_spool, claims), key=lambda claim: claim.effect.stage)
+        sensing = [claim for claim in claims if changes(claim, "unmeasure")]
         spool = self._kept_back("spool", moving, self._spool)
         p_a, p_b = self._kept_back("pressures", sensing, self._middle_pressures)
         position = self._kept_back("position", (), self._middle_position)
@@ -48,7 +50,17 @@ class ChamberObserver(SegmentRecord):
         return Oil(self.time, position, (p_a, p_b), spool, velocity)
 
     def _spool(self, claims: Sequence[Claim]) -> FloatArray:
-        return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, claims)
+        """Each claim's spool is kept back, so that what comes later in the command's path begins there."""
+        if not claims:
+            return chambers.spool_position(self.channels["valve_current"], self.step / chambers.SUBSTEPS, ())
+        *before, last = claims
+        spool = self._kept_back("spool", before, self._spool) if before else self._held_current
+        return last.effect.command(spool, self.step / chambers.SUBSTEPS, last.values)
+
+    @cached_property
+    def _held_current(self) -> FloatArray:
+        """A, shape (n, substeps)."""
+        return np.repeat(self.channels["valve_current"][:, None], chambers.SUBSTEPS, axis=1)
 
     def _middle_pressures(self, claims: Sequence[Claim]) -> tuple[FloatArray, FloatArray]:
         p_a, p_b = (chambers.middle(self.true_signal("pressure_" + chamber, claims)) for chamber in "ab")
@@ -60,11 +72,10 @@ class ChamberObserver(SegmentRecord):
     def _kept_back(self, what: str, claims: Sequence[Claim], compute: Callable[[Sequence[Claim]], Kept]) -> Kept:
         """Return the result for these claims, computed once as long as only others change."""
         key = (what, *((claim.effect.label, *claim.values.values()) for claim in claims))
-        if key not in self._shelf:
-            if len(self._shelf) >= SHELF:
-                self._shelf.pop(next(iter(self._shelf)))
-            self._shelf[key] = compute(claims)
-        found: Kept = self._shelf[key]
+        found: Kept = self._shelf.pop(key) if key in self._shelf else compute(claims)
+        if len(self._shelf) >= SHELF:
+            self._shelf.pop(next(iter(self._shelf)))
+        self._shelf[key] = found  # the one that was asked for longest ago goes first
         return found
 
     def chamber_run(self, claims: Sequence[Claim]) -> ChamberRun:
@@ -80,7 +91,7 @@ class ChamberObserver(SegmentRecord):
             self._innovation(channel, built, claims)
             for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
         )
-        force = bench.piston_area * (built_a - bench.area_ratio * built_b)
+        force = eq.hydraulic_force(bench, built_a, built_b)
         arc = chambers.force_arc(bench, oil, stiff, self.a, self.step)
         return ChamberRun((innovations[0], innovations[1]), arc, force)
 
@@ -89,12 +100,14 @@ class ChamberObserver(SegmentRecord):
     ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""
         into_a, into_b = chambers.net_flows(bench, oil, claims, self.memory)
-        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
+        stiff = chambers.compliances(bench, oil, claims)
+        return stiff, eq.pressure_rates(bench, stiff, (into_a * self.step, into_b * self.step), self._moved)
+
+    @cached_property
+    def _moved(self) -> FloatArray:
+        """Change [m] of the position from each sample to the next."""
         position = self.channels["piston_position"]
-        swept = bench.piston_area * np.diff(position, append=position[-1])
-        built_a = stiff_a * (into_a * self.step - swept)
-        built_b = stiff_b * (into_b * self.step + bench.area_ratio * swept)
-        return (stiff_a, stiff_b), (built_a, built_b)
+        return np.diff(position, append=position[-1])
 
     def _hastened(self, oil: Oil, built: tuple[FloatArray, FloatArray], claims: Sequence[Claim]) -> Oil:
         """The oil with pressures behind lagging sensors: what the lag swallows is taken from the pressure built."""
@@ -113,9 +126,11 @@ class ChamberObserver(SegmentRecord):
         if curved:  # an integral has lost its level, so a curve's slope is taken where the reading says that it is
             built = built * self._slope(channel, claims, curved)
             claims = [claim for claim in claims if claim.effect.curves != channel]
+        gain = self.step / OBSERVER_MEMORY
+        if not any(changes(claim, "measure") for claim in claims):
+            return np.asarray(kernels.innovations(self.channels[channel], built, gain))
         integral = np.concatenate([[0.0], np.cumsum(built[:-1])])
         unexplained = self.channels[channel] - self.reading(channel, integral, claims)
-        gain = self.step / OBSERVER_MEMORY
         start = float(np.mean(unexplained[:10]))
         followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], unexplained, zi=[start])
         return unexplained - np.asarray(followed)
@@ -132,13 +147,16 @@ class ChamberObserver(SegmentRecord):
         Displacement and flow are only so well timed, and the flows are computed from pressures with `noise` [Pa].
         """
         bench = self.base
-        timing = (
-            bench.bulk_modulus * bench.piston_area / bench.dead_volume_a * TIMING_DOUBT * self.smooth(np.abs(self.v))
-        )
+        timing = self._stiffest(0) * bench.piston_area * TIMING_DOUBT * self.smooth(np.abs(self.v))
         a, b = (
             self.kept(np.hypot(timing, self._flow_doubt(chamber, noise["pressure_" + chamber]))) for chamber in "ab"
         )
         return a, b
+
+    def _stiffest(self, chamber: int) -> float:
+        """beta/V [Pa/m3] of a chamber whose end the piston touches."""
+        bench, moduli = self.base, (self.base.bulk_modulus, self.base.bulk_modulus)
+        return float(eq.stiffnesses(bench, moduli, 0.0 if chamber == 0 else bench.stroke)[chamber])
 
     def _flow_doubt(self, chamber: str, noise: float) -> FloatArray:
         """Standard deviation [Pa] of a pressure that the noise of its own reading has built by way of the flow."""
@@ -147,10 +165,10 @@ class ChamberObserver(SegmentRecord):
         fed = current > 0.0 if chamber == "a" else current < 0.0
         drop = np.abs(np.where(fed, bench.supply_pressure - pressure, pressure - bench.tank_pressure))
         gain = bench.valve_gain * np.abs(current) / (2.0 * np.sqrt(np.maximum(drop, noise)))
-        volume = bench.dead_volume_a if chamber == "a" else bench.dead_volume_b
-        built = np.square(bench.bulk_modulus / volume * gain * noise * self.step)  # neighbours share a reading
+        stiff = self._stiffest("ab".index(chamber))
+        built = np.square(stiff * gain * noise * self.step)  # neighbours share a reading
         if self.spacing > 1:
-            per_ampere = bench.bulk_modulus / volume * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * self.step
+            per_ampere = stiff * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * self.step
             built = built + np.square(per_ampere) * self._hidden_current()
         kept = (1.0 - self.step / OBSERVER_MEMORY) ** 2
         return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))

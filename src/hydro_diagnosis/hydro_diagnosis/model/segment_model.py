@@ -13,14 +13,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 from scipy.ndimage import correlate1d
 
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray, changes
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.forces import ForceBalance
 from hydro_diagnosis.model.observer import ChamberObserver
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 
 class SegmentModel(ChamberObserver, ForceBalance):
@@ -28,32 +29,44 @@ class SegmentModel(ChamberObserver, ForceBalance):
 
     def pressure_residuals(self, run: ChamberRun) -> tuple[FloatArray, FloatArray]:
         """Pa, decimated."""
-        a, b = (self.kept(self.smooth(innovation)) for innovation in run.innovations)
+        a, b = (self.kept_smooth(innovation) for innovation in run.innovations)
         return a, b
 
     def motion_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated, without the arc."""
+        required = self.required_force(claims)
         if "hydraulic_force" in self.channels:
-            measured = self.channels["hydraulic_force"]
-            needed = self.reading("hydraulic_force", self.force_on_rod(claims), claims)
-        else:
-            bench = self.bench(claims)
-            p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
-            measured = bench.piston_area * (p_a - bench.area_ratio * p_b)
-            needed = self.force_on_rod(claims)
-        return self.kept(self.smooth(measured) - needed)
+            return self._measured_force - self._shown_force(required, claims)
+        bench = self.bench(claims)
+        p_a, p_b = (self.true_signal("pressure_" + chamber, claims) for chamber in "ab")
+        measured = bench.piston_area * (p_a - bench.area_ratio * p_b)
+        return self.kept_smooth(measured) - self.kept_finish(required)
+
+    @cached_property
+    def _measured_force(self) -> FloatArray:
+        return self.kept_smooth(self.channels["hydraulic_force"])
+
+    def _shown_force(self, required: FloatArray, claims: Sequence[Claim]) -> FloatArray:
+        """Reading [N] of the cell at the rod for a force, decimated."""
+        if not any(changes(claim, "measure") for claim in claims):
+            return self.kept_finish(required)
+        return self.kept(self.reading("hydraulic_force", self.finish(required), claims, smoothed=True))
 
     def arc_residual(self, run: ChamberRun) -> FloatArray:
         """N, decimated: by how much the mean of f_h around each sample exceeds the sample.
 
         Straight lines between the samples (second differences over 12), and the arcs upon them.
         """
+        return self.kept_smooth(run.arc) + self._lines_arc
+
+    @cached_property
+    def _lines_arc(self) -> FloatArray:
+        """N, decimated: what straight lines between the samples of f_h exceed them by."""
         bench, channels = self.base, self.channels
         force = channels.get("hydraulic_force")
         if force is None:
             force = bench.piston_area * (channels["pressure_a"] - bench.area_ratio * channels["pressure_b"])
-        lines = correlate1d(force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest")
-        return self.kept(self.smooth(run.arc + lines))
+        return self.kept_smooth(correlate1d(force, (1.0 / 12.0, -2.0 / 12.0, 1.0 / 12.0), mode="nearest"))
 
     def load_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, decimated."""
@@ -61,7 +74,7 @@ class SegmentModel(ChamberObserver, ForceBalance):
         force = self.spring_force(bench, claims, self.recorded)
         if bench.load_cell_bandwidth is not None:
             force = self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
-        return self.kept(self.smooth(self.channels["load_force"] - self.reading("load_force", force, claims)))
+        return self.kept_smooth(self.channels["load_force"] - self.reading("load_force", force, claims))
 
     def hydraulic_residual(self, claims: Sequence[Claim]) -> FloatArray:
         """N, means over blocks. A pressure sensor's lag is not undone: everything else is delayed alike."""

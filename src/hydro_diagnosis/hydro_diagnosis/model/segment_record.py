@@ -4,13 +4,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.preprocessing.box_clock import Rows, judged
-from hydro_diagnosis.preprocessing.smoothing import STRIDE, finish, kinematics, smooth
+from hydro_diagnosis.preprocessing.smoothing import STRIDE, finish, finish_at, kinematics, smooth, smooth_at
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
@@ -36,7 +37,6 @@ class SegmentRecord:
         self.step = segment.step
         self.spacing = segment.spacing
         self.time = segment.time
-        self.memory = RecordMemory(segment.step)
         channels = segment.channels
         self.channels = channels
         self.has_position = "piston_position" in channels
@@ -45,11 +45,25 @@ class SegmentRecord:
         end = len(segment) - TAIL * self.spacing
         self.rows: Rows | slice = like.rows if like else judged(segment, self.settle, end, STRIDE, MARGIN)
         """Samples that are judged."""
+        self._judged = np.arange(len(segment))[self.rows]
         if self.has_position:
             self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
             pressures = (channels["pressure_a"], channels["pressure_b"]) if self.has_pressures else None
             self.kinematics = Kinematics(self.time, self.x, self.v, pressures)
             self.recorded = Kinematics(self.time, channels["piston_position"], self.v)
+        self.beside = self._beside()
+        """What stands beside a sensor that is read, shape (n,) each."""
+        self.memory = RecordMemory(segment.step, self.beside)
+
+    def _beside(self) -> dict[str, FloatArray]:
+        """A reading is taken under the current that was held until then."""
+        found = {name: self.channels[name] for name in ("pressure_a", "pressure_b") if name in self.channels}
+        if self.has_position:
+            found |= {"position": self.channels["piston_position"], "velocity": self.v}
+        if "valve_current" in self.channels:
+            current = self.channels["valve_current"]
+            found["current"] = np.concatenate([current[:1], current[:-1]])
+        return found
 
     def bench(self, claims: Sequence[Claim]) -> Bench:
         """The bench with the values that the claims replace."""
@@ -65,11 +79,17 @@ class SegmentRecord:
             signal = claim.effect.unmeasure(channel, signal, self.memory, claim.values)
         return signal
 
-    def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim]) -> FloatArray:
-        """Return the reading of a channel's sensor for a true signal."""
+    def reading(self, channel: str, signal: FloatArray, claims: Sequence[Claim], smoothed: bool = False) -> FloatArray:
+        """Return the reading of a channel's sensor for a true signal; `smoothed`: through the test function."""
+        self.memory.beside = self._smooth_beside if smoothed else self.beside
         for claim in claims:
             signal = claim.effect.measure(channel, signal, self.memory, claim.values)
+        self.memory.beside = self.beside
         return signal
+
+    @cached_property
+    def _smooth_beside(self) -> dict[str, FloatArray]:
+        return {name: self.smooth(signal) for name, signal in self.beside.items()}
 
     def kept(self, signal: FloatArray) -> FloatArray:
         """Return the judged part of a signal, shape (n,): settled, and every fifth recorded row."""
@@ -82,6 +102,14 @@ class SegmentRecord:
     def finish(self, signal: FloatArray) -> FloatArray:
         """Smooth a result of the smoothed motion to the test function's width, shape (n,)."""
         return finish(signal, self.spacing)
+
+    def kept_smooth(self, signal: FloatArray) -> FloatArray:
+        """`smooth` at the judged samples alone."""
+        return smooth_at(signal, self._judged, self.spacing)
+
+    def kept_finish(self, signal: FloatArray) -> FloatArray:
+        """`finish` at the judged samples alone."""
+        return finish_at(signal, self._judged, self.spacing)
 
     def means(self, signal: FloatArray) -> FloatArray:
         """Means over blocks of `BLOCK` of a settled signal."""

@@ -9,16 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Claim, Effect, FloatArray, Kinematics, Oil
-from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.memory import RecordMemory, StepMemory
+from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes
+from hydro_diagnosis.model import chambers, kernels
+from hydro_diagnosis.model.memory import RecordMemory, StepMemory, amplifier
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
@@ -62,9 +65,9 @@ class Plant:
         substeps = SUBSTEPS_STICKING if _sticks(claims) else SUBSTEPS
         current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
         spool = chambers.spool_position(current, model.step / substeps, claims)
-        memory = model.memory = RecordMemory(model.step)
+        memory = model.memory = RecordMemory(model.step, model.beside)
         model.chamber_run(claims)
-        model.force_on_rod(claims)
+        model.required_force(claims)
         return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces))
 
     def rates(
@@ -72,21 +75,52 @@ class Plant:
     ) -> FloatArray:
         """d/dt of [x_p, x_p', p_a, p_b], shape (4, windows); `grip`: what dry friction does in this step."""
         x, v, p_a, p_b = state
-        bench, claims = self.bench, self.claims
+        bench = self.bench
         oil = Oil(time, x, (p_a, p_b), spool, v)
-        into_a, into_b = chambers.net_flows(bench, oil, claims, memory)
-        stiff_a, stiff_b = chambers.compliances(bench, oil, claims)
+        into_a, into_b = chambers.net_flows(bench, oil, self._hydraulic, memory)
+        stiff_a, stiff_b = chambers.compliances(bench, oil, self._hydraulic)
         motion = Kinematics(time, x, v, (p_a, p_b))
-        against, level = self._dry(motion, grip), self._level(motion)
-        load = bench.spring_stiffness * (x - bench.spring_rest_position)
-        for claim in claims:
+        against = self._dry(motion, grip)
+        level = self._level(motion) if self._resisting else against
+        for claim in self._resisting:
             against = claim.effect.resistance(against, level, motion, memory, claim.values)
+        load = eq.spring_force(bench, x)
+        for claim in self._loading:
             load = claim.effect.load(load, motion, bench, memory, claim.values)
-        area, alpha = bench.piston_area, bench.area_ratio
-        driven = area * (p_a - alpha * p_b) - bench.viscous_friction * v - against - load
-        return np.stack(
-            [v, driven / bench.moving_mass, stiff_a * (into_a - area * v), stiff_b * (into_b + alpha * area * v)]
-        )
+        rates = np.empty_like(state)
+        kernels.derivatives(rates, self._numbers, state, into_a, into_b, stiff_a, stiff_b, against, load)
+        return rates
+
+    @cached_property
+    def _resisting(self) -> tuple[Claim, ...]:
+        return self._changing("resistance")
+
+    @cached_property
+    def _loading(self) -> tuple[Claim, ...]:
+        return self._changing("load")
+
+    @cached_property
+    def _dragging(self) -> tuple[Claim, ...]:
+        return self._changing("drag")
+
+    @cached_property
+    def _hydraulic(self) -> tuple[Claim, ...]:
+        """Claims that act in the chambers; the spool's path is computed beforehand."""
+        return self._changing("openings", "supply", "flows", "inflows", "stiffness")
+
+    @cached_property
+    def _acting(self) -> tuple[Claim, ...]:
+        """Claims that act in the rates; others change numbers of the bench, the spool's path or sensors."""
+        return (*self._hydraulic, *self._dragging, *self._resisting, *self._loading)
+
+    def _changing(self, *hooks: str) -> tuple[Claim, ...]:
+        return tuple(claim for claim in self.claims if any(changes(claim, hook) for hook in hooks))
+
+    @cached_property
+    def _numbers(self) -> np.void:
+        """The bench as compiled code reads it."""
+        numbers: np.void = self.bench.constants()[0]
+        return numbers
 
     def _dry(self, motion: Kinematics, grip: Grip | None) -> FloatArray:
         """Force [N] of dry friction without bristles."""
@@ -96,11 +130,11 @@ class Plant:
 
     def _level(self, motion: Kinematics) -> FloatArray:
         level = np.zeros_like(motion.position)
-        for claim in self.claims:
+        for claim in self._dragging:
             level = claim.effect.drag(level, motion, claim.values)
         return level
 
-    @property
+    @cached_property
     def sticks(self) -> bool:
         """Whether dry friction holds the piston as far as it reaches."""
         return _sticks(self.claims)
@@ -122,6 +156,9 @@ class Plant:
         samples = np.tile(begins, variants)
         substeps = self.spool.shape[1]
         step, states = self.model.step / substeps, np.empty((length, *state.shape))
+        if not self._acting:
+            kernels.nominal_run(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
+            return states
         memory = StepMemory(step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
         for k in range(length):
@@ -140,12 +177,14 @@ class Plant:
         grip = None
         if self.sticks:
             grip = self._grip(state, first, time, step)
-            first = self.rates(state, time, spool, memory, grip)
+            dry = self._dry(Kinematics(time, state[0], state[1]), grip)
+            first[1] -= dry / self.bench.moving_mass
         second = self.rates(state + 0.5 * step * first, time, spool, memory, grip)
         third = self.rates(state + 0.5 * step * second, time, spool, memory, grip)
         fourth = self.rates(state + step * third, time, spool, memory, grip)
         memory.tick()
-        after = state + step / 6.0 * (first + 2.0 * second + 2.0 * third + fourth)
+        after = np.empty_like(state)
+        kernels.runge_kutta(after, state, first, second, third, fourth, step)
         if grip is not None:
             after[1] = np.where(grip.stuck, 0.0, after[1])
         return after
@@ -162,36 +201,46 @@ class Plant:
         length, _, lanes = states.shape
         samples = np.tile(begins, lanes // len(begins))
         at = samples[None, :] + np.arange(length)[:, None]
-        x, _, p_a, p_b = states.transpose(1, 0, 2)
+        x, v, p_a, p_b = states.transpose(1, 0, 2)
         bench = self.bench
         true = {
             "piston_position": x,
             "pressure_a": p_a,
             "pressure_b": p_b,
-            "hydraulic_force": bench.piston_area * (p_a - bench.area_ratio * p_b),
-            "load_force": self._load(at * self.model.step, x, samples),
+            "hydraulic_force": eq.hydraulic_force(bench, p_a, p_b),
+            "load_force": self._load(at * self.model.step, x, v, samples),
         }
-        return {name: self._shown(name, signal, at) for name, signal in true.items() if name in self.model.channels}
+        simulated = {"position": x, "velocity": v, "pressure_a": p_a, "pressure_b": p_b}
+        beside = self.model.beside
+        aside = {name: simulated[name] - beside[name][at] for name in simulated if name in beside}
+        return {
+            name: self._shown(name, signal, at, aside) for name, signal in true.items() if name in self.model.channels
+        }
 
-    def _load(self, time: FloatArray, position: FloatArray, samples: Indices) -> FloatArray:
-        force = self.bench.spring_stiffness * (position - self.bench.spring_rest_position)
-        acting = [claim for claim in self.claims if type(claim.effect).load is not Effect.load]
+    def _load(self, time: FloatArray, position: FloatArray, velocity: FloatArray, samples: Indices) -> FloatArray:
+        force: FloatArray = eq.spring_force(self.bench, position)
+        acting = self._loading
         memory = StepMemory(self.model.step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
         for k in range(len(position) if acting else 0):
-            motion = Kinematics(time[k], position[k], position[k])
+            motion = Kinematics(time[k], position[k], velocity[k])
             for claim in acting:
                 force[k] = claim.effect.load(force[k], motion, self.bench, memory, claim.values)
             memory.tick()
         return force
 
-    def _shown(self, name: str, signal: FloatArray, at: Indices) -> FloatArray:
-        """The sensor's response to the recording's own signal plus its response to the difference from it."""
+    def _shown(self, name: str, signal: FloatArray, at: Indices, aside: dict[str, FloatArray]) -> FloatArray:
+        """The sensor's response to the recording's own signal plus its response to the difference from it.
+
+        `aside`: that difference of what stands beside the sensor.
+        """
         proxy = self._proxy(name)
         apart = signal - proxy[at]
         shown = self._sensor(name, proxy, self.model.memory)[at]
-        memory = _ColumnMemory(self.model.step)
-        return shown + self._sensor(name, apart, memory) - self._sensor(name, np.zeros_like(apart), memory)
+        nothing = np.zeros_like(apart)
+        still = _ColumnMemory(self.model.step, dict.fromkeys(aside, nothing))
+        memory = _ColumnMemory(self.model.step, aside)
+        return shown + self._sensor(name, apart, memory) - self._sensor(name, nothing, still)
 
     def _proxy(self, name: str) -> FloatArray:
         if name == "piston_position":
@@ -200,7 +249,8 @@ class Plant:
             return self.model.spring_force(self.bench, self.claims, self.model.recorded)
         p_a, p_b = (self.model.smooth(self.model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
         if name == "hydraulic_force":
-            return self.bench.piston_area * (p_a - self.bench.area_ratio * p_b)
+            force: FloatArray = eq.hydraulic_force(self.bench, p_a, p_b)
+            return force
         return p_a if name == "pressure_a" else p_b
 
     def _sensor(self, name: str, signal: FloatArray, memory: RecordMemory) -> FloatArray:
@@ -214,15 +264,17 @@ class Plant:
 def _sticks(claims: Sequence[Claim]) -> bool:
     """Return whether there is dry friction that no bristles carry."""
     bristled = any(claim.effect.bristles for claim in claims)
-    return not bristled and any(type(claim.effect).drag is not Effect.drag for claim in claims)
+    return not bristled and any(changes(claim, "drag") for claim in claims)
 
 
 class _ColumnMemory(RecordMemory):
     """A record memory whose time runs down the first axis, one column per window."""
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
-        single = super().low_pass
-        return np.apply_along_axis(lambda column: single(key, column, bandwidth, damping), 0, signal)
+        numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
+        state = np.cumsum((numerator - denominator)[::-1])[::-1][1:, None] * signal[0]
+        passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
+        return np.asarray(passed, dtype=np.float64)
 
     def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
         single = super().lag

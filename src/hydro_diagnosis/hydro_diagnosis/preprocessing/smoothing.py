@@ -11,6 +11,8 @@ from __future__ import annotations
 from functools import lru_cache
 
 import numpy as np
+import numpy.typing as npt
+from numba import njit
 from scipy.ndimage import correlate1d
 from scipy.signal import oaconvolve
 
@@ -69,6 +71,42 @@ def finish(signal: FloatArray, spacing: int = 1) -> FloatArray:
 def smooth(signal: FloatArray, spacing: int = 1) -> FloatArray:
     """Smooth a measured signal to the total width."""
     return _through(signal, TOTAL_WIDTH * spacing)
+
+
+def finish_at(signal: FloatArray, rows: npt.NDArray[np.int64], spacing: int = 1) -> FloatArray:
+    """`finish` at some samples alone, shape (rows,)."""
+    return np.asarray(_correlated_at(signal, _taps(_REST_WIDTH * spacing, 0), rows))
+
+
+def smooth_at(signal: FloatArray, rows: npt.NDArray[np.int64], spacing: int = 1) -> FloatArray:
+    """`smooth` at some samples alone, shape (rows,)."""
+    return np.asarray(_correlated_at(signal, _taps(TOTAL_WIDTH * spacing, 0), rows))
+
+
+@njit(cache=True)
+def _correlated_at(signal, taps, rows):
+    reach, last = len(taps) // 2, len(signal) - 1
+    found = np.empty(len(rows))
+    for k in range(len(rows)):
+        total, first = 0.0, rows[k] - reach
+        if first >= 0 and rows[k] + reach <= last:
+            for j in range(len(taps)):
+                total += taps[j] * signal[first + j]
+        else:
+            for j in range(len(taps)):
+                total += taps[j] * signal[min(max(first + j, 0), last)]
+        found[k] = total
+    return found
+
+
+def finish_taps(spacing: int = 1) -> FloatArray:
+    """Weights of `finish`."""
+    return _taps(_REST_WIDTH * spacing, 0)
+
+
+def smooth_taps(spacing: int = 1) -> FloatArray:
+    """Weights of `smooth`."""
+    return _taps(TOTAL_WIDTH * spacing, 0)
 
 
 def _through(signal: FloatArray, width: float, derivative: int = 0) -> FloatArray:

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import CHANNELS
 from hydro_diagnosis.report.diagnosis import Diagnosis
+from hydro_sim.model.effects import grown
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend
 
 _NAMES = {
@@ -76,7 +77,7 @@ def effect_plot(found: Diagnosis, claim: Claim) -> str:
     power = np.bincount(layout.channel, np.square(signature), len(CHANNELS))
     channel = int(np.argmax(power))
     at = layout.channel == channel
-    variable = _variable(claim.effect.id, found)
+    variable = _variable(claim.effect, found)
     name, unit, factor = _NAMES[CHANNELS[channel]]
     scale = problem.noise[CHANNELS[channel]] * factor
     x = np.concatenate([_sampled(found, k, variable, channel) for k in range(len(problem.models))])
@@ -114,8 +115,13 @@ def evidence_plot(found: Diagnosis) -> str:
     return svg(1, (7.0, 0.8 + 0.32 * len(steps)), draw)
 
 
-def _variable(effect: str, found: Diagnosis) -> str:
-    have = set(found.problem.models[0].channels)
+_OF_GROWN = {"motion": "velocity", "load": "position", "actuation": "current", "sensor": "position"}
+
+
+def _variable(cause: Effect, found: Diagnosis) -> str:
+    have, effect = set(found.problem.models[0].channels), cause.id
+    if effect in grown.IDS:
+        return _OF_GROWN.get(cause.equations[0], "pressure_difference")
     if effect.startswith(("friction", "moving_mass", "force_offset", "sensor_lag")):
         return "velocity"
     if effect in ("leakage_internal",):

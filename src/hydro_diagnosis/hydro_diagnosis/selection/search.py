@@ -9,25 +9,54 @@ alone reaches, `calibrate` finds by running this whole search on recordings in w
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Effect
-from hydro_diagnosis.estimation.fit import Fit, fit, pack
+from hydro_diagnosis.effects.base import Claim, Effect
+from hydro_diagnosis.estimation.fit import Fit, fit, pack, with_one_more, without_one
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.estimation.score_test import screen
+from hydro_diagnosis.estimation.score_test import Prospect, Signatures, screen
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings, Step, score
 from hydro_diagnosis.selection.significance import all_significant, form_error
 
 SCREEN_TOLERANCE = 1.0
 """Gain in deviance below which a candidate's fit is good enough to be ranked by."""
+POLISHED = 3
+"""Largest number of candidates for a further claim that are fitted in full; the others by secants."""
+CONTENDING = 0.3
+"""Share of the best one's worth by which a candidate may fall short by secants and still be fitted in full."""
+PROMISING = 0.3
+"""Share of a claim's worth that a candidate must promise, to first order, to be tried in its place at once."""
+DOUBTFUL = 10.0
+"""Multiple of the threshold below which a claim's worth is found by a fit in full before it is dropped."""
+SAME_DOUBT = 1e-3
+"""Relative change of the doubt below which fits with other claims are not made anew."""
 SWAPS = 3
 """Rounds of exchanging causes at most, after each claim."""
 SWAP_BIC_MARGIN = 2.0
 """BIC by which another cause must do better, its further parameters paid: enough to never go back and forth."""
 MAX_REWEIGHT_ITERATIONS = 6
 """Rounds of weighing and fitting at most."""
+
+
+@dataclass
+class _Looked:
+    """Candidates beside a base that was looked at."""
+
+    doubt: tuple[float, ...]
+    """`Problem.doubted` at that time."""
+    waiting: list[Prospect]
+    """Those that are not fitted yet."""
+    fits: list[Fit] = field(default_factory=list)
+    """With one claim more."""
+    polished: set[str] = field(default_factory=set)
+    """Labels of those that are fitted in full."""
+
+
+def _labels(base: Fit) -> frozenset[str]:
+    return frozenset(claim.effect.label for claim in base.claims)
 
 
 class Search:
@@ -47,8 +76,9 @@ class Search:
         self.steps: list[Step] = []
         """Steps of acceptance and removal so far, passed to the outcome."""
         self._begun = problem.evaluations
-        self._looked: dict[frozenset[str], tuple[tuple[float, ...], list[Fit]]] = {}
-        """By the labels of a base: the doubt under which it was looked at, and the fits with one claim more."""
+        self._signatures = Signatures()
+        self._looked: dict[frozenset[str], _Looked] = {}
+        """By the labels of a base."""
 
     def run(self) -> Outcome:
         """Search; where something remains, search again from other first claims, and keep the best outcome."""
@@ -67,24 +97,28 @@ class Search:
         """Add what pays most, exchange what others do better, until nothing pays; then drop what is not needed."""
         self.problem.update_weights(())
         self.steps.clear()
+        self._signatures = Signatures()
         outcome = Outcome(nothing, nothing)
         ranked = list(opening)
         for _ in range(2 * self.settings.most):
-            if not ranked:
-                if not self._backward(outcome):
-                    break
-            else:
+            if ranked:
                 self._accept(outcome, ranked[0], "add", ranked[0].claims[-1].effect.label)
+            elif not self._backward(outcome) and (self._tired or not self._swap(outcome, 0.0)):
+                break
             for _ in range(SWAPS):
-                if self._spent > self.settings.effort or not self._swap(outcome):
+                if self._tired or not self._swap(outcome, PROMISING):
                     break
-            more = len(outcome.fit.judged) < self.settings.most and self._spent < self.settings.effort
+            more = len(outcome.fit.judged) < self.settings.most and not self._tired
             ranked = self._ranked(outcome.fit) if more else []
         return outcome
 
     @property
     def _spent(self) -> int:
         return self.problem.evaluations - self._begun
+
+    @property
+    def _tired(self) -> bool:
+        return self._spent > self.settings.effort
 
     def _better(self, one: Outcome, other: Outcome) -> Outcome:
         """The outcome with more evidence, both weighed with the doubt that either of them brings."""
@@ -100,36 +134,62 @@ class Search:
         None at all where the best only mends the form of its kin: what others explain of that is mimicry.
         """
         enough = score(self.problem, base) - self.settings.threshold
-        better = [one for one in self._extended(base) if score(self.problem, one) <= enough]
+        self._signatures = Signatures()
+        fits = self._extended(base, 0.0)
+        if fits:
+            best = score(self.problem, fits[0])
+            self._polish(base, best + CONTENDING * (score(self.problem, base) - best), POLISHED)
+        better = [one for one in self._extended(base, 0.0) if score(self.problem, one) <= enough]
         worth = [one for one in better if all_significant(self.problem, one)]
         mends = bool(worth) and form_error(self.problem, base, worth[0], self.settings.form_error)
         return [] if mends else worth
 
-    def _extended(self, base: Fit) -> list[Fit]:
-        """Fits with one claim more, the best first; those of a base that was looked at before are only refined."""
-        key, doubt = frozenset(claim.effect.label for claim in base.claims), self.problem.doubted
-        seen, fits = self._looked.get(key, ((), []))
-        if key not in self._looked:
-            prospects = screen(self.problem, base, self.library)[: self.settings.shortlist]
-            hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self.settings.threshold]
-            fits = [fit(self.problem, (*base.claims, one.claim), tolerance=SCREEN_TOLERANCE) for one in hopeful]
-        elif seen != doubt:
-            fits = [fit(self.problem, one.claims, tolerance=SCREEN_TOLERANCE) for one in fits]
-        fits = sorted(fits, key=lambda one: score(self.problem, one))
-        self._looked[key] = doubt, fits
-        return fits
+    def _extended(self, base: Fit, promised: float, but: str = "") -> list[Fit]:
+        """Fits with one claim more, the best first, by secants from the slopes of the base, as far as not polished.
 
-    def _swap(self, outcome: Outcome) -> bool:
-        """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged."""
+        `promised`: gain to first order from which on candidates are fitted, all `but` one; the others wait.
+        """
+        looked = self._looked.get(_labels(base))
+        if looked is None:
+            prospects = screen(self.problem, base, self.library, self._signatures)[: self.settings.shortlist]
+            hopeful = [prospect for prospect in prospects if prospect.gain > 0.5 * self.settings.threshold]
+            looked = self._looked[_labels(base)] = _Looked(self.problem.doubted, hopeful)
+        elif not np.allclose(looked.doubt, self.problem.doubted, rtol=SAME_DOUBT, atol=0.0):
+            again = [Prospect(one.claims[-1], np.inf) for one in looked.fits]
+            looked = self._looked[_labels(base)] = _Looked(self.problem.doubted, [*again, *looked.waiting])
+        now = [one for one in looked.waiting if one.gain >= promised and one.claim.effect.label != but]
+        looked.waiting = [one for one in looked.waiting if one not in now]
+        looked.fits += [with_one_more(self.problem, base, one.claim, tolerance=SCREEN_TOLERANCE) for one in now]
+        looked.fits.sort(key=lambda one: score(self.problem, one))
+        return [one for one in looked.fits if one.claims[-1].effect.label != but]
+
+    def _polish(self, base: Fit, enough: float, most: int = 1000) -> None:
+        """Fit in full those that score `enough` with one claim more than a base, the best and `most` of them."""
+        looked = self._looked[_labels(base)]
+        for k, one in enumerate(looked.fits[:most]):
+            label = one.claims[-1].effect.label
+            if label not in looked.polished and score(self.problem, one) <= enough:
+                looked.fits[k] = fit(self.problem, one.claims, tolerance=SCREEN_TOLERANCE)
+                looked.polished.add(label)
+        looked.fits.sort(key=lambda one: score(self.problem, one))
+
+    def _swap(self, outcome: Outcome, promising: float) -> bool:
+        """Try other causes in each claim's place; remember the fits as rivals. Whether any was exchanged.
+
+        `promising`: share of a claim's worth that a candidate must promise to be tried.
+        """
         changed = False
         for claim in outcome.fit.judged:
             if claim not in outcome.fit.claims:
                 continue
-            others = tuple(one for one in outcome.fit.claims if one is not claim)
-            if any(claim.effect.id in one.effect.needs for one in others):
+            if any(claim.effect.id in one.effect.needs for one in outcome.fit.claims):
                 continue
-            label = claim.effect.label
-            fits = [one for one in self._extended(fit(self.problem, others)) if one.claims[-1].effect.label != label]
+            label, base = claim.effect.label, without_one(self.problem, outcome.fit, claim)
+            present = score(self.problem, outcome.fit)
+            worth = max(score(self.problem, base) - present, 0.0)
+            self._extended(base, promising * worth, label)
+            self._polish(base, present + CONTENDING * worth)
+            fits = self._extended(base, promising * worth, label)
             outcome.rivals[label] = fits[:4]
             better = [one for one in fits if self._pays_in_place(one, claim.effect, outcome.fit)]
             if better and all_significant(self.problem, better[0]):
@@ -151,7 +211,7 @@ class Search:
         changed = False
         while outcome.fit.judged:
             smaller = [
-                fit(self.problem, tuple(one for one in outcome.fit.claims if one is not claim))
+                self._without(outcome.fit, claim)
                 for claim in outcome.fit.judged
                 if not any(claim.effect.id in one.effect.needs for one in outcome.fit.claims)
             ]
@@ -163,6 +223,12 @@ class Search:
             self._accept(outcome, best, "drop", dropped[0])
             changed = True
         return changed
+
+    def _without(self, found: Fit, claim: Claim) -> Fit:
+        """The fit without a claim, in full where the claim may be worth little."""
+        fewer = without_one(self.problem, found, claim)
+        worth = score(self.problem, fewer) - score(self.problem, found)
+        return fewer if worth > DOUBTFUL * self.settings.threshold else fit(self.problem, fewer.claims)
 
     def _accept(self, outcome: Outcome, found: Fit, action: str, label: str) -> None:
         outcome.fit = self._weighed(found)

@@ -36,24 +36,21 @@ from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL
 from hydro_filter.model.loop import Loop, is_bench_file_loop
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
 from hydro_sim import copies
+from hydro_sim.model import equations as eq
 from hydro_sim.structured import physics, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.physics import (
     AREA,
     BIAS_H,
     BIAS_L,
-    BULK,
     CELL_DAMPING,
     CELL_OMEGA,
-    DEAD_A,
-    DEAD_B,
     GAIN_H,
     GAIN_L,
     MASS,
     RATIO,
     REST,
     SPRING,
-    STROKE,
 )  # fmt: skip
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS
 
@@ -184,13 +181,13 @@ def errors(model, m, x, error, size):
     error[2] = readings[F_H] - pushed - c[BIAS_H]
     error[3] = 0.5 * (x[PRESSURE_A] - m.last[P_A]) - SAMPLE_PERIOD * slope[0]
     error[4] = 0.5 * (x[PRESSURE_B] - m.last[P_B]) - SAMPLE_PERIOD * slope[1]
-    area_b = c[RATIO] * c[AREA]
-    displaced = c[BULK] * SAMPLE_PERIOD * abs(speed)
+    stiff = physics.stiffnesses(c, position)
+    displaced_a, displaced_b = eq.pressure_rates(physics.numbers(c), stiff, (0.0, 0.0), SAMPLE_PERIOD * abs(speed))
     size[0] = abs(c[GAIN_L] * m.cell)
     size[1] = abs(c[SPRING] * (position - c[REST]))
     size[2] = abs(pushed)
-    size[3] = SAMPLE_PERIOD * abs(slope[0]) + displaced * c[AREA] / (c[DEAD_A] + c[AREA] * position)
-    size[4] = SAMPLE_PERIOD * abs(slope[1]) + displaced * area_b / (c[DEAD_B] + area_b * (c[STROKE] - position))
+    size[3] = SAMPLE_PERIOD * abs(slope[0]) - displaced_a
+    size[4] = SAMPLE_PERIOD * abs(slope[1]) + displaced_b
 
 
 @njit(cache=True)

@@ -17,7 +17,6 @@ derivatives by x.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import sqrt
 
 import numpy as np
 
@@ -32,9 +31,10 @@ from hydro_filter.model.bench_terms import (
     sensor_scales,
     state_number,
 )
-from hydro_filter.model.loop_model import LOOP, loop_scale
+from hydro_filter.model.loop_model import LOOP, least_gain, loop_scale
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
 from hydro_sim.model.effects import catalogue
@@ -107,9 +107,8 @@ def parts(truth: Bench) -> BenchParts:
     gain, bias = sensor_scales(truth)
     record = Sensors().constants()[0]
     area, ratio = float(numbers["piston_area"]), float(numbers["area_ratio"])
-    volume_a = float(numbers["dead_volume_a"]) + area * float(rest[2])
-    stiffness = float(numbers["bulk_modulus"]) * area / volume_a
-    least = 0.1 * stiffness * float(numbers["valve_gain"]) * sqrt(0.5 * float(numbers["supply_pressure"]))
+    stiffness_a = hydraulics.stiffnesses(numbers, float(rest[2]))[0]
+    least = least_gain(area, stiffness_a, float(numbers["valve_gain"]), float(numbers["supply_pressure"]))
     cell, loop_cell = cell_states(truth, places), cell_states(loop_bench, loop_places)
     return BenchParts(
         sample_at=whole.address, rates_at=whole.address_of("bench_rates"), k=k,

@@ -55,7 +55,7 @@ def _made(numbers: Any, effect: Mapping[str, Any]) -> Effect:
     """An effect with its numbers, for terms that need no state."""
     kind, values = catalogue.kind_of(effect)
     made = kind.make()
-    made.at = SimpleNamespace(numbers=numbers)
+    made.at = SimpleNamespace(numbers=numbers, velocity=0.0)
     for parameter, value in zip(kind.parameters, values, strict=True):
         setattr(made, parameter.name, value)
     return made

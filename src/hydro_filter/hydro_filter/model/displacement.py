@@ -100,7 +100,7 @@ def displace(loop, memory, x, reference, reference_rate, v):
     spring = (reference - c[BIAS_L] + lag * reference_rate + inertia * bent) / c[GAIN_L]
     spring_rate, spring_bend = (reference_rate + lag * bent) / c[GAIN_L], bent / c[GAIN_L]
     velocity = spring_rate / c[SPRING]
-    dry = physics.friction(c, x[VELOCITY], hidden[BRISTLE_STATE])[0]
+    dry = physics.friction(c, x[VELOCITY], hidden[BRISTLE_STATE])
     hydraulic = spring + (c[MASS] * spring_bend + c[VISCOUS] * spring_rate) / c[SPRING] + dry
     gain, stiffness = hydraulic_slopes(c, x[PRESSURE_A], x[PRESSURE_B], x[POSITION], hidden[SPOOL])
     v[Q_HYDRAULIC] = x[HYDRAULIC_FORCE] - c[BIAS_H] - c[GAIN_H] * hydraulic

@@ -34,6 +34,7 @@ from hydro_filter.model.state import FORCE_SCALE, LOAD_FORCE, POSITION, PRESSURE
 from hydro_filter.model.tangent import SOURCES, WIDTH
 from hydro_sim import copies
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 from hydro_sim.structured import physics
 from hydro_sim.structured.model import StructuredModel
@@ -41,20 +42,11 @@ from hydro_sim.structured.physics import (
     AREA,
     BRISTLE,
     BRISTLE_DAMPING,
-    BULK,
-    DEAD_A,
-    DEAD_B,
     GAIN_H,
     GAIN_L,
-    KA_NEGATIVE,
-    KA_POSITIVE,
-    KB_NEGATIVE,
-    KB_POSITIVE,
     OFFSET,
     RATIO,
-    STROKE,
     SUPPLY,
-    TANK,
 )  # fmt: skip
 from hydro_sim.structured.rollout import FULL
 
@@ -140,27 +132,24 @@ def loop_step() -> LoopStep:
 @njit(cache=True)
 def shares(c, position):
     """Return the changes of p_a and p_b [Pa] for a change of f_h by 1 N, apportioned by the chambers' stiffnesses."""
-    area_b = c[RATIO] * c[AREA]
-    soft_a = c[AREA] / (c[DEAD_A] + c[AREA] * position)
-    soft_b = area_b / (c[DEAD_B] + area_b * (c[STROKE] - position))
-    total = c[GAIN_H] * (c[AREA] * soft_a + area_b * soft_b)
-    return soft_a / total, -soft_b / total
+    by_a, by_b = eq.pressure_rates(physics.numbers(c), physics.stiffnesses(c, position), (0.0, 0.0), 1.0)
+    total = c[GAIN_H] * eq.hydraulic_force(physics.numbers(c), by_a, by_b)
+    return by_a / total, by_b / total
 
 
 @njit(cache=True)
 def hydraulic_slopes(c, pressure_a, pressure_b, position, spool):
     """g [N/s/A] on the spool's side, and what f_h' loses per velocity [N/m], of the learned model."""
-    area, area_b = c[AREA], c[RATIO] * c[AREA]
-    volume_a, volume_b = c[DEAD_A] + area * position, c[DEAD_B] + area_b * (c[STROKE] - position)
-    if spool + c[OFFSET] >= 0.0:
-        drop_a, drop_b = c[SUPPLY] - pressure_a, pressure_b - c[TANK]
-        gain_a, gain_b = c[KA_POSITIVE], c[KB_POSITIVE]
-    else:
-        drop_a, drop_b = pressure_a - c[TANK], c[SUPPLY] - pressure_b
-        gain_a, gain_b = c[KA_NEGATIVE], c[KB_NEGATIVE]
-    gain = area * gain_a * physics.root(drop_a)[0] / volume_a + area_b * gain_b * physics.root(drop_b)[0] / volume_b
-    gain = max(gain, 0.1 * area * gain_a * math.sqrt(0.5 * c[SUPPLY]) / volume_a)  # a chamber at its limit has no gain
-    return c[BULK] * gain, c[BULK] * (area**2 / volume_a + area_b**2 / volume_b)
+    n, stiff = physics.numbers(c), physics.stiffnesses(c, position)
+    into_a, into_b, valve_gain = physics.flow_gains(c, pressure_a, pressure_b, spool + c[OFFSET])
+    least = least_gain(n.piston_area, stiff[0], valve_gain, c[SUPPLY])
+    return max(eq.force_rate(n, stiff, (into_a, into_b), 0.0), least), -eq.force_rate(n, stiff, (0.0, 0.0), 1.0)
+
+
+@njit(cache=True)
+def least_gain(area, stiffness_a, valve_gain, supply):
+    """Smallest g [N/s/A] of a linearization: a chamber at its limit has none."""
+    return 0.1 * area * stiffness_a * valve_gain * math.sqrt(0.5 * supply)
 
 
 @njit(cache=True, inline="always")

@@ -9,7 +9,7 @@ from numba import njit, prange
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim import copies
 from hydro_sim.files.recordings import Run
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.sensors import Sensors
@@ -50,7 +50,7 @@ class AnalyticModel:
 
 @njit(cache=True)
 def _read(bench, y, reading):
-    reading[0] = hydraulics.hydraulic_force(bench, y[0], y[1])
+    reading[0] = equations.hydraulic_force(bench, y[0], y[1])
     reading[1], reading[2], reading[3], reading[4] = y[4], y[0], y[1], y[2]
 
 

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.model import equations as eq
 from hydro_sim.neural import mlp
 from hydro_sim.structured import integration, physics, rollout
 
@@ -62,21 +63,22 @@ def _root(drop: Any) -> Any:
 
 def _rates(c: Any, y: Any, z: Any, u: Any, r: Any) -> Any:
     a, b, x, v, spool, spool_rate, cell, cell_rate = y
-    area, area_b = c[P["AREA"]], c[P["RATIO"]] * c[P["AREA"]]
-    opening = spool + c[P["OFFSET"]]
-    out = opening >= 0.0
-    supply, tank = c[P["SUPPLY"]], c[P["TANK"]]
-    flow_a = opening * torch.where(out, c[P["KA_POSITIVE"]] * _root(supply - a), c[P["KA_NEGATIVE"]] * _root(a - tank))
-    flow_b = opening * torch.where(out, c[P["KB_POSITIVE"]] * _root(b - tank), c[P["KB_NEGATIVE"]] * _root(supply - b))
-    leak = c[P["LEAK"]] * (a - b)
-    volume_a, volume_b = c[P["DEAD_A"]] + area * x, c[P["DEAD_B"]] + area_b * (c[P["STROKE"]] - x)
+    opening, leak = spool + c[P["OFFSET"]], c[P["LEAK"]] * (a - b)
+    out, n = opening >= 0.0, physics.numbers(c)
+    drops_out, drops_back = eq.edge_drops(c[P["SUPPLY"]], c[P["TANK"]], a, b)
+    flow_a = opening * torch.where(
+        out, c[P["KA_POSITIVE"]] * _root(drops_out[0]), c[P["KA_NEGATIVE"]] * _root(drops_back[0])
+    )
+    flow_b = opening * torch.where(
+        out, c[P["KB_POSITIVE"]] * _root(drops_out[1]), c[P["KB_NEGATIVE"]] * _root(drops_back[1])
+    )
+    flows = flow_a * (1.0 + r[0]) - leak, leak - flow_b * (1.0 + r[1])
     spring = c[P["SPRING"]] * (x - c[P["REST"]])
-    force = area * a - area_b * b - c[P["VISCOUS"]] * v - spring + r[2] - _friction(c, v, z)
+    force = eq.hydraulic_force(n, a, b) - c[P["VISCOUS"]] * v - spring + r[2] - _friction(c, v, z)
     w, d = c[P["SPOOL_OMEGA"]], c[P["SPOOL_DAMPING"]]
     wl, dl = c[P["CELL_OMEGA"]], c[P["CELL_DAMPING"]]
     return (
-        c[P["BULK"]] / volume_a * (flow_a * (1.0 + r[0]) - area * v - leak),
-        c[P["BULK"]] / volume_b * (area_b * v - flow_b * (1.0 + r[1]) + leak),
+        *eq.pressure_rates(n, physics.stiffnesses(c, x), flows, v),
         v, force / c[P["MASS"]], spool_rate, w * (w * (u - spool) - 2.0 * d * spool_rate),
         cell_rate, wl * (wl * (spring - cell) - 2.0 * dl * cell_rate),
     )  # fmt: skip

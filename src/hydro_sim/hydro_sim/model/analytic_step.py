@@ -15,7 +15,7 @@ from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim import copies
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 
 STATES = 8
 
@@ -36,7 +36,7 @@ def gain(physics, x, current, moved):
     copies.vector(y, x[4:8])
     y[4], y[5] = x[2], x[3]
     hydraulics.advance(bench, y, current, SAMPLE_PERIOD, SUBSTEPS)
-    moved[0] = hydraulics.hydraulic_force(bench, y[0] - x[4], y[1] - x[5])
+    moved[0] = equations.hydraulic_force(bench, y[0] - x[4], y[1] - x[5])
     moved[1] = (1.0 - memory) * (moved[0] / SAMPLE_PERIOD - x[1])
     if bench.load_cell_omega > 0.0:
         moved[2], moved[3] = y[4] - x[2], y[5] - x[3]

@@ -211,6 +211,7 @@ class Assembly:
         self._bind(casadi.vertsplit(y[len(TEXTBOOK) : y.numel() - self.past]) if self.hidden else [])
         signals = dict(zip(READINGS, self._truth(y), strict=True))
         for effect in self.effects:
+            effect.at.position, effect.at.velocity, effect.at.pressures = y[2], y[3], (y[0], y[1])
             if effect.acts_in("follow"):
                 signals[effect.sensor] = effect.signal
         for effect in self.effects:
@@ -237,7 +238,7 @@ class Assembly:
         states = [self.y[i] for i in range(len(TEXTBOOK))] + [self.hidden_now[i] for i in self.integrated]
         spool = self._spool()
         for effect in self.effects:
-            effect.at.spool = spool
+            effect.at.spool, effect.at.current = spool, self.current
         return states, spool, self._edges(spool)
 
     def _step(self, start: list[Symbol], edges: rates.Edges) -> SX:
@@ -278,6 +279,8 @@ class Assembly:
         if self.numbers.load_cell_omega is None:
             hidden = list(self.hidden_now)
             self._bind([effect.next.get(one.name, old) for (effect, one), old in zip(self.hidden, hidden, strict=True)])
+            for effect in self.effects:
+                effect.at.velocity = end[3]
             late[4] = rates.load(self.numbers, self.effects, end[2])
             self._bind(hidden)
         signals = dict(zip(READINGS, zip(self._truth(early), self._truth(late), strict=True), strict=True))

@@ -30,7 +30,7 @@ import numpy as np
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import machine_code
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.effects import catalogue, valve
+from hydro_sim.model.effects import catalogue, grown, valve
 
 if TYPE_CHECKING:
     from hydro_sim.model.assembly import Functions
@@ -286,7 +286,7 @@ def _sources_digest() -> str:
     here = Path(__file__).parent
     names = ["equations.py", "laws.py", "tables.py", "motion.py", "rates.py", "assembly.py", "source.py"]
     folders = [one for folder in ("effects", "grammar") for one in sorted((here / folder).glob("*.py"))]
-    files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders]
+    files = [*(here / name for name in names), *sorted(here.glob("*.c")), *folders, *grown.sources()]
     others = f"{SAMPLE_PERIOD} {_limits()} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 

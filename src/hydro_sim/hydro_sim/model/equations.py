@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 """The textbook equations of the bench, written once: servo valve, two oil chambers, mass, spring, load-cell amplifier.
 
-They hold for numbers, for arrays of samples and for CasADi's symbols alike: numpy's functions act on all three, and
-`choose` does what `np.where` does. What is symbolic becomes C, with exact derivatives (`model.assembly`)::
+They hold for numbers, arrays of samples, torch's tensors and CasADi's symbols alike, and within numba's compiled code:
+numpy's functions act on all but tensors, and `choose` does what `np.where` does. What is symbolic becomes C, with exact
+derivatives (`model.assembly`)::
 
     p_a' = beta/V_a (q_a - A_p x_p')           V_a = V_dead_a + A_p x_p
     p_b' = beta/V_b (alpha A_p x_p' - q_b)     V_b = V_dead_b + alpha A_p (L_c - x_p)
     m x_p'' = f_h - b x_p' - f_l - f_stop      f_h = A_p p_a - alpha A_p p_b,  f_l = k_s (x_p - x_rest)
 
-`n` is everywhere the bench's numbers, by their names in bench.yaml. Source: paper eq. q13-q15 and q4, physics.md.
+`n` is everywhere what has the bench's numbers, by their names in bench.yaml: a `Bench`, a record, a tuple with names.
+Flows count into chamber A and into chamber B, -q_b. Source: paper eq. q13-q15 and q4, physics.md.
 """
 
 from __future__ import annotations
@@ -17,9 +19,13 @@ import math
 from typing import Any
 
 import numpy as np
+from numba.extending import overload, register_jitable
 
 Symbol = Any
 """A number, an array or a CasADi expression; in a model that is being assembled, an expression."""
+
+Pair = tuple[Symbol, Symbol]
+"""Chamber A's and chamber B's."""
 
 LOAD_CELL_DAMPING = math.sqrt(0.5)
 """Damping of the load cell's amplifier: Butterworth, so that `load_cell_bandwidth` is where it has lost 3 dB."""
@@ -44,45 +50,100 @@ def choose(condition: Symbol, first: Symbol, second: Symbol) -> Symbol:
     return if_else(condition, first, second)
 
 
+@overload(choose)
+def _choose_compiled(condition, first, second):
+    return lambda condition, first, second: first if condition else second
+
+
+@register_jitable
 def clip(value: Symbol, low: Symbol, high: Symbol) -> Symbol:
     """The value, held within its bounds."""
     return np.fmin(np.fmax(value, low), high)
 
 
+# --- the valve's edges: pressure drops, and the flow that each drives ------------------------------------------------
+
+
+@register_jitable
+def edge_drops(supply: Symbol, tank: Symbol, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Pair, Pair]:
+    """Pressure drops [Pa] of the edges that drive the piston out, then of those that drive it back.
+
+    Out: from the supply into A, from B into the tank. Back: from A into the tank, from the supply into B.
+    """
+    return (supply - pressure_a, pressure_b - tank), (pressure_a - tank, supply - pressure_b)
+
+
+@register_jitable
+def signed_root(drop: Symbol) -> Symbol:
+    """sqrt of a pressure drop [Pa], odd: flow through an edge reverses with the drop."""
+    return np.copysign(np.sqrt(np.abs(drop)), drop)
+
+
+@register_jitable
 def orifice(opening: Symbol, drop: Symbol) -> Symbol:
     """Flow [m3/s] through an edge open by `opening` [m3/s/sqrt(Pa)] at a pressure drop [Pa]; reverses with it."""
     size = np.abs(drop)
     return opening * np.copysign(np.sqrt(np.fmax(size, LAMINAR)) * np.fmin(size * (1.0 / LAMINAR), 1.0), drop)
 
 
-def volumes(n: Symbol, position: Symbol) -> tuple[Symbol, Symbol]:
+# --- the chambers ----------------------------------------------------------------------------------------------------
+
+
+@register_jitable
+def volumes(n: Symbol, position: Symbol) -> Pair:
     """Oil volumes V_a, V_b [m3] at piston position [m]."""
     volume_a = n.dead_volume_a + n.piston_area * position
     return volume_a, n.dead_volume_b + n.area_ratio * n.piston_area * (n.stroke - position)
 
 
-def compression(modulus: Symbol, volume: Symbol, inflow: Symbol) -> Symbol:
-    """Rate of a chamber's pressure [Pa/s]: what flows in [m3/s] and is not displaced, compresses."""
-    return modulus / volume * inflow
+@register_jitable
+def stiffnesses(n: Symbol, moduli: Pair, position: Symbol) -> Pair:
+    """beta/V [Pa/m3] of both chambers at piston position [m]: what a volume of oil more in them raises the pressure."""
+    volume_a, volume_b = volumes(n, position)
+    return moduli[0] / volume_a, moduli[1] / volume_b
 
 
+@register_jitable
+def pressure_rates(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Pair:
+    """p_a', p_b' [Pa/s]: of `flows` [m3/s] into both chambers, what is not displaced, compresses.
+
+    With volumes [m3] and a travel [m] in place of flows and velocity: the pressures [Pa] that these build.
+    """
+    swept = n.piston_area * velocity
+    return stiff[0] * (flows[0] - swept), stiff[1] * (flows[1] + n.area_ratio * swept)
+
+
+@register_jitable
 def hydraulic_force(n: Symbol, pressure_a: Symbol, pressure_b: Symbol) -> Symbol:
     """f_h [N], positive outwards."""
     return n.piston_area * (pressure_a - n.area_ratio * pressure_b)
 
 
+@register_jitable
+def force_rate(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Symbol:
+    """f_h' [N/s] (eq. q13): without flows its velocity term h, without velocity and with flows per ampere, its g."""
+    rate_a, rate_b = pressure_rates(n, stiff, flows, velocity)
+    return hydraulic_force(n, rate_a, rate_b)
+
+
+# --- motion and load -------------------------------------------------------------------------------------------------
+
+
+@register_jitable
 def spring_force(n: Symbol, position: Symbol) -> Symbol:
     """f_l [N] of the spring on its load cell, positive when pressed."""
     return n.spring_stiffness * (position - n.spring_rest_position)
 
 
+@register_jitable
 def stop_force(n: Symbol, position: Symbol, velocity: Symbol) -> Symbol:
     """Force [N] against the piston from the end stops; they push back and never pull."""
-    pressed = position - clip(position, 0.0, n.stroke)
+    pressed = choose(position < 0.0, position, choose(position > n.stroke, position - n.stroke, 0.0))
     force = STOP_STIFFNESS * pressed + STOP_DAMPING * velocity
-    return (pressed > 0.0) * np.fmax(force, 0.0) + (pressed < 0.0) * np.fmin(force, 0.0)
+    return choose(pressed * force > 0.0, force, 0.0)
 
 
+@register_jitable
 def amplifier(omega: Symbol, force: Symbol, shown: Symbol, rate: Symbol) -> Symbol:
     """d2/dt2 [N/s2] of what the load cell's amplifier shows, a low-pass of `omega` [rad/s] on the force [N]."""
     return omega * (omega * (force - shown) - 2.0 * LOAD_CELL_DAMPING * rate)

@@ -11,22 +11,26 @@ Terms are linear in their amplitudes. What one gives acts in its equation::
     load        force [N] of the load
     sensor      what a sensor shows more than its signal [N or Pa]
 
-None depends on time: such a law would grow for ever. Beside its amplitude a law may have further numbers: where a
-threshold lies, or over what a state `w` follows a signal `s`; a piston at rest or a still current moves no path::
+None depends on time but by what settles: another would grow for ever. Beside its amplitude a law may have further
+numbers: where a threshold lies, or over what a state `w` follows a signal `s`; a piston at rest or a still current
+moves no path::
 
     lag   w' = (s - w) / T
     path  w' = (s' - |s'| w) / D       within [-1, 1]: Dahl 1968; Bouc and Wen with n = 1
     heat  w' = |s'| / D - w / T        0 at first: what work has warmed and time cools
+    slow  w' = (s - w) / T             0 at first: a size that is followed, or time alone (s = 1)
     rate  w' = (s - w) / T, within [-R, R]
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-from hydro_sim.model.equations import Symbol, orifice
+import numpy as np
+
+from hydro_sim.model.equations import Symbol, edge_drops, orifice
 
 SIGN_VELOCITY = 1e-3
 """Velocity [m/s] over which a force that follows the sign of the velocity reverses."""
@@ -48,15 +52,41 @@ class Signals:
     """f_h."""
     drop: Symbol = 0.0
     """Pressure drop [Pa] across an edge of the valve."""
+    opened: Symbol = 0.0
+    """Conductance [m3/s/sqrt(Pa)] of that edge."""
+    feeds: Symbol = 0.0
+    """1 at an edge to the supply, 0 at one to the tank."""
     memory: Symbol = 0.0
     """State `w` of the law."""
     number: Symbol = 0.0
     """First of the law's further numbers, such as its threshold."""
+    second: Symbol = 0.0
+    """Second of them."""
 
     @property
     def pressure_difference(self) -> Symbol:
         """p_a - p_b."""
         return self.pressure_a - self.pressure_b
+
+    @property
+    def size_of_difference(self) -> Symbol:
+        """|p_a - p_b|."""
+        return np.abs(self.pressure_difference)
+
+    @property
+    def speed(self) -> Symbol:
+        """|v|."""
+        return np.abs(self.velocity)
+
+    @property
+    def opening(self) -> Symbol:
+        """|u|."""
+        return np.abs(self.current)
+
+    @property
+    def heating(self) -> Symbol:
+        """u^2."""
+        return self.current * self.current
 
 
 @dataclass(frozen=True)
@@ -80,13 +110,26 @@ class Number:
 class Element:
     """Memory of a law: a state that follows one of `Signals`, over the law's further numbers."""
 
-    kind: Literal["lag", "path", "heat", "rate"]
+    kind: Literal["lag", "path", "heat", "rate", "slow"]
     signal: str
+    """An attribute of `Signals`; of slow states also `time`, for what time alone drives."""
 
     @property
     def signal_unit(self) -> str:
         """Unit of the signal that it follows."""
-        return {"position": "m", "current": "A", "force": "N"}.get(self.signal, "Pa")
+        return _UNITS.get(self.signal, "Pa")
+
+
+_UNITS = {
+    "position": "m",
+    "current": "A",
+    "force": "N",
+    "speed": "m/s",
+    "velocity": "m/s",
+    "opening": "A",
+    "heating": "A2",
+    "time": "-",
+}
 
 
 @dataclass(frozen=True)
@@ -110,6 +153,22 @@ class Law:
     """Its further numbers."""
     where: str = ""
     """Channel of a sensor; of the valve, `edges`, if it is not its spool that the law moves."""
+    uses: frozenset[str] = frozenset()
+    """Signals that a composition is made of, and `time`."""
+    degree: float = 0.0
+    """Total power of the signals in a composition; those of gates, places and states count nothing."""
+    gate: tuple[str, float] | None = None
+    """A signal and the sign that it must have, if the law acts only then."""
+
+    @property
+    def picks_up(self) -> bool:
+        """Whether it is a sensor's law that follows the valve's current."""
+        return self.equation == "sensor" and self.element is None and "current" in self.uses
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has hidden states."""
+        return self.element is not None or self.picks_up
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -118,14 +177,15 @@ class Law:
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """Value of the term, in the unit of its equation."""
-        at = replace(at, number=numbers[1]) if self.numbers else at
+        if self.numbers:
+            at = replace(at, number=numbers[1], second=numbers[2] if len(numbers) > 2 else 0.0)
         return numbers[0] * self.shape(at, n)
 
 
 def edge_losses(
-    n: Any, openings: tuple[Symbol, Symbol], pressures: tuple[Symbol, Symbol], share: Callable[[Symbol], Symbol]
+    n: Any, openings: tuple[Symbol, Symbol], pressures: tuple[Symbol, Symbol], share: Callable[[Signals], Symbol]
 ) -> tuple[Symbol, Symbol]:
-    """Flows [m3/s] that chambers A and B lack where a share [-] of each edge's flow, by its drop [Pa], does not pass.
+    """Flows [m3/s] that chambers A and B lack where a share [-] of each edge's flow does not pass.
 
     Parameters
     ----------
@@ -136,17 +196,20 @@ def edge_losses(
     pressures
         p_a, p_b [Pa].
     share
-        Share of an edge's flow, by its pressure drop.
+        Share of an edge's flow, by its pressure drop, its conductance and whether it feeds.
     """
     out, back = openings
+    drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, *pressures)
+    side = Signals(pressure_a=pressures[0], pressure_b=pressures[1], current=out - back)
 
-    def lost(supplied: Symbol, drained: Symbol, pressure: Symbol) -> Symbol:
-        above, below = n.supply_pressure - pressure, pressure - n.tank_pressure
-        return share(above) * orifice(supplied, above) - share(below) * orifice(drained, below)
+    def lost(supplied: Symbol, drained: Symbol, above: Symbol, below: Symbol) -> Symbol:
+        fed = share(replace(side, drop=above, opened=supplied, feeds=1.0)) * orifice(supplied, above)
+        return fed - share(replace(side, drop=below, opened=drained)) * orifice(drained, below)
 
-    return lost(out, back, pressures[0]), lost(back, out, pressures[1])
+    return lost(out, back, drops_out[0], drops_back[0]), lost(back, out, drops_back[1], drops_out[1])
 
 
-def sensed(channel: str, signal: Symbol) -> Signals:
-    """Signals of a sensor's law: only the one that it measures."""
-    return Signals(force=signal) if channel.endswith("force") else Signals(**{channel: signal})
+def sensed(channel: str, signal: Symbol, beside: Mapping[str, Symbol] | None = None) -> Signals:
+    """Signals of a sensor's law: the one that it measures, and what stands beside it."""
+    own = "force" if channel.endswith("force") else channel
+    return Signals(**{**(beside or {}), own: signal})

@@ -33,17 +33,17 @@ def load(n: Any, effects: Sequence[Effect], position: Symbol) -> Symbol:
 def flows(n: Any, effects: Sequence[Effect], p_a: Symbol, p_b: Symbol, edges: Edges) -> tuple[Symbol, Symbol, Symbol]:
     """Through the valve into chamber A, into chamber B, and out of the supply [m3/s], at pressures [Pa]."""
     out, back = edges
-    supply, tank = n.supply_pressure, n.tank_pressure
+    supply = n.supply_pressure
     for effect in effects:
         supply = effect.supply(supply)
+    drops_out, drops_back = eq.edge_drops(supply, n.tank_pressure, p_a, p_b)
     if any(effect.all_edges for effect in effects):
-        drawn_a, drawn_b = eq.orifice(out, supply - p_a), eq.orifice(back, supply - p_b)
-        into_a, into_b = drawn_a - eq.orifice(back, p_a - tank), drawn_b - eq.orifice(out, p_b - tank)
+        drawn_a, drawn_b = eq.orifice(out, drops_out[0]), eq.orifice(back, drops_back[1])
+        into_a, into_b = drawn_a - eq.orifice(back, drops_back[0]), drawn_b - eq.orifice(out, drops_out[1])
         return into_a, into_b, drawn_a + drawn_b
     outwards, opening = out > 0.0, out - back  # one of the two is closed
-    side = choose(outwards, 1.0, -1.0)
-    into_a = eq.orifice(opening, choose(outwards, supply, -tank) - side * p_a)
-    into_b = -eq.orifice(opening, choose(outwards, -tank, supply) + side * p_b)
+    into_a = eq.orifice(opening, choose(outwards, drops_out[0], drops_back[0]))
+    into_b = -eq.orifice(opening, choose(outwards, drops_out[1], drops_back[1]))
     return into_a, into_b, choose(outwards, into_a, into_b)
 
 
@@ -56,10 +56,8 @@ def pressures(n: Any, effects: Sequence[Effect], y: Sequence[Symbol], edges: Edg
         from_a, from_b = effect.leaks(p_a, p_b)
         into_a, into_b = into_a - from_a, into_b - from_b
         modulus_a, modulus_b = effect.modulus(modulus_a, p_a), effect.modulus(modulus_b, p_b)
-    volume_a, volume_b = eq.volumes(n, position)
-    swept = n.piston_area * velocity
-    rate_a = eq.compression(modulus_a, volume_a, into_a - swept)
-    return rate_a, eq.compression(modulus_b, volume_b, into_b + n.area_ratio * swept), drawn
+    stiff = eq.stiffnesses(n, (modulus_a, modulus_b), position)
+    return *eq.pressure_rates(n, stiff, (into_a, into_b), velocity), drawn
 
 
 def textbook(

@@ -10,15 +10,22 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.model.equations import Symbol, clip
-from hydro_sim.model.laws import Signals
+from hydro_sim.model.laws import Element, Signals
 
 KNOTS = 12
 """Numbers of a table: of so many cubic B-splines."""
 VARIABLES = {
     "position": "m", "velocity": "m/s", "pressure_difference": "Pa", "current": "A", "force": "N",
-    "pressure_a": "Pa", "pressure_b": "Pa",
+    "pressure_a": "Pa", "pressure_b": "Pa", "past_motion": "m/s", "past_opening": "A", "elapsed": "-",
 }  # fmt: skip
 """Variables of tables, with units."""
+PASTS = {"past_motion": "speed", "past_opening": "opening", "elapsed": "time"}
+"""Variables that are slow states `w' = (s - w) / SETTLING`, 0 at first, with what drives them (`laws.Element`)."""
+SETTLING = 4.0
+"""s."""
+SIGNALS = {"pressure_difference": "pressure_a pressure_b", "past_motion": "velocity", "past_opening": "current",
+           "elapsed": ""}  # fmt: skip
+"""Signals that a variable is made of, if it is none itself."""
 
 
 @dataclass(frozen=True)
@@ -28,6 +35,8 @@ class Factor:
     name: str
     text: str
     shape: Callable[[Signals], Symbol]
+    uses: str = "velocity"
+    """Signals that it is made of."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +56,9 @@ class Table:
     @property
     def form(self) -> str:
         """Name of the form, as for laws."""
-        over = self.where if self.where else self.variable
+        over = self.where or self.variable
+        if self.where and self.variable not in (self.where, "force"):
+            over = f"{self.variable} of {self.where}"
         return f"{self.factor.name} times table over {over}" if self.factor else f"table over {over}"
 
     @property
@@ -55,9 +66,31 @@ class Table:
         """Names of its parameters."""
         return ("low", "high", *(f"value_{k}" for k in range(KNOTS)))
 
+    @property
+    def element(self) -> Element | None:
+        """Memory of its variable."""
+        return Element("slow", PASTS[self.variable]) if self.variable in PASTS else None
+
+    @property
+    def uses(self) -> frozenset[str]:
+        """Signals that it is made of."""
+        own = SIGNALS.get(self.variable, self.variable if self.variable != "force" else self.where)
+        return frozenset(f"{own} {self.factor.uses if self.factor else ''}".split())
+
+    @property
+    def picks_up(self) -> bool:
+        """Whether it is a sensor's table over the valve's current."""
+        return self.equation == "sensor" and self.variable == "current"
+
+    @property
+    def remembers(self) -> bool:
+        """Whether it has hidden states."""
+        return self.element is not None or self.picks_up
+
     def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
         """Position of its variable among the peaks of its splines, 1 to `KNOTS` - 2."""
-        return 1.0 + clip((getattr(at, self.variable) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
+        variable = at.memory if self.variable in PASTS else getattr(at, self.variable)
+        return 1.0 + clip((variable - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """Value of the term, in the unit of its equation."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.hydraulics import LOAD_CELL_DAMPING
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
-from hydro_sim.structured import physics
+from hydro_sim.structured import derivatives, physics
 from hydro_sim.structured.physics import BRISTLE, COULOMB, STRIBECK, STRIBECK_VELOCITY
 
 STATES = 9
@@ -137,7 +137,7 @@ def _runge_kutta_back(c, z, current, r, gstate, gr, gc, work):
             if stage < 3:
                 work.g[i] += reach * work.gprobe[stage + 1, i]
             work.gprobe[stage, i] = 0.0
-        gz += physics.rates_back(c, work.probes[stage], z, current, r, work.g, work.gprobe[stage], gr, gc)
+        gz += derivatives.rates_back(c, work.probes[stage], z, current, r, work.g, work.gprobe[stage], gr, gc)
     for i in range(8):
         gstate[i] += work.gprobe[0, i] + work.gprobe[1, i] + work.gprobe[2, i] + work.gprobe[3, i]
     return gz

@@ -103,6 +103,8 @@ class Surroundings:
     """p_a, p_b [Pa] at that instant."""
     spool: Symbol = 0.0
     """Mean position of the spool [A] over the step."""
+    current: Symbol = 0.0
+    """A, that the box holds over the sample."""
 
 
 class Effect:

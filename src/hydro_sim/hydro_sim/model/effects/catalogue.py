@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Every effect that a bench file may hold, by id and options.
 
-An entry of `effects` in bench.yaml is `{id: ..., <option>: ..., parameters: {name: number}}`.
+An entry of `effects` in bench.yaml is `{id: ..., <option>: ..., parameters: {name: number}}`. Effects that were grown
+from laws stand beside those of the table.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_sim.model.effects import closure, motion, numbers, oil, sensing, valve
+from hydro_sim.model.effects import closure, grown, motion, named_law, numbers, oil, sensing, valve
 from hydro_sim.model.effects.base import Effect, Parameter
 
 CAPACITY = 24
@@ -54,11 +55,14 @@ def _kinds(effects: Sequence[type[Effect]]) -> dict[str, Kind]:
     for effect in effects:
         for values in product(*effect.options.values()):
             chosen = tuple(zip(effect.options, values, strict=True))
+            if label({"id": effect.id, **dict(chosen)}) in kinds:
+                raise ValueError(f"effect {effect.id} is defined twice")
             kinds[label({"id": effect.id, **dict(chosen)})] = Kind(effect, chosen)
     return kinds
 
 
-_NAMED = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
+_TABLE: tuple[type[Effect], ...] = (*valve.EFFECTS, *oil.EFFECTS, *motion.EFFECTS, *sensing.EFFECTS, *numbers.EFFECTS)
+_NAMED: tuple[type[Effect], ...] = (*_TABLE, *(named_law.simulated(one) for one in grown.EFFECTS))
 CATALOGUE: dict[str, Kind] = _kinds(_NAMED)
 """Effects by id and options, as `label` writes them."""
 

@@ -18,7 +18,7 @@ from hydro_sim.model.tables import Table
 
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
-_SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0}
+_SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "A2": 1e-6, "-": 1.0}
 
 
 class Closure(Effect):
@@ -40,6 +40,10 @@ class Closure(Effect):
         """State of the law at the end of a step in which its signal has come to this."""
         return self._past()
 
+    def _held(self) -> Symbol:
+        """Current [A] under which a sensor is read."""
+        return 0.0
+
 
 class MotionClosure(Closure):
     """A force against the motion."""
@@ -53,7 +57,8 @@ class FlowClosure(Closure):
     """A flow out of the chambers beside the valve."""
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        out = self._value(Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, memory=self._past()))
+        at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool, memory=self._past())
+        out = self._value(at)
         return {"pressure": (out, -out), "pressure_a": (out, 0.0), "pressure_b": (0.0, out)}[self.law.equation]
 
 
@@ -63,14 +68,14 @@ class EdgeClosure(Closure):
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
         openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
-        return laws.edge_losses(n, openings, (pressure_a, pressure_b), lambda drop: self._value(Signals(drop=drop)))
+        return laws.edge_losses(n, openings, (pressure_a, pressure_b), self._value)
 
 
 class LoadClosure(Closure):
     """A force of the load."""
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
-        return force + self._value(Signals(position, memory=self._remembered(position)))
+        return force + self._value(Signals(position, self.at.velocity, memory=self._remembered(position)))
 
 
 class SensorClosure(Closure):
@@ -79,7 +84,10 @@ class SensorClosure(Closure):
     def show(self, channel: str, signal: Symbol) -> Symbol:
         if channel != self.law.where:
             return signal
-        return signal + self._value(replace(laws.sensed(channel, signal), memory=self._past()))
+        pressure_a, pressure_b = self.at.pressures
+        beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
+                  "pressure_b": pressure_b, "current": self._held()}  # fmt: skip
+        return signal + self._value(replace(laws.sensed(channel, signal, beside), memory=self._past()))
 
 
 class ValveClosure(Closure):
@@ -89,6 +97,16 @@ class ValveClosure(Closure):
 
     def command(self, spool: Symbol) -> Symbol:
         return spool + self._value(Signals(current=spool, memory=self._remembered(spool)))
+
+
+class PickingUp(SensorClosure):
+    """A reading that follows the valve's current: that which was held until the sample."""
+
+    def remember(self, position: Symbol, velocity: Symbol) -> None:
+        self.next["held"] = self.at.current
+
+    def _held(self) -> Symbol:
+        return self.held
 
 
 class Lagging(Closure):
@@ -116,6 +134,37 @@ class Warming(Closure):
 
     def _past(self) -> Symbol:
         return self.past
+
+
+class Following(Closure):
+    """A law that follows a size over a time, or time alone; it begins at nothing."""
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        signal = self.element.signal
+        pressure_a, pressure_b = self.at.pressures
+        now = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool)
+        return {"past": ((1.0 if signal == "time" else getattr(now, signal)) - self.past) / self.time}
+
+    def _past(self) -> Symbol:
+        return self.past
+
+
+class Settling(Closure):
+    """The same of the spool's position, which is held over a step."""
+
+    def command(self, spool: Symbol) -> Symbol:
+        commanded = super().command(spool)
+        left = np.exp(-self.at.step / self.time)
+        self.next["past"] = self._driver(spool) + (self.past - self._driver(spool)) * left
+        return commanded
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        """Mean over the step."""
+        share = (1.0 - np.exp(-self.at.step / self.time)) * self.time / self.at.step
+        return self._driver(signal) + (self.past - self._driver(signal)) * share
+
+    def _driver(self, spool: Symbol) -> Symbol:
+        return 1.0 if self.element.signal == "time" else getattr(Signals(current=spool), self.element.signal)
 
 
 class Bending(Closure):
@@ -164,17 +213,21 @@ class Limited(Closure):
         return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
 
 
-def _made(law: Law | Table) -> type[Closure]:
+def made(law: Law | Table) -> type[Closure]:
+    """The class of closures of a law or table."""
     reach = _REACH * law.typical
     members: dict[str, Any] = {name: parameter(law.unit, -reach, reach, scale=law.typical) for name in law.names}
-    element = law.element if isinstance(law, Law) else None
+    element = law.element
     if isinstance(law, Table):
+        members |= {} if element is None else {"time": tables.SETTLING}
         over = tables.VARIABLES[law.variable]
         members |= {name: parameter(over, -laws.WIDEST, laws.WIDEST, scale=1.0) for name in ("low", "high")}
     else:
         members |= {one.name: _number(one) for one in law.numbers}
     if element is not None:
-        members |= {**_states(element), "element": element}
+        members |= {**_states(element, law.equation), "element": element}
+    elif law.picks_up:
+        members |= {"held": hidden("A", scale=1e-3)}
     about = {"law": law, "options": {"equation": (law.equation,), "form": (law.form,)}, "__doc__": Closure.__doc__}
     return type("Closure", _bases(law, element), {**about, **members})
 
@@ -185,7 +238,7 @@ def _number(number: Number) -> dict[str, Any]:
     return parameter(number.unit, *number.bounds, scale=abs(middle), neutral=middle)
 
 
-def _states(element: Element) -> dict[str, Any]:
+def _states(element: Element, equation: str) -> dict[str, Any]:
     """An element's hidden states."""
     unit, scale = element.signal_unit, _SCALES[element.signal_unit]
     where = {"where": hidden(unit, scale=scale)}
@@ -194,16 +247,20 @@ def _states(element: Element) -> dict[str, Any]:
         "heat": {"past": hidden("-", scale=1.0, integrated=True)},
         "path": {"bent": hidden("-", scale=1.0), **where},
         "rate": where,
+        "slow": {"past": hidden(unit, scale=scale, integrated=equation != "actuation")},
     }[element.kind]
 
 
-_MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "rate": Limited}
+_MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "rate": Limited, "slow": Following}
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
     acting = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure}
     acts = EdgeClosure if law.where == "edges" else acting.get(law.equation, FlowClosure)
-    return (acts,) if element is None else (_MEMORIES[element.kind], acts)
+    if element is None:
+        return (PickingUp,) if law.picks_up else (acts,)
+    remembers = Settling if element.kind == "slow" and acts is ValveClosure else _MEMORIES[element.kind]
+    return remembers, acts
 
 
-EFFECTS = tuple(_made(law) for law in grammar.ALL.values())
+EFFECTS = tuple(made(law) for law in grammar.ALL.values())

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Grammar of closures: the laws and tables that are tried where no named effect explains the residual.
 
-`forces`, `flows`, `valve` and `sensors` hold the laws, `words` what they are made of.
+`forces`, `flows`, `valve` and `sensors` hold the laws that have names, `words` what they are made of. All others are
+compositions of `carriers` and `modulations`.
 """
 
 from __future__ import annotations
@@ -10,30 +11,53 @@ from collections.abc import Mapping
 from typing import Any
 
 from hydro_sim.model.grammar import flows, forces, sensors, valve
+from hydro_sim.model.grammar.compositions import compositions
 from hydro_sim.model.grammar.words import sign
 from hydro_sim.model.laws import Law
 from hydro_sim.model.tables import Factor, Table
 
 LAWS: tuple[Law, ...] = (*forces.LAWS, *flows.LAWS, *valve.LAWS, *sensors.LAWS)
-"""Laws that are tried."""
+"""Laws that have names."""
+COMPOSITIONS: tuple[Law, ...] = compositions(LAWS)
+"""Laws that are compositions, without those that have names."""
 
 _VELOCITY = Factor("velocity", "v", lambda at: at.velocity)
 _DIRECTION = Factor("direction", "sign(v)", lambda at: sign(at.velocity))
-_ACROSS = Factor("pressure difference", "(p_a - p_b)", lambda at: at.pressure_difference)
+_ACROSS = Factor("pressure difference", "(p_a - p_b)", lambda at: at.pressure_difference, "pressure_a pressure_b")
+_OWN = {"a": Factor("pressure", "p_a", lambda at: at.pressure_a, "pressure_a"),
+        "b": Factor("pressure", "p_b", lambda at: at.pressure_b, "pressure_b")}  # fmt: skip
+_CURRENT = Factor("current", "u", lambda at: at.current, "current")
 
+
+def _tables(equation: str, unit: str, typical: float, variables: str, factor: Factor | None = None,
+            where: str = "") -> list[Table]:  # fmt: skip
+    return [Table(equation, variable, unit, typical, factor, where) for variable in variables.split()]
+
+
+_PASTS = "past_motion elapsed"
 TABLES: tuple[Table, ...] = (
-    Table("motion", "velocity", "N", 5.0), Table("motion", "position", "N", 5.0), Table("load", "position", "N", 5.0),
-    Table("pressure", "pressure_difference", "m3/s", 1e-7), Table("pressure", "position", "m3/s", 1e-7),
-    Table("actuation", "current", "A", 1e-4),
-    Table("motion", "position", "N s/m", 20.0, _VELOCITY), Table("motion", "position", "N", 5.0, _DIRECTION),
-    Table("motion", "pressure_difference", "N", 5.0, _DIRECTION),
-    Table("pressure", "position", "m3/s/Pa", 1e-13, _ACROSS),
-    *(Table("sensor", "force", "N", 5.0, where=cell) for cell in ("hydraulic_force", "load_force")),
-    *(Table("sensor", gauge, "Pa", 3e4, where=gauge) for gauge in ("pressure_a", "pressure_b")),
+    *_tables("motion", "N", 5.0, f"velocity position {_PASTS}"),
+    *_tables("motion", "N s/m", 20.0, f"position pressure_difference pressure_a pressure_b {_PASTS}", _VELOCITY),
+    *_tables("motion", "N", 5.0, f"position pressure_difference pressure_a pressure_b {_PASTS}", _DIRECTION),
+    *_tables("load", "N", 5.0, f"position velocity {_PASTS}"),
+    *_tables("load", "N s/m", 20.0, f"position {_PASTS}", _VELOCITY),
+    *_tables("load", "N", 5.0, f"position {_PASTS}", _DIRECTION),
+    *_tables("pressure", "m3/s", 1e-7, f"pressure_difference position velocity current past_opening {_PASTS}"),
+    *_tables("pressure", "m3/s/Pa", 1e-13, f"position velocity current past_opening {_PASTS}", _ACROSS),
+    *(table for chamber in "ab" for table in (
+        *_tables(f"pressure_{chamber}", "m3/s", 1e-7, f"pressure_{chamber} velocity current elapsed"),
+        *_tables(f"pressure_{chamber}", "m3/s/Pa", 5e-14, f"position velocity past_opening {_PASTS}", _OWN[chamber]),
+        *_tables(f"pressure_{chamber}", "m2", 1e-5, f"position pressure_{chamber} elapsed", _VELOCITY))),
+    *_tables("actuation", "A", 1e-4, "current past_opening elapsed"),
+    *_tables("actuation", "-", 0.05, "past_opening elapsed", _CURRENT),
+    *(table for cell in ("hydraulic_force", "load_force") for table in
+      _tables("sensor", "N", 5.0, f"force current position velocity {_PASTS}", None, cell)),
+    *(table for gauge, other in (("pressure_a", "pressure_b"), ("pressure_b", "pressure_a")) for table in
+      _tables("sensor", "Pa", 3e4, f"{gauge} {other} current position velocity {_PASTS}", None, gauge)),
 )  # fmt: skip
-"""Smooth functions that are tried where no law is found: of each variable, and what laws of two variables vary with."""
+"""Smooth functions of one variable, alone or as a coefficient of a carrier, where no law is found."""
 
-_EVERY: tuple[Law | Table, ...] = (*LAWS, *TABLES)
+_EVERY: tuple[Law | Table, ...] = (*LAWS, *COMPOSITIONS, *TABLES)
 ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
 """By equation and form."""
 
@@ -41,4 +65,4 @@ ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one
 def remembers(closure: Mapping[str, Any]) -> bool:
     """Return whether an entry of a bench file's `closures` has hidden states."""
     law = ALL.get((str(closure["equation"]), str(closure["form"])))
-    return isinstance(law, Law) and law.element is not None
+    return law is not None and law.remembers

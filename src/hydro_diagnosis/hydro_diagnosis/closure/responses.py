@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Residuals that a term of an equation leaves, to first order: its own hooks, then the way through to the channels.
+
+Many terms are carried at a time: the way is linear, so it is one filter for all rows. What a term of one equation does
+by way of another is left out: this ranks terms, it fits none. A gauge's error goes through the flows too: it is
+simulated as it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from scipy.ndimage import correlate1d
+from scipy.signal import lfilter
+
+from hydro_diagnosis.effects.base import Claim, FloatArray
+from hydro_diagnosis.effects.closure import Closure, EdgeClosure, FlowClosure, LoadClosure, MotionClosure, ValveClosure
+from hydro_diagnosis.estimation.fit import Fit
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.memory import RecordMemory
+from hydro_diagnosis.model.observer import OBSERVER_MEMORY
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.preprocessing.smoothing import finish_taps, smooth_taps
+from hydro_sim.model import equations as eq
+from hydro_sim.model.equations import LOAD_CELL_DAMPING
+
+Shown = dict[str, FloatArray]
+"""By channel of the residuals: physical unit, shape (terms, judged rows)."""
+
+
+class Responses:
+    """Ways of one segment, under the names that stand."""
+
+    def __init__(self, problem: Problem, model: SegmentModel, claims: Sequence[Claim]) -> None:
+        self.problem, self.model = problem, model
+        self.bench = model.bench(claims)
+        self.memory = RecordMemory(model.step, model.beside)
+        if "pressure" in problem.blocks:
+            self.oil = model.oil(claims)
+            self.stiff = chambers.compliances(self.bench, self.oil, claims)
+            p_a, p_b = self.oil.pressures
+            extends = self.oil.spool.mean(axis=-1) >= 0.0
+            drops = zip(*eq.edge_drops(self.bench.supply_pressure, self.bench.tank_pressure, p_a, p_b), strict=True)
+            self.roots = [eq.signed_root(np.where(extends, out, back)) for out, back in drops]
+        if "motion" in problem.blocks:
+            self.force = model.finish(model.required_force(claims))
+
+    def of(self, terms: Sequence[Claim]) -> Shown:
+        """Responses to terms of one law."""
+        effect = terms[0].effect
+        assert isinstance(effect, Closure)
+        if isinstance(effect, MotionClosure):
+            return self._moved(self._each(terms, self._resisting))
+        if isinstance(effect, LoadClosure):
+            return self._loaded(self._each(terms, self._loading))
+        if isinstance(effect, ValveClosure):
+            shift = self._each(terms, self._commanding) * self.bench.valve_gain
+            return self._filled(shift * self.roots[0], -shift * self.roots[1])
+        if isinstance(effect, FlowClosure | EdgeClosure):
+            still = np.zeros_like(self.model.time), np.zeros_like(self.model.time)
+            flows = [one.effect.inflows(still, self.oil, self.memory, one.values) for one in terms]
+            return self._filled(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
+        return self._read(terms, effect.law.where)
+
+    def _each(self, terms: Sequence[Claim], of: Callable[[Claim], FloatArray]) -> FloatArray:
+        return np.stack([of(one) for one in terms])
+
+    def _resisting(self, claim: Claim) -> FloatArray:
+        nothing = np.zeros_like(self.model.x)
+        return claim.effect.resistance(nothing, nothing, self.model.kinematics, self.memory, claim.values)
+
+    def _loading(self, claim: Claim) -> FloatArray:
+        nothing = np.zeros_like(self.model.x)
+        return claim.effect.load(nothing, self.model.kinematics, self.bench, self.memory, claim.values)
+
+    def _commanding(self, claim: Claim) -> FloatArray:
+        spool = self.oil.spool
+        if spool.shape[-1] == 1:
+            spool = np.repeat(spool, chambers.SUBSTEPS, axis=1)
+        moved = claim.effect.command(spool, self.model.step / spool.shape[-1], claim.values) - spool
+        return np.asarray(moved.mean(axis=-1))
+
+    def _kept(self, signals: FloatArray) -> FloatArray:
+        return signals[:, self.model.rows]
+
+    def _smooth(self, signals: FloatArray) -> FloatArray:
+        return np.asarray(correlate1d(signals, smooth_taps(self.model.spacing), mode="nearest"))
+
+    def _finish(self, signals: FloatArray) -> FloatArray:
+        return np.asarray(correlate1d(signals, finish_taps(self.model.spacing), mode="nearest"))
+
+    def _present(self, shown: Mapping[str, FloatArray | None]) -> Shown:
+        blocks = {"pressure_a": "pressure", "pressure_b": "pressure"}
+        return {name: one for name, one in shown.items() if one is not None
+                and blocks.get(name, name) in self.problem.blocks}  # fmt: skip
+
+    def _moved(self, force: FloatArray) -> Shown:
+        return self._present({"motion": -self._kept(self._finish(force))})
+
+    def _loaded(self, force: FloatArray) -> Shown:
+        seen, bandwidth = force, self.bench.load_cell_bandwidth
+        if bandwidth is not None:
+            seen = np.stack([self.memory.low_pass("", one, bandwidth, LOAD_CELL_DAMPING) for one in force])
+        return {**self._moved(force), **self._present({"load": -self._kept(self._smooth(seen))})}
+
+    def _filled(self, into_a: FloatArray, into_b: FloatArray) -> Shown:
+        shown: dict[str, FloatArray | None] = {}
+        for name, flow, stiff in (("pressure_a", into_a, self.stiff[0]), ("pressure_b", into_b, self.stiff[1])):
+            if flow.any():
+                built = np.zeros_like(flow)
+                np.cumsum((flow * (stiff * self.model.step))[:, :-1], axis=1, out=built[:, 1:])
+                shown[name] = -self._kept(self._smooth(self._forget(built)))
+        return self._present(shown)
+
+    def _forget(self, signals: FloatArray) -> FloatArray:
+        gain = self.model.step / OBSERVER_MEMORY
+        followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], signals, axis=1, zi=signals[:, :1])
+        return signals - np.asarray(followed)
+
+    def _read(self, terms: Sequence[Claim], channel: str) -> Shown:
+        def read(signal: FloatArray, smoothed: bool = False) -> FloatArray:
+            return np.stack([self.model.reading(channel, signal, [one], smoothed) - signal for one in terms])
+
+        channels = self.model.channels
+        if channel == "load_force":
+            force = self.model.spring_force(self.bench, [], self.model.recorded)
+            return self._present({"load": -self._kept(self._smooth(read(force)))})
+        raw = read(channels[channel])
+        return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
+
+    def _means(self, signals: FloatArray) -> FloatArray:
+        return np.stack([self.model.means(one) for one in signals])
+
+
+def shown(problem: Problem, base: Fit, ways: Sequence[Responses], terms: Sequence[Claim]) -> dict[int, FloatArray]:
+    """By channel: responses of its residuals, over their deviation, to terms of one law; shape (terms, residuals)."""
+    effect = terms[0].effect
+    assert isinstance(effect, Closure)
+    if effect.law.where.startswith("pressure"):
+        changes = np.stack([problem.residual((*base.claims, one)) - base.residual for one in terms])
+        channel = problem.layout.channel
+        return {int(k): changes[:, channel == k] for k in np.unique(channel)}
+    parts = [way.of(terms) for way in ways]
+    return {
+        CHANNELS.index(name): np.concatenate(
+            [one[name] / problem.deviation(name, k) for k, one in enumerate(parts)], axis=1
+        )
+        for name in set().union(*parts)
+    }

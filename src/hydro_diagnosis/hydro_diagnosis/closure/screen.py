@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Screen of all laws: what each gains on held-out blocks beside a fit, to first order, at once.
+
+The responses of all laws, at every start value of their further numbers, are computed once. Beside any fit, products
+with its residual and its columns give four-fold cross-validation (`evidence`) of each law alone in closed form. Only
+the best few are fitted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+import numpy.typing as npt
+
+from hydro_diagnosis.closure.evidence import BLOCK, FOLDS
+from hydro_diagnosis.closure.responses import Responses, shown
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.estimation.fit import Fit, spreads
+from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+
+ROWS = 40000
+"""Residuals of a channel beyond which only every second, third ... is taken."""
+
+
+CHANCE = 20.0
+"""Deviance on held-out blocks that a single column must gain, as the search asks of a cause."""
+
+
+def threshold(columns: int) -> float:
+    """Deviance that the best of so many columns must gain: chance alone reaches 2 ln(columns)."""
+    return CHANCE + 2.0 * float(np.log(max(columns, 1)))
+
+
+@dataclass(frozen=True)
+class Prospect:
+    """A law that may join a fit."""
+
+    gain: float
+    """Held-out deviance that it gains, to first order."""
+    starts: tuple[Claim, ...]
+    """Values to fit it from, the best first."""
+
+    @property
+    def effect(self) -> Effect:
+        """The law."""
+        return self.starts[0].effect
+
+
+class Screen:
+    """All laws over the recordings of a problem.
+
+    Parameters
+    ----------
+    problem
+        The least-squares problem.
+    base
+        Names that stand.
+    terms
+        Laws at start values, those of a law one after the other; without amplitude.
+    """
+
+    def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
+        self.problem, self.terms = problem, list(terms)
+        self._blocks: list[tuple[slice, dict[int, npt.NDArray[np.float32]]]] = []
+        layout = problem.layout
+        count = int(layout.count().max())
+        self._every = max(count // ROWS, 1)
+        self._rows = [np.flatnonzero(layout.channel == k)[:: self._every] for k in range(len(CHANNELS))]
+        everything = (*problem.baseline, *base.claims)
+        ways = [Responses(problem, model, everything) for model in problem.models]
+        at = 0
+        for _, same in groupby(self.terms, key=lambda one: one.effect.label):
+            probes = [_probed(one) for one in same]
+            block = {
+                channel: columns[:, :: self._every].astype(np.float32)
+                for channel, columns in shown(problem, base, ways, probes).items()
+            }
+            self._blocks.append((slice(at, at + len(probes)), block))
+            at += len(probes)
+
+    def __len__(self) -> int:
+        return len(self.terms)
+
+    def prospects(self, found: Fit, count: int, without: Collection[str] = ()) -> tuple[list[Prospect], float]:
+        """The laws that gain most beside a fit, their further numbers paid, and what there is to gain at all."""
+        gains, there_is = self.gains(found)
+        price = float(np.log(len(found.residual)))
+        by_law = []
+        for at, _ in self._blocks:
+            effect = self.terms[at.start].effect
+            if effect.label in without:
+                continue
+            order = at.start + np.argsort(-gains[at])
+            paid = gains[order[0]] - price * (len(effect.parameters) - 1)
+            by_law.append((paid, float(gains[order[0]]), [self.terms[k] for k in order]))
+        by_law.sort(key=lambda one: -one[0])
+        return [Prospect(gain, _apart(terms)) for _, gain, terms in by_law[:count]], there_is
+
+    def gains(self, found: Fit) -> tuple[FloatArray, float]:
+        """Held-out deviance that each term gains beside a fit, shape (terms,), and what there is to gain at all."""
+        layout, base = self.problem.layout, np.column_stack([found.residual, found.jacobian])
+        lengths = np.maximum(np.linalg.norm(base, axis=0), 1e-300)
+        base = base / lengths
+        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
+        weight = 1.0 / spreads(self.problem, found.residual)
+        width, many = base.shape[1], len(self.terms)
+        own = np.zeros((FOLDS, len(CHANNELS), width, width))
+        cross = np.zeros((FOLDS, len(CHANNELS), width, many))
+        square = np.zeros((FOLDS, len(CHANNELS), many))
+        parts = []
+        for channel, rows in enumerate(self._rows):
+            for k in range(FOLDS):
+                inside = fold[rows] == k
+                part = base[rows[inside]]
+                own[k, channel] = part.T @ part
+                parts.append((k, channel, inside, part.astype(np.float32)))
+        for at, block in self._blocks:
+            for k, channel, inside, part in parts:
+                if channel in block and len(part):
+                    columns = block[channel][:, inside]
+                    cross[k, channel, :, at] = (columns @ part).T
+                    square[k, channel, at] = np.einsum("ij,ij->i", columns, columns)
+        count = np.array([len(rows) for rows in self._rows], dtype=np.float64)
+        size = float(lengths[0]) ** 2
+        gains, before = _gains(own, cross, square, weight, count, size)
+        return gains * self._every, (before - float(count.sum())) * self._every
+
+
+def _gains(own: FloatArray, cross: FloatArray, square: FloatArray, weight: FloatArray, count: FloatArray,
+           size: float) -> tuple[FloatArray, float]:  # fmt: skip
+    """Held-out deviance gained by each term, and the deviance before, from products by fold and channel.
+
+    The normal equations of the standing columns and one more are solved by its Schur complement.
+    """
+    many = square.shape[-1]
+    before, after = np.zeros(len(weight)), np.zeros((len(weight), many))
+    weighted = [np.einsum("fc...,c->f...", one, weight) for one in (own, cross, square)]
+    together = [one.sum(axis=0) for one in weighted]
+    for k in range(len(own)):
+        a, b, d = (whole - one[k] for whole, one in zip(together, weighted, strict=True))
+        inverse = np.linalg.pinv(a[1:, 1:], rcond=1e-10, hermitian=True) if len(a) > 1 else np.zeros((0, 0))
+        alone = -inverse @ a[1:, 0]
+        full = np.concatenate([[1.0], alone])
+        before += np.einsum("i,cij,j->c", full, own[k], full)
+        turned = inverse @ b[1:]
+        rest = d - np.sum(b[1:] * turned, axis=0)
+        left = b[0] + alone @ b[1:]
+        amount = np.where(rest > 1e-9 * d, -left / np.maximum(rest, 1e-300), 0.0)
+        theta = np.concatenate([np.ones((1, many)), alone[:, None] - turned * amount])
+        after += np.einsum("im,cij,jm->cm", theta, own[k], theta)
+        after += 2.0 * amount * np.einsum("im,cim->cm", theta, cross[k]) + amount**2 * square[k]
+
+    def deviance(squares: FloatArray) -> FloatArray:
+        places = (..., *(None for _ in range(squares.ndim - 1)))
+        variance = np.maximum(squares / np.maximum(count, 1.0)[places], 1.0)
+        return np.asarray(np.sum(count[places] * np.log(variance) + squares / variance, axis=0))
+
+    reached = float(deviance(before * size))
+    return reached - deviance(after * size), reached
+
+
+def _probed(claim: Claim) -> Claim:
+    sizes = {one.name: one.probes[0] for one in claim.effect.parameters if one.smallest > 0.0}
+    return Claim(claim.effect, {**claim.values, **sizes})
+
+
+def _apart(terms: Sequence[Claim]) -> tuple[Claim, ...]:
+    """The best start, and of a law with several further numbers the best with each other value of the first."""
+    names = [one.name for one in terms[0].effect.parameters if one.smallest == 0.0]
+    if len(names) < 2:
+        return tuple(terms[:1])
+    found: dict[float, Claim] = {}
+    for one in terms:
+        found.setdefault(one.values[names[0]], one)
+    return tuple(found.values())

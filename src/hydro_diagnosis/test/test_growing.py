@@ -1,0 +1,193 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A law that was found on several benches becomes an effect with its test; what is no such law is refused."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydro_bridge.errors import UserError
+from hydro_diagnosis.cli import run
+from hydro_diagnosis.growing.agreement import agreements
+from hydro_diagnosis.growing.sightings import sightings
+from hydro_diagnosis.growing.tracing import shape_text
+from hydro_sim.model import grammar
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.laws import Law, Signals
+
+SIGNALS = Signals(0.03, 0.1, 5e6, -4e6, 1e-3, 100.0, 2e6, 0.3, 0.5)
+DRAG = ("motion", "quadratic drag")
+Numbers = Mapping[str, tuple[float, float, float]]
+"""Value and ends of the interval, by a law's parameter."""
+
+
+def closure(law: Law, numbers: Numbers) -> dict[str, Any]:
+    """An entry of `closures` as `closure.admission` writes it."""
+    units = {"coefficient": law.unit, **{one.name: one.unit for one in law.numbers}}
+    terms = {name: {"value": value, "ci95": [low, high], "unit": units[name]}
+             for name, (value, low, high) in numbers.items()}  # fmt: skip
+    further = "".join(f", {one.name} = {numbers[one.name][0]:.4g} {one.unit}" for one in law.numbers)
+    expression = f"{numbers['coefficient'][0]:.4g} {law.unit} * {law.text}{further}"
+    return {"equation": law.equation, "form": "law", "expression": expression, "terms": terms, "range": None,
+            "sentence": law.sentence, "share_closed": 1.0, "share_by_form": {}}  # fmt: skip
+
+
+def report(folder: Path, *closures: Mapping[str, Any]) -> str:
+    folder.mkdir(parents=True)
+    recordings = [{"name": folder.name, "begin": None}]
+    content = {"verdict": "modelled" if closures else "explained", "closures": closures, "recordings": recordings}
+    (folder / "report.json").write_text(json.dumps(content))
+    return str(folder)
+
+
+def law(equation: str, form: str) -> Law:
+    found = grammar.ALL[equation, form]
+    assert isinstance(found, Law)
+    return found
+
+
+def around(value: float, share: float = 0.01) -> tuple[float, float, float]:
+    low, high = sorted((value * (1.0 - share), value * (1.0 + share)))
+    return value, low, high
+
+
+def dragged(folder: Path, coefficient: float) -> str:
+    return report(folder, closure(law(*DRAG), {"coefficient": around(coefficient)}))
+
+
+SMOOTH = {"equation": "load", "form": "smooth", "expression": "f(position)", "terms": {}, "range": [0.0, 1.0],
+          "sentence": "A smooth function.", "share_closed": 1.0, "share_by_form": {}}  # fmt: skip
+
+
+@pytest.mark.parametrize("law", grammar.LAWS, ids=lambda law: f"{law.equation} {law.form}")
+def test_the_written_shape_is_the_laws(law: Law) -> None:
+    shape = eval(f"lambda at, n: {shape_text(law)}", {"np": np})
+    assert shape(SIGNALS, Bench.nominal()) == pytest.approx(law.shape(SIGNALS, Bench.nominal()), rel=1e-14)
+
+
+@pytest.mark.parametrize("law", grammar.LAWS, ids=lambda law: f"{law.equation} {law.form}")
+def test_a_report_says_which_law_it_holds(law: Law, tmp_path: Path) -> None:
+    numbers = {name: around(0.1 * (k + 1)) for k, name in enumerate(law.names)}
+    folders = [report(tmp_path / name, closure(law, numbers)) for name in "ab"]
+    assert [one.law for one in sightings(folders)] == [law, law]
+
+
+def test_one_value_fits_benches_whose_intervals_overlap_and_not_others(tmp_path: Path) -> None:
+    alike = sightings([dragged(tmp_path / "a", 880.0), dragged(tmp_path / "b", 884.0)])
+    (agreed,) = agreements(alike)
+    deviation = 880.0 * 0.01 / 1.959964
+    weights = np.array([1.0, (880.0 / 884.0) ** 2]) / deviation**2
+    assert agreed.common == pytest.approx(weights @ [880.0, 884.0] / weights.sum(), rel=1e-6)
+    assert agreed.one_for_all and "one value fits all benches" in agreed.sentence
+    (apart,) = agreements(sightings([dragged(tmp_path / "c", 500.0), dragged(tmp_path / "d", 884.0)]))
+    assert not apart.one_for_all and "each bench has its own value" in apart.sentence
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["a"], "one report is one bench: a law must have been found on 2"),
+        (["a", "a"], "are one diagnosis"),
+        (["a", "clean"], "clean has no closure"),
+        (["a", "smooth"], "smooth function in load, not a law"),
+        (["a", "other"], "the reports hold different laws: .*quadratic drag.*cubic drag"),
+        (["both", "two"], "several laws in common: choose by --law one of 'quadratic drag', 'cubic drag'"),
+        (["both", "two", "--law", "root drag"], "do not share a law 'root drag'"),
+        (["a", "no_report"], "is no report.json of a diagnosis"),
+        (["a", "two", "--id", "moving_mass"], "an effect of this id exists"),
+        (["a", "two", "--id", "closure"], "an effect of this id exists"),
+        (["a", "two", "--id", "Port Drag"], "lower-case words joined by _"),
+    ],
+)
+def test_what_is_no_law_of_several_benches_is_refused_in_a_sentence(
+    words: Sequence[str], sentence: str, tmp_path: Path
+) -> None:
+    cubic = closure(law("motion", "cubic drag"), {"coefficient": around(2e3)})
+    drag = closure(law(*DRAG), {"coefficient": around(880.0)})
+    for name, closures in {"a": [drag], "clean": [], "smooth": [SMOOTH], "other": [cubic], "both": [drag, cubic],
+                           "two": [drag, cubic]}.items():  # fmt: skip
+        report(tmp_path / name, *closures)
+    (tmp_path / "no_report").mkdir()
+    (tmp_path / "no_report" / "report.json").write_text("[]")
+    given = [str(tmp_path / word) if (tmp_path / word).exists() else word for word in words]
+    options = given if "--id" in given else [*given, "--id", "port_drag"]
+    out = tmp_path / "out"
+    with pytest.raises(UserError, match=sentence):
+        run(["--grow", *options, "--out", str(out)])
+    assert not out.exists()
+
+
+def test_an_effect_is_not_written_over(tmp_path: Path) -> None:
+    words = ["--grow", dragged(tmp_path / "a", 880.0), dragged(tmp_path / "b", 884.0), "--id", "port_drag"]
+    assert run([*words, "--out", str(tmp_path / "out")]) == 0
+    with pytest.raises(UserError, match=r"port_drag\.py exists: choose another --id"):
+        run([*words, "--out", str(tmp_path / "out")])
+
+
+GROWN = [
+    (DRAG, {"coefficient": 880.0}),
+    (("actuation", "quadratic gain"), {"coefficient": -4.6}),
+    (("load", "hysteresis"), {"coefficient": 7.0, "path": 2e-3}),
+    (("pressure_a", "creeping volume"), {"coefficient": 1.3e-13, "time": 0.15}),
+    (("sensor", "quadratic reading of hydraulic_force"), {"coefficient": 6e-5}),
+]
+
+
+def grow(folder: Path, which: tuple[str, str], values: Mapping[str, float], table: Path | None = None) -> Path:
+    """Grow `grown_one` from two reports, into a folder of its own."""
+    reports = []
+    for name, share in (("a", 1.0), ("b", 1.002)):
+        numbers = {one: around(share * value) for one, value in values.items()}
+        reports.append(report(folder / name, closure(law(*which), numbers)))
+    json_file = ["--json", str(table)] if table else []
+    assert run(["--grow", *reports, "--id", "grown_one", "--out", str(folder / "out"), *json_file]) == 0
+    return folder / "out"
+
+
+@pytest.mark.parametrize(("which", "values"), GROWN, ids=[form for (_, form), _ in GROWN])
+def test_what_is_written_keeps_the_rules_of_the_repository(
+    which: tuple[str, str], values: dict[str, float], tmp_path: Path
+) -> None:
+    files = [str(file) for file in sorted(grow(tmp_path, which, values).glob("*.py"))]
+    assert [Path(file).name for file in files] == ["grown_one.py", "test_grown_one.py"]
+    rules = ["--config", str(Path(__file__).resolve().parents[3] / "pyproject.toml")]
+    for words in (["format", "--check", "--diff"], ["check", "--ignore", "D"]):
+        done = subprocess.run([sys.executable, "-m", "ruff", *words, *rules, *files], capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_table_shows_the_numbers_side_by_side(tmp_path: Path) -> None:
+    grow(tmp_path, DRAG, {"coefficient": 880.0}, tmp_path / "table.json")
+    rows = json.loads((tmp_path / "table.json").read_text())["rows"]
+    assert [row["value"] for row in rows] == pytest.approx([880.0, 881.76])
+    assert all(row["low"] < row["value"] < row["high"] and row["unit"] == "N s2/m2" for row in rows)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("which", "values"), GROWN[:3], ids=[form for (_, form), _ in GROWN[:3]])
+def test_a_grown_effect_passes_its_own_test(which: tuple[str, str], values: dict[str, float], tmp_path: Path) -> None:
+    folder = grow(tmp_path, which, values)
+    words = [
+        "-q",
+        "-p",
+        "no:cacheprovider",
+        "--rootdir",
+        str(folder),
+        "-W",
+        "ignore",
+        str(folder / "test_grown_one.py"),
+    ]
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", *words], env={**os.environ, "HYDRO_EFFECTS": str(folder)}, cwd=folder,
+        capture_output=True, text=True, timeout=280,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "4 passed" in done.stdout

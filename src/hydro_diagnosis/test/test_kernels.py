@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The compiled inner loops say the same as the equations in numpy that they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.preprocessing.smoothing import finish, finish_at, smooth, smooth_at
+
+ABSENT = {
+    "leakage_internal": {"coefficient": 0.0},
+    "valve_gain": {"ratio": 1.0},
+    "bulk_modulus": {"ratio": 1.0},
+    "supply_droop": {"resistance": 0.0, "time_constant": 0.05},
+    "spring_hardening": {"coefficient": 0.0},
+    "force_offset": {"force": 0.0},
+    "pressure_sensor_bias": {"pressure": 0.0},
+}
+"""Effects at the values at which they vanish, one of each way through the equations."""
+
+
+def absent(name: str) -> Claim:
+    return Claim(next(one for one in LIBRARY if one.id == name), ABSENT[name])
+
+
+@pytest.mark.parametrize("name", ABSENT)
+def test_an_effect_that_vanishes_changes_no_residual(problem: Problem, name: str) -> None:
+    np.testing.assert_allclose(problem.residual((absent(name),)), problem.residual(()), rtol=0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ABSENT)
+def test_an_effect_that_vanishes_changes_no_simulation(problem: Problem, name: str) -> None:
+    model, begins = problem.models[0], np.arange(500, 4000, 250)
+    plain, hooked = Plant.of(model, ()), Plant.of(model, (absent(name),))
+    start = plain.start(begins)
+    np.testing.assert_allclose(hooked.run(start, begins, 40), plain.run(start, begins, 40), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("spacing", [1, 5])
+def test_smoothing_at_some_samples_is_that_of_all(spacing: int) -> None:
+    signal, rows = np.random.default_rng(1).standard_normal(400), np.array([0, 3, 50, 399])
+    np.testing.assert_allclose(smooth_at(signal, rows, spacing), smooth(signal, spacing)[rows], rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(finish_at(signal, rows, spacing), finish(signal, spacing)[rows], rtol=0.0, atol=1e-12)

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Equations of `dynamics`, x' = f(x, u), in terms of `hydro_sim.model.equations`; `analytic_kernels` has A and B.
+
+Their derivatives go by way of the roots of the pressure drops, whose slopes are `root_slopes`: next to zero pressure
+drop no steeper than at `SMALLEST_DROP`. Source: paper eq. q13-q15 with physics.md's erratum.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numba.extending import register_jitable
+
+from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE_RATE, POSITION, VELOCITY
+from hydro_sim.model import equations as eq
+
+SMALLEST_DROP = 1e3
+"""Pa; the slope of a square root is taken no nearer to zero pressure drop than this: it is infinite there."""
+
+
+@njit(cache=True)
+def root_slopes(bench, pressure_a, pressure_b, opening):
+    """Roots of the pressure drops at A and at B under an opening; their first and second slopes by the pressures."""
+    out, back = eq.edge_drops(bench.supply_pressure, bench.tank_pressure, pressure_a, pressure_b)
+    (drop_a, drop_b), sign = (out, 1.0) if opening >= 0.0 else (back, -1.0)
+    root_a, root_b = eq.signed_root(drop_a), eq.signed_root(drop_b)
+    size_a, size_b = np.sqrt(max(abs(drop_a), SMALLEST_DROP)), np.sqrt(max(abs(drop_b), SMALLEST_DROP))
+    bend_a, bend_b = -0.25 * np.copysign(1.0, drop_a) / size_a**3, -0.25 * np.copysign(1.0, drop_b) / size_b**3
+    return root_a, root_b, -0.5 * sign / size_a, 0.5 * sign / size_b, bend_a, bend_b
+
+
+@register_jitable
+def pressure_rates(n, state, current, roots):
+    """p_a', p_b' [Pa/s] at a valve current [A], given the roots of both pressure drops."""
+    stiff = eq.stiffnesses(n, (n.bulk_modulus, n.bulk_modulus), state[POSITION])
+    flows = n.valve_gain * roots[0] * current, -(n.valve_gain * roots[1] * current)
+    return eq.pressure_rates(n, stiff, flows, state[VELOCITY])
+
+
+@register_jitable
+def force_rate(n, state, current, roots):
+    """F(x, u) = h + g u [N/s], f_h' of eq. q13."""
+    rate_a, rate_b = pressure_rates(n, state, current, roots)
+    return eq.hydraulic_force(n, rate_a, rate_b)
+
+
+@register_jitable
+def acceleration(n, state):
+    """x_p'' [m/s^2]."""
+    against = n.viscous_friction * state[VELOCITY] + eq.spring_force(n, state[POSITION])
+    return (state[HYDRAULIC_FORCE] - against) / n.moving_mass
+
+
+@register_jitable
+def rates(n, state, current, roots, bend):
+    """x' in its order; `bend`: f_h'' [N/s^2]."""
+    pushed = acceleration(n, state)
+    load, (rate_a, rate_b) = state[LOAD_FORCE_RATE], pressure_rates(n, state, current, roots)
+    force = eq.hydraulic_force(n, rate_a, rate_b)
+    return force, bend, load, n.spring_stiffness * pushed, rate_a, rate_b, state[VELOCITY], pushed

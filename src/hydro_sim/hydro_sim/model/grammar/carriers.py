@@ -1,0 +1,263 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Carriers: the quantities that terms of each equation are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hydro_sim.model.equations import Symbol
+from hydro_sim.model.grammar.parts import Carrier
+from hydro_sim.model.grammar.words import deflection, sign
+from hydro_sim.model.laws import SIGN_VELOCITY, Number, Signals
+
+_FRICTION = "Dry friction"
+
+
+def _force(name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
+           shape: Callable[[Signals, Any], Symbol], equation: str = "motion") -> Carrier:  # fmt: skip
+    return Carrier(equation=equation, name=name, unit=unit, text=text, phrase=phrase, size=5.0, scale=scale, uses=uses,
+                   degree=degree, shape=shape)  # fmt: skip
+
+
+CONSTANT_FORCE = _force(
+    "force", "-", "1", "A force against the motion", 1.0, "", 0.0, lambda at, n: 1.0 + 0.0 * at.position
+)
+DRY = _force("friction", "-", "sign(v)", _FRICTION, 1.0, "velocity", 0.0, lambda at, n: sign(at.velocity))
+VISCOUS = _force("drag", "m/s", "v", "Viscous friction", 0.05, "velocity", 1.0, lambda at, n: at.velocity)
+SQUARE = _force(
+    "quadratic drag",
+    "m2/s2",
+    "v |v|",
+    "A force against motion that grows with the square of speed",
+    2.5e-3,
+    "velocity",
+    2.0,
+    lambda at, n: at.velocity * np.abs(at.velocity),
+)
+ROOT = _force(
+    "root drag",
+    "sqrt(m/s)",
+    "sign(v) sqrt(|v|)",
+    "A force against motion that grows with the root of speed",
+    0.2,
+    "velocity",
+    0.5,
+    lambda at, n: at.velocity / np.sqrt(np.abs(at.velocity) + SIGN_VELOCITY),
+)
+BY_PRESSURE = tuple(
+    _force(f"friction by pressure of {chamber.upper()}", "Pa", f"sign(v) p_{chamber}",
+           f"Dry friction by the pressure of chamber {chamber.upper()}", 5e6, f"pressure_{chamber} velocity", 1.0,
+           shape)
+    for chamber, shape in (("a", lambda at, n: sign(at.velocity) * at.pressure_a),
+                           ("b", lambda at, n: sign(at.velocity) * at.pressure_b))
+)  # fmt: skip
+BY_DIFFERENCE = _force("friction by pressure difference", "Pa", "sign(v) |p_a - p_b|",
+                       "Dry friction by the pressure across the piston", 3e6, "pressure_a pressure_b velocity", 1.0,
+                       lambda at, n: sign(at.velocity) * np.abs(at.pressure_difference))  # fmt: skip
+
+LOAD_DRY = _force(
+    "rubbing",
+    "-",
+    "sign(v)",
+    "Dry friction in the load's way",
+    1.0,
+    "velocity",
+    0.0,
+    lambda at, n: sign(at.velocity),
+    "load",
+)
+LOAD_VISCOUS = _force(
+    "damping", "m/s", "v", "Damping in the load's way", 0.05, "velocity", 1.0, lambda at, n: at.velocity, "load"
+)
+LOAD_SQUARE = _force(
+    "quadratic damping",
+    "m2/s2",
+    "v |v|",
+    "Damping in the load's way, with the square of speed",
+    2.5e-3,
+    "velocity",
+    2.0,
+    lambda at, n: at.velocity * np.abs(at.velocity),
+    "load",
+)
+LOAD_RUBBING = _force(
+    "rubbing by deflection",
+    "m",
+    "sign(v) |x - x_rest|",
+    "Friction in the load that grows as it is bent: typical of a leaf spring",
+    1e-2,
+    "position velocity",
+    1.0,
+    lambda at, n: sign(at.velocity) * np.abs(deflection(at, n)),
+    "load",
+)
+LOAD_SPRING = _force(
+    "stiffness", "m", "(x - x_rest)", "A stiffness of the load", 1e-2, "position", 1.0, deflection, "load"
+)
+LOAD_CONSTANT = _force(
+    "load", "-", "1", "A force of the load", 1.0, "", 0.0, lambda at, n: 1.0 + 0.0 * at.position, "load"
+)
+
+
+def _flow(equation: str, name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
+          shape: Callable[[Signals, Any], Symbol]) -> Carrier:  # fmt: skip
+    return Carrier(equation=equation, name=name, unit=unit, text=text, phrase=phrase, size=3e-7, scale=scale,
+                   uses=uses, degree=degree, shape=shape)  # fmt: skip
+
+
+def _root(pressure: Symbol) -> Symbol:
+    return pressure / np.sqrt(np.abs(pressure) + 100.0)
+
+
+_BETWEEN = "pressure_a pressure_b"
+LEAK = _flow(
+    "pressure",
+    "leak",
+    "Pa",
+    "(p_a - p_b)",
+    "A leak between the chambers",
+    3e6,
+    _BETWEEN,
+    1.0,
+    lambda at, n: at.pressure_difference,
+)
+HOLE = _flow(
+    "pressure",
+    "hole",
+    "sqrt(Pa)",
+    "sqrt(p_a - p_b)",
+    "A leak through a hole between the chambers",
+    2e3,
+    _BETWEEN,
+    0.5,
+    lambda at, n: _root(at.pressure_difference),
+)
+
+
+def _of_chamber(
+    chamber: str, pressure: Callable[[Signals], Symbol], area: Callable[[Any], Symbol]
+) -> tuple[Carrier, ...]:
+    equation, big = f"pressure_{chamber}", chamber.upper()
+    return (
+        _flow(equation, "leak", "Pa", f"p_{chamber}", f"A leak of chamber {big} to the outside", 5e6, equation, 1.0,
+              lambda at, n: pressure(at)),
+        _flow(equation, "hole", "sqrt(Pa)", f"sqrt(p_{chamber})", f"A leak of chamber {big} through a hole", 2e3,
+              equation, 0.5, lambda at, n: _root(pressure(at))),
+        _flow(equation, "carried oil", "m3/s", f"v A_{chamber}", f"Oil of chamber {big} that the motion carries along",
+              5e-6, "velocity", 1.0, lambda at, n: at.velocity * area(n)),
+    )  # fmt: skip
+
+
+CHAMBERS = (
+    *_of_chamber("a", lambda at: at.pressure_a, lambda n: n.piston_area),
+    *_of_chamber("b", lambda at: at.pressure_b, lambda n: n.area_ratio * n.piston_area),
+)
+
+
+def _spool(name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
+           shape: Callable[[Signals, Any], Symbol]) -> Carrier:  # fmt: skip
+    return Carrier(equation="actuation", name=name, unit=unit, text=text, phrase=phrase, size=1e-4, scale=scale,
+                   uses=uses, degree=degree, shape=shape)  # fmt: skip
+
+
+NULL = _spool("null", "-", "1", "A shift of the valve's null", 1.0, "", 0.0, lambda at, n: 1.0 + 0.0 * at.current)
+GAIN = _spool("gain", "A", "u", "A gain of the valve", 2e-3, "current", 1.0, lambda at, n: at.current)
+CURVE = _spool(
+    "curve",
+    "A2",
+    "u |u|",
+    "A gain of the valve that changes with its opening",
+    4e-6,
+    "current",
+    2.0,
+    lambda at, n: at.current * np.abs(at.current),
+)
+
+
+def _edge(name: str, text: str, phrase: str, scale: float, unit: str, degree: float,
+          shape: Callable[[Signals, Any], Symbol], numbers: tuple[Number, ...] = (),
+          size: float = 1.0) -> Carrier:  # fmt: skip
+    return Carrier(
+        equation="actuation",
+        name=name,
+        unit=unit,
+        text=text,
+        phrase=phrase,
+        size=size,
+        scale=scale,
+        uses="current pressure_a pressure_b",
+        degree=degree,
+        shape=shape,
+        where="edges",
+        numbers=numbers,
+    )
+
+
+THROTTLE = _edge(
+    "throttled flow",
+    "q (1 - 1 / sqrt(1 + resistance K^2))",
+    "Flow through a throttle behind or before the edges, whose pressure drop grows with q^2: typical of a clogged "
+    "filter or a narrow line; 1: all of it",
+    1.0,
+    "-",
+    3.0,
+    lambda at, n: 1.0 - 1.0 / np.sqrt(1.0 + at.number * at.opened * at.opened),
+    (Number("resistance", "Pa s2/m6", (1e14, 5e14, 2e15, 1e16)),),
+)
+NARROWED = _edge(
+    "narrowed flow",
+    "q",
+    "Edges that pass less than their share",
+    1.0,
+    "-",
+    1.5,
+    lambda at, n: 1.0 + 0.0 * at.drop,
+    size=0.05,
+)
+
+_SENSORS = {"hydraulic_force": "load cell at the piston rod", "load_force": "load cell at the load",
+            "pressure_a": "pressure sensor of chamber A", "pressure_b": "pressure sensor of chamber B"}  # fmt: skip
+_BESIDE = (
+    ("current", "u", "A", 3e-3, "the valve's current: typical of cables side by side"),
+    ("position", "x", "m", 2e-2, "the position: typical of a cable or a mount that is bent"),
+    ("velocity", "v", "m/s", 0.05, "the velocity: typical of a hose or a mount that is dragged along"),
+    ("pressure_a", "p_a", "Pa", 5e6, "the pressure of chamber A: typical of a housing that pressure strains"),
+    ("pressure_b", "p_b", "Pa", 5e6, "the pressure of chamber B: typical of a housing that pressure strains"),
+)
+
+
+def _of_sensor(channel: str) -> tuple[tuple[Carrier, ...], tuple[Carrier, ...]]:
+    own, size = ("Pa", 5e4) if channel.startswith("pressure") else ("N", 5.0)
+    itself = channel if channel.startswith("pressure") else "force"
+    symbol = {"hydraulic_force": "f_h", "load_force": "f_l"}.get(channel, f"p_{channel[-1]}")
+
+    def made(name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
+             shape: Callable[[Signals, Any], Symbol]) -> Carrier:  # fmt: skip
+        return Carrier(equation="sensor", name=f"{name} of {channel}", unit=unit, text=text, phrase=phrase, size=size,
+                       scale=scale, uses=uses, degree=degree, shape=shape, where=channel)  # fmt: skip
+
+    def beside(signal: str, text: str, unit: str, scale: float, cause: str) -> Carrier:
+        return made(f"pick-up of {signal}", unit, text, f"The {_SENSORS[channel]} also reads {cause}", scale, signal,
+                    1.0, lambda at, n: getattr(at, signal))  # fmt: skip
+
+    picked = tuple(beside(*one) for one in _BESIDE if one[0] != channel)
+    zero = made(
+        "zero",
+        "-",
+        "1",
+        f"A zero of the {_SENSORS[channel]}",
+        1.0,
+        "",
+        0.0,
+        lambda at, n: 1.0 + 0.0 * getattr(at, itself),
+    )
+    gain = made("gain", own, symbol, f"A gain of the {_SENSORS[channel]}", 100.0 * size, channel, 1.0,
+                lambda at, n: getattr(at, itself))  # fmt: skip
+    return picked, (zero, gain)
+
+
+PICKED = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[0])
+DRIFTING = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[1])
