@@ -163,7 +163,7 @@ def _diagnosed(
             problem, bounds, before = closed.closed.problem, within, _names(assessment)
             assessment, closing = _closed(problem, assessment, closed), reports(closed, bounds)
             ahead = ahead if _names(assessment) == before else None  # it would tell names apart that are not claimed
-            ahead = ahead or next_for_law(problem, assessment.fit)
+            ahead = ahead or (next_for_law(problem, assessment.fit) if rehearsable(believed) else None)
             unseen.update_weights(assessment.fit.claims)
             proof = {**closed.held, "equations": equations_told(unseen, assessment.fit.claims)}
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
