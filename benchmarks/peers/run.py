@@ -93,6 +93,11 @@ class Corrected(Plant):
         driving = {**along, "current": model.channels["valve_current"]}  # held from each sample on
         return cls(**vars(plain), correction=correction, driving=driving, shown=correction(along))
 
+    @property
+    def textbook(self) -> bool:
+        """Never: the rates are corrected."""
+        return False
+
     def rates(self, state: FloatArray, time: FloatArray, *rest: object) -> FloatArray:
         """The nominal rates and the correction."""
         change = super().rates(state, time, *rest)

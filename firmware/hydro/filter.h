@@ -32,9 +32,9 @@ typedef struct {
     uint32_t status;
 } hydro_decision;
 
-/* q/u [m3/s/A] of both lands, and its slope [m3/s/A/Pa] by the pressure of the land's own chamber. */
+/* Roots of both lands' pressure drops, and their slopes by the pressure of the land's own chamber. */
 typedef struct {
-    hydro_real gain_a, gain_b, slope_a, slope_b;
+    hydro_real root_a, root_b, slope_a, slope_b;
 } hydro_lands;
 
 static inline hydro_lands hydro_open_lands(
@@ -45,10 +45,10 @@ static inline hydro_lands hydro_open_lands(
     hydro_real drop_b = forward ? pressure_b - bench->tank_pressure : bench->supply_pressure - pressure_b;
     hydro_real half = forward ? HYDRO_R(-0.5) : HYDRO_R(0.5);
     hydro_lands lands;
-    lands.gain_a = bench->valve_gain * hydro_signed_sqrt(drop_a);
-    lands.gain_b = bench->valve_gain * hydro_signed_sqrt(drop_b);
-    lands.slope_a = half * bench->valve_gain / HYDRO_SQRT(hydro_max(hydro_abs(drop_a), HYDRO_R(HYDRO_SMALLEST_DROP)));
-    lands.slope_b = -half * bench->valve_gain / HYDRO_SQRT(hydro_max(hydro_abs(drop_b), HYDRO_R(HYDRO_SMALLEST_DROP)));
+    lands.root_a = hydro_signed_sqrt(drop_a);
+    lands.root_b = hydro_signed_sqrt(drop_b);
+    lands.slope_a = half / HYDRO_SQRT(hydro_max(hydro_abs(drop_a), HYDRO_R(HYDRO_SMALLEST_DROP)));
+    lands.slope_b = -half / HYDRO_SQRT(hydro_max(hydro_abs(drop_b), HYDRO_R(HYDRO_SMALLEST_DROP)));
     return lands;
 }
 
@@ -57,23 +57,23 @@ static inline void hydro_input_vector(
     const hydro_bench *bench, const hydro_real *x, hydro_real current, hydro_real out[HYDRO_MEASURED])
 {
     hydro_lands lands = hydro_open_lands(bench, x[4], x[5], current);
-    hydro_real area = bench->piston_area, ratio = bench->area_ratio, scale = bench->bulk_modulus * area;
-    hydro_real volume_a = hydro_volume_a(bench, x[6]), volume_b = hydro_volume_b(bench, x[6]);
-    hydro_real soft_a = bench->bulk_modulus / volume_a, soft_b = bench->bulk_modulus / volume_b;
-    hydro_real swept = area * x[7];
-    hydro_real rate_a = soft_a * (lands.gain_a * current - swept);
-    hydro_real rate_b = soft_b * (ratio * swept - lands.gain_b * current);
-    hydro_real by_a = scale * lands.slope_a * current / volume_a;
-    hydro_real by_b = scale * ratio * lands.slope_b * current / volume_b;
-    hydro_real to_a = -scale * area / (volume_a * volume_a);
-    hydro_real to_b = scale * area * (ratio * ratio) / (volume_b * volume_b);
-    out[0] = hydro_input_gain(bench, x[6], x[4], x[5], current);
+    hydro_real area = bench->piston_area, ratio = bench->area_ratio, gain = bench->valve_gain;
+    hydro_real inverse_a = HYDRO_R(1) / hydro_volume_a(bench, x[6]);
+    hydro_real inverse_b = HYDRO_R(1) / hydro_volume_b(bench, x[6]);
+    hydro_real soft_a = bench->bulk_modulus * inverse_a, soft_b = bench->bulk_modulus * inverse_b;
+    hydro_real flow_a = gain * lands.root_a, flow_b = gain * lands.root_b, swept = area * x[7];
+    hydro_real rate_a = soft_a * (flow_a * current - swept), rate_b = soft_b * (ratio * swept - flow_b * current);
+    hydro_real by_a = area * (soft_a * (current * gain)) * lands.slope_a;
+    hydro_real by_b = area * (ratio * (soft_b * (current * gain))) * lands.slope_b;
+    hydro_real to_a = soft_a * inverse_a * area, to_b = soft_b * inverse_b * (ratio * area);
+    hydro_real bent_a = lands.slope_a * (area * (soft_a * gain));
+    hydro_real bent_b = lands.slope_b * (area * (ratio * (soft_b * gain)));
     out[2] = out[3] = out[6] = out[7] = HYDRO_R(0);
-    out[4] = soft_a * lands.gain_a;
-    out[5] = -soft_b * lands.gain_b;
-    out[1] = by_a * out[4] + by_b * out[5];
-    out[1] += (to_a * lands.gain_a + to_b * lands.gain_b) * x[7];
-    out[1] += scale * (lands.slope_a / volume_a * rate_a + ratio * lands.slope_b / volume_b * rate_b);
+    out[4] = soft_a * flow_a;
+    out[5] = -(soft_b * flow_b);
+    out[0] = area * (out[4] - ratio * out[5]);
+    out[1] = rate_a * bent_a + by_a * out[4] - x[7] * (area * (to_a * flow_a - ratio * (to_b * flow_b)));
+    out[1] += rate_b * bent_b + by_b * out[5];
 }
 
 /* An error [N], zero up to `floor` and untouched from twice that. */

@@ -23,13 +23,20 @@ static inline hydro_real hydro_volume_b(const hydro_bench *bench, hydro_real pos
     return bench->dead_volume_b + bench->area_ratio * bench->piston_area * (bench->stroke - position);
 }
 
+/* f_h' [N/s] of flows [m3/s] into both chambers and a velocity [m/s]. */
+static inline hydro_real hydro_force_rate(
+    const hydro_bench *bench, hydro_real position, hydro_real flow_a, hydro_real flow_b, hydro_real velocity)
+{
+    hydro_real swept = bench->piston_area * velocity;
+    hydro_real rate_a = bench->bulk_modulus / hydro_volume_a(bench, position) * (flow_a - swept);
+    hydro_real rate_b = bench->bulk_modulus / hydro_volume_b(bench, position) * (flow_b + bench->area_ratio * swept);
+    return bench->piston_area * (rate_a - bench->area_ratio * rate_b);
+}
+
 /* h [N/s]: what moving does to the hydraulic force. */
 static inline hydro_real hydro_velocity_term(const hydro_bench *bench, hydro_real position, hydro_real velocity)
 {
-    hydro_real volume_a = hydro_volume_a(bench, position), volume_b = hydro_volume_b(bench, position);
-    hydro_real stiffness = bench->bulk_modulus * (bench->piston_area * bench->piston_area)
-                           * (HYDRO_R(1) / volume_a + bench->area_ratio * bench->area_ratio / volume_b);
-    return -stiffness * velocity;
+    return hydro_force_rate(bench, position, HYDRO_R(0), HYDRO_R(0), velocity);
 }
 
 /* g [N/s/A] for currents with the sign of `opening`. */
@@ -46,9 +53,7 @@ static inline hydro_real hydro_input_gain(
     }
     gain_a = bench->valve_gain * hydro_signed_sqrt(drop_a);
     gain_b = bench->valve_gain * hydro_signed_sqrt(drop_b);
-    return bench->bulk_modulus * bench->piston_area
-           * (gain_a / hydro_volume_a(bench, position)
-              + bench->area_ratio * gain_b / hydro_volume_b(bench, position));
+    return hydro_force_rate(bench, position, gain_a, -gain_b, HYDRO_R(0));
 }
 
 /* u_nom [A] before correction and saturation; `action` is I [N/s]. */

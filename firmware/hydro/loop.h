@@ -202,11 +202,13 @@ static inline void hydro_law_slopes(
     hydro_real volume_a = hydro_volume_a(bench, x[6]), volume_b = hydro_volume_b(bench, x[6]);
     hydro_real scale = bench->bulk_modulus * area, gain = hydro_input_gain(bench, x[6], x[4], x[5], nominal);
     hydro_real felt = gain > loop->gain_floor ? nominal : HYDRO_R(0); /* at the floor the law feels no change of g */
-    hydro_real flow_a = lands.gain_a * felt + swept, flow_b = lands.gain_b * felt + ratio * swept;
+    hydro_real opened = bench->valve_gain * felt;
+    hydro_real flow_a = lands.root_a * opened + swept, flow_b = lands.root_b * opened + ratio * swept;
     hydro_real by_position = scale * area
                              * (-flow_a / (volume_a * volume_a) + ratio * ratio * flow_b / (volume_b * volume_b));
     hydro_real by_velocity = -scale * area * (HYDRO_R(1) / volume_a + ratio * ratio / volume_b);
-    hydro_real by_a = scale * lands.slope_a * felt / volume_a, by_b = scale * ratio * lands.slope_b * felt / volume_b;
+    hydro_real by_a = scale * lands.slope_a * opened / volume_a;
+    hydro_real by_b = scale * ratio * lands.slope_b * opened / volume_b;
     bool within = x[6] >= HYDRO_R(0) && x[6] <= bench->stroke;
     gain = hydro_max(gain, loop->gain_floor);
     for (int i = 0; i < HYDRO_LOOP; i++) {

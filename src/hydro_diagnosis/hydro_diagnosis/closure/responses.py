@@ -143,9 +143,12 @@ def shown(problem: Problem, base: Fit, ways: Sequence[Responses], terms: Sequenc
         channel = problem.layout.channel
         return {int(k): changes[:, channel == k] for k in np.unique(channel)}
     parts = [way.of(terms) for way in ways]
-    return {
-        CHANNELS.index(name): np.concatenate(
-            [one[name] / problem.deviation(name, k) for k, one in enumerate(parts)], axis=1
-        )
-        for name in set().union(*parts)
-    }
+    return {CHANNELS.index(name): _joined(problem, parts, name, len(terms)) for name in set().union(*parts)}
+
+
+def _joined(problem: Problem, parts: Sequence[Shown], name: str, terms: int) -> FloatArray:
+    """Responses of a channel in all segments, over their deviation; 0 in a segment in which no term acts there."""
+    layout = problem.layout
+    rows = [int(np.sum((layout.channel == CHANNELS.index(name)) & (layout.segment == k))) for k in range(len(parts))]
+    own = [one.get(name, np.zeros((terms, count))) for one, count in zip(parts, rows, strict=True)]
+    return np.concatenate([one / problem.deviation(name, k) for k, one in enumerate(own)], axis=1)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from hydro_sim.model import equations as eq
+from hydro_sim.model.compiled_equations import equations as eq
 from hydro_sim.model.hydraulics import pressure_rates
 
 

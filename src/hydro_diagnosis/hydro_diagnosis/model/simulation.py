@@ -108,10 +108,10 @@ class Plant:
         """Claims that act in the chambers; the spool's path is computed beforehand."""
         return self._changing("openings", "supply", "flows", "inflows", "stiffness")
 
-    @cached_property
-    def _acting(self) -> tuple[Claim, ...]:
-        """Claims that act in the rates; others change numbers of the bench, the spool's path or sensors."""
-        return (*self._hydraulic, *self._dragging, *self._resisting, *self._loading)
+    @property
+    def textbook(self) -> bool:
+        """Whether no claim acts in the rates; others change numbers of the bench, the spool's path or sensors."""
+        return not (self._hydraulic or self._dragging or self._resisting or self._loading)
 
     def _changing(self, *hooks: str) -> tuple[Claim, ...]:
         return tuple(claim for claim in self.claims if any(changes(claim, hook) for hook in hooks))
@@ -156,7 +156,7 @@ class Plant:
         samples = np.tile(begins, variants)
         substeps = self.spool.shape[1]
         step, states = self.model.step / substeps, np.empty((length, *state.shape))
-        if not self._acting:
+        if self.textbook:
             kernels.nominal_run(states, self._numbers, np.ascontiguousarray(state), samples, self.spool, step)
             return states
         memory = StepMemory(step)

@@ -36,7 +36,7 @@ from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL
 from hydro_filter.model.loop import Loop, is_bench_file_loop
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
 from hydro_sim import copies
-from hydro_sim.model import equations as eq
+from hydro_sim.model.compiled_equations import equations as eq
 from hydro_sim.structured import physics, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.physics import (

@@ -12,7 +12,7 @@ from numba import njit
 from numba.extending import register_jitable
 
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE_RATE, POSITION, VELOCITY
-from hydro_sim.model import equations as eq
+from hydro_sim.model.compiled_equations import equations as eq
 
 SMALLEST_DROP = 1e3
 """Pa; the slope of a square root is taken no nearer to zero pressure drop than this: it is infinite there."""

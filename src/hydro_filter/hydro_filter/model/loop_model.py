@@ -34,8 +34,8 @@ from hydro_filter.model.state import FORCE_SCALE, LOAD_FORCE, POSITION, PRESSURE
 from hydro_filter.model.tangent import SOURCES, WIDTH
 from hydro_sim import copies
 from hydro_sim.box.box import BoxConfig
-from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.compiled_equations import equations as eq
 from hydro_sim.structured import physics
 from hydro_sim.structured.model import StructuredModel
 from hydro_sim.structured.physics import (

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from hydro_sim.model import equations as eq
+from hydro_sim.model.compiled_equations import equations as eq
 from hydro_sim.structured import derivatives, physics
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.physics import BRISTLE, BRISTLE_DAMPING, MASS, STRIBECK, STRIBECK_VELOCITY

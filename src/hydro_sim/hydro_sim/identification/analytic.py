@@ -9,8 +9,9 @@ from numba import njit, prange
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim import copies
 from hydro_sim.files.recordings import Run
-from hydro_sim.model import equations, hydraulics
+from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.compiled_equations import equations
 from hydro_sim.model.effects.catalogue import label
 from hydro_sim.model.sensors import Sensors
 from hydro_sim.structured.integration import STATES

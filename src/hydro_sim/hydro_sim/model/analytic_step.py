@@ -15,7 +15,8 @@ from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim import copies
-from hydro_sim.model import equations, hydraulics
+from hydro_sim.model import hydraulics
+from hydro_sim.model.compiled_equations import equations
 
 STATES = 8
 

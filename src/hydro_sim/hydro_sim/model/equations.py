@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """The textbook equations of the bench, written once: servo valve, two oil chambers, mass, spring, load-cell amplifier.
 
-They hold for numbers, arrays of samples, torch's tensors and CasADi's symbols alike, and within numba's compiled code:
-numpy's functions act on all but tensors, and `choose` does what `np.where` does. What is symbolic becomes C, with exact
-derivatives (`model.assembly`)::
+They hold for numbers, arrays of samples, torch's tensors and CasADi's symbols alike, and within numba's compiled code
+(`model.compiled_equations`): numpy's functions act on all but tensors, and `choose` does what `np.where` does. What is
+symbolic becomes C, with exact derivatives (`model.assembly`)::
 
     p_a' = beta/V_a (q_a - A_p x_p')           V_a = V_dead_a + A_p x_p
     p_b' = beta/V_b (alpha A_p x_p' - q_b)     V_b = V_dead_b + alpha A_p (L_c - x_p)
@@ -19,7 +19,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numba.extending import overload, register_jitable
 
 Symbol = Any
 """A number, an array or a CasADi expression; in a model that is being assembled, an expression."""
@@ -50,12 +49,6 @@ def choose(condition: Symbol, first: Symbol, second: Symbol) -> Symbol:
     return if_else(condition, first, second)
 
 
-@overload(choose)
-def _choose_compiled(condition, first, second):
-    return lambda condition, first, second: first if condition else second
-
-
-@register_jitable
 def clip(value: Symbol, low: Symbol, high: Symbol) -> Symbol:
     """The value, held within its bounds."""
     return np.fmin(np.fmax(value, low), high)
@@ -64,7 +57,6 @@ def clip(value: Symbol, low: Symbol, high: Symbol) -> Symbol:
 # --- the valve's edges: pressure drops, and the flow that each drives ------------------------------------------------
 
 
-@register_jitable
 def edge_drops(supply: Symbol, tank: Symbol, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Pair, Pair]:
     """Pressure drops [Pa] of the edges that drive the piston out, then of those that drive it back.
 
@@ -73,13 +65,11 @@ def edge_drops(supply: Symbol, tank: Symbol, pressure_a: Symbol, pressure_b: Sym
     return (supply - pressure_a, pressure_b - tank), (pressure_a - tank, supply - pressure_b)
 
 
-@register_jitable
 def signed_root(drop: Symbol) -> Symbol:
     """sqrt of a pressure drop [Pa], odd: flow through an edge reverses with the drop."""
     return np.copysign(np.sqrt(np.abs(drop)), drop)
 
 
-@register_jitable
 def orifice(opening: Symbol, drop: Symbol) -> Symbol:
     """Flow [m3/s] through an edge open by `opening` [m3/s/sqrt(Pa)] at a pressure drop [Pa]; reverses with it."""
     size = np.abs(drop)
@@ -89,21 +79,18 @@ def orifice(opening: Symbol, drop: Symbol) -> Symbol:
 # --- the chambers ----------------------------------------------------------------------------------------------------
 
 
-@register_jitable
 def volumes(n: Symbol, position: Symbol) -> Pair:
     """Oil volumes V_a, V_b [m3] at piston position [m]."""
     volume_a = n.dead_volume_a + n.piston_area * position
     return volume_a, n.dead_volume_b + n.area_ratio * n.piston_area * (n.stroke - position)
 
 
-@register_jitable
 def stiffnesses(n: Symbol, moduli: Pair, position: Symbol) -> Pair:
     """beta/V [Pa/m3] of both chambers at piston position [m]: what a volume of oil more in them raises the pressure."""
     volume_a, volume_b = volumes(n, position)
     return moduli[0] / volume_a, moduli[1] / volume_b
 
 
-@register_jitable
 def pressure_rates(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Pair:
     """p_a', p_b' [Pa/s]: of `flows` [m3/s] into both chambers, what is not displaced, compresses.
 
@@ -113,13 +100,11 @@ def pressure_rates(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Pai
     return stiff[0] * (flows[0] - swept), stiff[1] * (flows[1] + n.area_ratio * swept)
 
 
-@register_jitable
 def hydraulic_force(n: Symbol, pressure_a: Symbol, pressure_b: Symbol) -> Symbol:
     """f_h [N], positive outwards."""
     return n.piston_area * (pressure_a - n.area_ratio * pressure_b)
 
 
-@register_jitable
 def force_rate(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Symbol:
     """f_h' [N/s] (eq. q13): without flows its velocity term h, without velocity and with flows per ampere, its g."""
     rate_a, rate_b = pressure_rates(n, stiff, flows, velocity)
@@ -129,13 +114,11 @@ def force_rate(n: Symbol, stiff: Pair, flows: Pair, velocity: Symbol) -> Symbol:
 # --- motion and load -------------------------------------------------------------------------------------------------
 
 
-@register_jitable
 def spring_force(n: Symbol, position: Symbol) -> Symbol:
     """f_l [N] of the spring on its load cell, positive when pressed."""
     return n.spring_stiffness * (position - n.spring_rest_position)
 
 
-@register_jitable
 def stop_force(n: Symbol, position: Symbol, velocity: Symbol) -> Symbol:
     """Force [N] against the piston from the end stops; they push back and never pull."""
     pressed = choose(position < 0.0, position, choose(position > n.stroke, position - n.stroke, 0.0))
@@ -143,7 +126,6 @@ def stop_force(n: Symbol, position: Symbol, velocity: Symbol) -> Symbol:
     return choose(pressed * force > 0.0, force, 0.0)
 
 
-@register_jitable
 def amplifier(omega: Symbol, force: Symbol, shown: Symbol, rate: Symbol) -> Symbol:
     """d2/dt2 [N/s2] of what the load cell's amplifier shows, a low-pass of `omega` [rad/s] on the force [N]."""
     return omega * (omega * (force - shown) - 2.0 * LOAD_CELL_DAMPING * rate)

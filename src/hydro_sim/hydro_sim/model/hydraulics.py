@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from hydro_bridge.signals import FloatArray
-from hydro_sim.model import equations as eq
+from hydro_sim.model.compiled_equations import equations as eq
 
 STATES = 6
 """Length of the physical state y."""

@@ -28,7 +28,7 @@ import numpy as np
 from numba import njit
 from numba.extending import register_jitable
 
-from hydro_sim.model import equations as eq
+from hydro_sim.model.compiled_equations import equations as eq
 
 (
     BULK, AREA, RATIO, DEAD_A, DEAD_B, SUPPLY, TANK, KA_POSITIVE, KA_NEGATIVE, KB_POSITIVE, KB_NEGATIVE, OFFSET, LEAK,
