@@ -73,7 +73,7 @@ def test_no_correction_leaves_the_diagnosis_own_held_out_error(nominal: SegmentM
     plain = held_out([Plant.of(nominal, ())], noise)
     nothing = held_out([Corrected.by(nominal, lambda signal: {})], noise)
     leaking = held_out([Corrected.by(nominal, lambda signal: {"pressure_a": 0.0 * signal["pressure_a"] - 1e8})], noise)
-    assert plain == pytest.approx(nothing, rel=1e-12)
+    assert plain == pytest.approx(nothing, rel=1e-10)  # compiled, and in steps: another order of operations
     assert 0.9 < plain < 1.1
     assert leaking > 2.0 * plain
 
