@@ -20,7 +20,7 @@ from hydro_diagnosis.estimation.unknown_numbers import estimable
 from hydro_sim.model.bench import Bench
 
 RIG = {"hydraulic_force": "force", "piston_position": "x"}
-MASS, DRY, VISCOUS = 37.0, 9.0, 40.0
+MASS, DRY, VISCOUS, REST = 37.0, 9.0, 40.0, 0.08
 
 
 def drive(
@@ -30,7 +30,7 @@ def drive(
     viscous: float = VISCOUS,
     travel: float = 0.02,
     noise: float = 0.2,
-    weight: float = 0.0,
+    stiffness: float = 0.0,
 ) -> Path:
     """Force and position of a carriage without a load, written apart from the diagnosis; 12 s at 1 kHz."""
     time = np.arange(12000) * 1e-3
@@ -40,7 +40,7 @@ def drive(
         v += travel * share * omega * np.cos(omega * time + phase)
         a -= travel * share * omega**2 * np.sin(omega * time + phase)
     rng = np.random.default_rng(5)
-    force = mass * a + viscous * v + dry * np.sign(v) + weight + rng.normal(0.0, noise, len(time))
+    force = mass * a + viscous * v + dry * np.sign(v) + stiffness * (x - REST) + rng.normal(0.0, noise, len(time))
     x = x + rng.normal(0.0, 1e-7, len(time))
     pd.DataFrame({"time": time, "hydraulic_force": force, "piston_position": x}).to_csv(path, index=False)
     return path
@@ -99,10 +99,11 @@ def test_rotary_actuator_is_diagnosed_in_its_units(tmp_path: Path) -> None:
 
 def test_number_that_looks_like_a_cause_says_so(tmp_path: Path) -> None:
     """A spring's rest position and a constant force are one in a motion equation alone."""
-    path = drive(tmp_path / "run.csv", weight=-40.0)
-    bench = {"moving_mass": MASS, "viscous_friction": VISCOUS, "spring_stiffness": 100.0}
+    path = drive(tmp_path / "run.csv", stiffness=3000.0)
+    bench = {"moving_mass": MASS, "viscous_friction": VISCOUS, "spring_stiffness": 3000.0}
     found = diagnose([path], bench=bench, estimate=["spring_rest_position"])
     rest = found.report.estimated[0]
+    assert holds(found, "spring_rest_position", REST)
     assert {"force_offset", "load_cell_bias:hydraulic_force"} <= set(rest.alike)
     assert "provided that" in rest.sentence and "force_offset" not in causes(found)
 
