@@ -16,7 +16,9 @@ derivatives by x.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -25,6 +27,7 @@ from hydro_filter.model.bench_parts import BenchLoop, BenchParts, BenchStep
 from hydro_filter.model.bench_terms import (
     cell_dynamics,
     cell_states,
+    follows_velocity,
     hidden_state_numbers,
     load_curve,
     null_shifts,
@@ -147,18 +150,20 @@ def _refuse(truth: Bench) -> None:
             "the filter's certificate has no place for a dead time: take transport_delay out of the bench file, where "
             "it is small beside the valve's lag"
         )
-    remembering = [one["form"] for one in truth.closures if remembers(one)]
-    if remembering:
-        raise ValueError(
-            f"the filter's certificate has no place for what closures remember: take {', '.join(remembering)} out of "
-            "the bench file, where it is small"
-        )
-    curved = [one["form"] for one in truth.closures if one["equation"] == "sensor"]
-    if curved:
-        raise ValueError(
-            f"the filter's certificate has no place for sensors that are not straight: take {', '.join(curved)} out of "
-            "the bench file, where it is small"
-        )
+    static = [one for one in truth.closures if not remembers(one)]
+    loads: list[Mapping[str, Any]] = [{"id": "closure", **one} for one in static if one["equation"] == "load"]
+    refused: dict[str, list[Mapping[str, Any]]] = {
+        "what closures remember": [one for one in truth.closures if remembers(one)],
+        "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
+        "a load that follows the velocity": [one for one in loads if follows_velocity(truth, one)],
+    }
+    for what, closures in refused.items():
+        if closures:
+            forms = ", ".join(str(one["form"]) for one in closures)
+            raise ValueError(
+                f"the filter's certificate has no place for {what}: take {forms} out of the bench file, where it is "
+                "small"
+            )
     lags = sum(effect["id"] == "valve_lag" for effect in truth.effects)
     cells = sum(catalogue.label(effect) == "sensor_lag sensor=load_force" for effect in truth.effects)
     if lags > 1 or cells > 1:

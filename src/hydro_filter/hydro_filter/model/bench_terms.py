@@ -51,11 +51,11 @@ def cell_states(bench: Bench, numbers: Mapping[Name, int]) -> tuple[int, int]:
     return _LOAD, _LOAD_RATE if float(bench.constants()["load_cell_omega"][0]) > 0.0 else NONE
 
 
-def _made(numbers: Any, effect: Mapping[str, Any]) -> Effect:
-    """An effect with its numbers, for terms that need no state."""
+def _made(numbers: Any, effect: Mapping[str, Any], velocity: float = 0.0) -> Effect:
+    """An effect with its numbers, for terms that need no state but the velocity [m/s]."""
     kind, values = catalogue.kind_of(effect)
     made = kind.make()
-    made.at = SimpleNamespace(numbers=numbers, velocity=0.0)
+    made.at = SimpleNamespace(numbers=numbers, velocity=velocity)
     for parameter, value in zip(kind.parameters, values, strict=True):
         setattr(made, parameter.name, value)
     return made
@@ -66,6 +66,15 @@ def load_curve(record: Any, effects: list[Mapping[str, Any]], positions: FloatAr
     numbers = SimpleNamespace(**{name: float(record[name]) for name in record.dtype.names})
     force = rates.load(numbers, [_made(numbers, effect) for effect in effects], positions)
     return np.asarray(force, np.float64)
+
+
+def follows_velocity(bench: Bench, effect: Mapping[str, Any]) -> bool:
+    """Whether a load's effect, one that has no states, hangs on the velocity."""
+    positions = np.linspace(0.0, bench.stroke, 9)
+    still, out, back = (
+        _made(bench, effect, velocity).load(0.0 * positions, positions) for velocity in (0.0, 0.1, -0.1)
+    )
+    return not (np.array_equal(still, out) and np.array_equal(still, back))
 
 
 def sensor_scales(truth: Bench) -> tuple[FloatArray, FloatArray]:
