@@ -122,7 +122,8 @@ def test_simulation_and_diagnosis_mean_the_same_term(law: Law | Table) -> None:
         }
 
     with_it, without = apart([claim]), apart([])
-    assert max(with_it.values()) < (1e-4 if law in grammar.COMPOSITIONS else 2e-5)  # some turn round within a sample
+    turns_round = law in grammar.COMPOSITIONS or law.form.startswith("snubber")  # some do, within a sample
+    assert max(with_it.values()) < (1e-4 if turns_round else 2e-5)
     assert max(without[name] / with_it[name] for name in with_it) > 100.0
 
 

@@ -175,9 +175,9 @@ import os, signal
 from hydro_diagnosis import cli
 from hydro_diagnosis.selection import search
 swap = search.Search._swap
-def interrupted(self, outcome):
+def interrupted(self, *words):
     os.kill(os.getpid(), signal.SIGINT)
-    return swap(self, outcome)
+    return swap(self, *words)
 search.Search._swap = interrupted
 cli.main()
 """
