@@ -111,6 +111,7 @@ def fit(
     span = np.array([parameter.span for parameter in parameters])
     residual = problem.residual(claims)
     best = deviance(problem, residual)
+    slopes = None if problem.estimated else slopes  # numbers begin far from where they end: too far for secants
     damping, secant = 1e-4, slopes is not None
     slopes = jacobian(problem, claims, residual) if slopes is None else slopes
     for _ in range(iterations if len(values) else 0):
