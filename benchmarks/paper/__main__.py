@@ -2,7 +2,9 @@
 """Reproduce the paper row by row: `make paper`, or `python -m benchmarks.paper [--quick] [--only TABLE ...]`.
 
 Each piece's result is kept as JSON in the folder, and a piece that is done is not repeated: after Ctrl-C the same
-command goes on. The report is written anew from what is there; what is not there is "not run yet".
+command goes on. The results that came with the program (benchmarks/paper/results) count as made: --fresh runs them
+again. Seed by seed, so that a run that was interrupted has all comparisons of the seeds that it finished. The report is
+written anew from what is there; what is not there is "not run yet".
 """
 
 from __future__ import annotations
@@ -13,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 
 from benchmarks.paper import report
-from benchmarks.paper.store import FULL, QUICK, Store
+from benchmarks.paper.store import FULL, QUICK, RESULTS, Store
 from hydro_bridge.cli.console import add_json_argument, command
 
 TABLES = {
@@ -37,26 +39,36 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small sizes, two seeds: minutes instead of hours")
     parser.add_argument("--only", nargs="+", choices=TABLES, metavar="TABLE", help=f"of {', '.join(TABLES)}")
     parser.add_argument("--show", action="store_true", help="run nothing: print and write what is there")
+    parser.add_argument("--seeds", nargs="+", type=int, metavar="N", help="only these, from 0 (all)")
+    parser.add_argument("--fresh", action="store_true", help="nothing of the results that came with the program")
+    parser.add_argument("--ship", action="store_true", help="add what is there to the results that come with it")
     parser.add_argument("--folder", type=Path, default=Path("runs/paper"), help="of the results (runs/paper)")
     parser.add_argument("--report", type=Path, metavar="FILE", help="write the page there (docs/reports/paper.md)")
     add_json_argument(parser)
     asked = parser.parse_args()
-    store = Store(asked.folder, QUICK if asked.quick else FULL)
+    full, quick = (Store(asked.folder, size, None if asked.fresh else RESULTS) for size in (FULL, QUICK))
+    store = quick if asked.quick else full
+    seeds = range(store.size.seeds)
+    if unknown := set(asked.seeds or ()) - set(seeds):
+        raise ValueError(f"--seeds {min(unknown)}: the seeds of this size are 0 to {len(seeds) - 1}")
     if not asked.show:
-        _run(store, asked.only or list(TABLES))
-    report.write(Store(asked.folder, FULL), Store(asked.folder, QUICK), asked.report, asked.json)
+        _run(store, asked.only or list(TABLES), asked.seeds or list(seeds))
+    report.write(full, quick, asked.report, asked.json)
+    if asked.ship:
+        print(f"wrote {full.ship(RESULTS)} and {quick.ship(RESULTS)}", file=sys.stderr)
 
 
-def _run(store: Store, names: list[str]) -> None:
-    """The pieces of these tables that are not there yet, on one thread of torch and BLAS."""
+def _run(store: Store, names: list[str], seeds: list[int]) -> None:
+    """The pieces of these tables and seeds that are not there yet, on one thread of torch and BLAS."""
     import torch
     from threadpoolctl import threadpool_limits
 
     torch.set_num_threads(1)
     threadpool_limits(1, "blas")
-    for name in names:
-        module, function = TABLES[name].split(".")
-        getattr(import_module(f"benchmarks.paper.{module}"), function)(store)
+    runs = [TABLES[name].split(".") for name in names]
+    for seed in seeds:
+        for module, function in runs:
+            getattr(import_module(f"benchmarks.paper.{module}"), function)(store, seed)
 
 
 if __name__ == "__main__":

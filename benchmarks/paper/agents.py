@@ -74,39 +74,41 @@ class Listening(OfflineGraph):
         return float(np.sqrt(self.squares / max(self.counted, 1)))
 
 
-def run(store: Store) -> None:
+def run(store: Store, seed: int) -> None:
     """I, II, III on the default bench."""
-    _tables(store, "default")
+    _tables(store, "default", seed)
 
 
-def run_outside(store: Store) -> None:
+def run_outside(store: Store, seed: int) -> None:
     """The same on the bench outside of the model's physics."""
-    _tables(store, "outside")
+    _tables(store, "outside", seed)
 
 
-def run_chatter(store: Store) -> None:
+def run_chatter(store: Store, seed: int) -> None:
     """u' during training on the default bench without a filter, behind the paper's, and behind ours."""
-    for seed in range(store.size.seeds):
-        for chosen in CHATTER_FILTERS:
-            store.piece(f"chatter-{chosen}-{seed}", lambda c=chosen, s=seed: _chatter(store, c, s))  # type: ignore[misc]
+    for chosen in CHATTER_FILTERS:
+        store.piece(f"chatter-{chosen}-{seed}", lambda c=chosen: _chatter(store, c, seed))  # type: ignore[misc]
 
 
-def _tables(store: Store, bench: str) -> None:
-    seeds = range(store.size.seeds)
-    for seed in seeds:
-        store.piece(f"rmse-{bench}-III-{seed}", lambda s=seed: _rmse(bench, FixedGains(90.0, 15.0), s))  # type: ignore[misc]
+def _tables(store: Store, bench: str, seed: int) -> None:
+    store.piece(f"rmse-{bench}-III-{seed}", lambda: _rmse(bench, FixedGains(90.0, 15.0), seed))
     for authority in AUTHORITIES:
-        for seed in seeds:
-            for who, make in (("II", _second), ("I", _first)):
-                name = f"rmse-{bench}-{authority}-{who}-{seed}"
-                store.piece(name, lambda m=make, a=authority, s=seed: m(store, bench, a, s))  # type: ignore[misc]
+        for who, make in (("II", _second), ("I", _first)):
+            name = f"rmse-{bench}-{authority}-{who}-{seed}"
+            store.piece(name, lambda m=make, a=authority: m(store, bench, a, seed))  # type: ignore[misc]
 
 
 def simulated(store: Store, authority: str, seed: int) -> InitialAgent:
-    """II: the agent that `pretrain` makes, made or gone on with if it is not finished."""
-    folder, episodes = store.folder / f"II-{authority}-{seed}", store.size.simulated_episodes
-    store.piece(f"II-{authority}-{seed}", lambda: _pretrained(folder, authority, seed, episodes))
+    """II: the agent that `pretrain` makes; made again if its run is gone, gone on with if it is not finished."""
+    folder = store.folder / f"II-{authority}-{seed}"
+    pretrained(store, authority, seed, folder.with_suffix(".curve"))
     return load_initial_agent(folder)
+
+
+def pretrained(store: Store, authority: str, seed: int, beside: Path | None = None) -> Result:
+    """The learning curve of II."""
+    name, episodes = f"II-{authority}-{seed}", store.size.simulated_episodes
+    return store.piece(name, lambda: _pretrained(store.folder / name, authority, seed, episodes), beside)
 
 
 def _pretrained(folder: Path, authority: str, seed: int, episodes: int) -> Result:

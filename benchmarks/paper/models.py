@@ -21,6 +21,7 @@ from hydro_sim.identification.analytic import AnalyticModel
 from hydro_sim.identification.evaluation import Predictor, Scales
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
+from hydro_sim.neural.network_model import NetworkModel
 
 HORIZON, STRIDE = 70, 37
 LOAD_FORCE = 2
@@ -39,18 +40,26 @@ def weights(store: Store, loss: str, seed: int) -> Path:
     return store.folder / f"network-{loss}-{seed}.safetensors"
 
 
-def run(store: Store) -> None:
-    """All networks and both other models."""
+def run(store: Store, seed: int) -> None:
+    """The networks of a seed, and both other models."""
     store.piece("model-analytic", lambda: judged(AnalyticModel(Bench.nominal())))
     store.piece("model-ours", lambda: judged(Learned.load().model))
     for loss in LOSSES:
-        for seed in range(store.size.seeds):
-            train(store, loss, seed)
+        train(store, loss, seed)
 
 
 def train(store: Store, loss: str, seed: int) -> Result:
     """One network, if it is not there yet."""
     return store.piece(f"model-{loss}-{seed}", lambda: _trained(store, loss, seed))
+
+
+def network(store: Store, loss: str, seed: int) -> NetworkModel:
+    """A trained network, made again if its weights are gone."""
+    file = weights(store, loss, seed)
+    store.piece(f"model-{loss}-{seed}", lambda: _trained(store, loss, seed), file)
+    model = Learned.load(file).model
+    assert isinstance(model, NetworkModel)
+    return model
 
 
 def _trained(store: Store, loss: str, seed: int) -> Result:

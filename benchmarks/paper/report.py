@@ -44,7 +44,7 @@ def text(full: Store, quick: Store) -> str:
     parts = [captions.HEAD, _claims(full, quick), captions.OPEN, _times(full, quick)]
     for store in (full, quick):
         parts.append(_sizes(store))
-        if any(store.folder.glob("*.json")):
+        if store.names():
             parts += [
                 _models(store),
                 _metrics(store),
@@ -81,15 +81,16 @@ def _times(full: Store, quick: Store) -> str:
 
 
 def _sizes(store: Store) -> str:
-    size, kept = store.size, [store.kept(file.stem) for file in sorted(store.folder.glob("*.json"))]
-    done = [one for one in kept if one is not None]
+    size, done = store.size, [one for name in store.names() if (one := store.kept(name)) is not None]
     spent = sum(one["cpu"] for one in done) / 60.0
     told = (
         f"{size.seeds} seeds; networks {size.model_epochs} epochs; metrics {size.metric_epochs} epochs on "
         f"{size.rollouts} rollouts;\nruns of {size.validation_seconds:g} s; II {size.simulated_episodes} and I "
         f"{size.bench_episodes} episodes of {PRINTED['training_agent']['steps']} steps.\n"
     )
-    return f"\n## Size {size.name}\n\n{told}{len(done)} pieces are there, {spent:.1f} min of CPU.\n"
+    days = sorted({one.get("made", "") for one in done} - {""})
+    when = f", made from {days[0]} to {days[-1]}" if days else ""
+    return f"\n## Size {size.name}\n\n{told}{len(done)} pieces are there, {spent:.1f} min of CPU{when}.\n"
 
 
 def _models(store: Store) -> str:

@@ -1,5 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results by piece: one JSON file each, so that a run that was interrupted goes on where it was."""
+"""Results by piece: one JSON file each, so that a run that was interrupted goes on where it was.
+
+The results that came with the program lie in `results/SIZE.jsonl`, one line each: they count as made, so that the
+hours of a full run can be spread over machines and days. What a piece leaves beside its result (weights, agents) is not
+among them and is made again where a piece that is still to come needs it.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +14,7 @@ import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
+from datetime import date
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +22,8 @@ import yaml
 
 from hydro_bridge.files.atomic import write_whole
 
+RESULTS = Path(__file__).parent / "results"
+"""What came with the program."""
 PRINTED: Mapping[str, Any] = yaml.safe_load((Path(__file__).parent / "paper.yaml").read_text(encoding="utf-8"))
 """paper.yaml."""
 
@@ -68,22 +76,25 @@ class Store:
         Where; made if there is none.
     size
         What is run; a result of another size is never taken for one of this.
+    shipped
+        Folder of results that were made elsewhere, one file of lines for each size; None: only what is in `folder`.
     """
 
-    def __init__(self, folder: Path, size: Size) -> None:
+    def __init__(self, folder: Path, size: Size, shipped: Path | None = None) -> None:
         self.folder, self.size = folder / size.name, size
         self.folder.mkdir(parents=True, exist_ok=True)
+        self._shipped = {} if shipped is None else _lines(shipped / f"{size.name}.jsonl")
         self._inside = 0.0  # s of CPU of pieces that the present one had made; theirs, not its own
 
-    def piece(self, name: str, make: Callable[[], Result]) -> Result:
-        """The result of this name, made and kept if it is not there yet."""
-        if (kept := self.kept(name)) is not None:
+    def piece(self, name: str, make: Callable[[], Result], beside: Path | None = None) -> Result:
+        """The result of this name, made and kept if it is not there yet, or if what it left `beside` it is gone."""
+        if (kept := self.kept(name)) is not None and (beside is None or beside.exists()):
             return kept
         print(f"paper, {self.size.name}: {name}", file=sys.stderr, flush=True)
         began, around, self._inside = _cpu(), self._inside, 0.0
         result = _plain(make())
         spent = _cpu() - began
-        result |= {"cpu": round(spent - self._inside, 1), "size": asdict(self.size)}
+        result |= {"cpu": round(spent - self._inside, 1), "made": date.today().isoformat(), "size": asdict(self.size)}
         self._inside = around + spent
         write_whole(self._file(name), (json.dumps(result, indent=1, allow_nan=False) + "\n").encode())
         return result
@@ -91,13 +102,31 @@ class Store:
     def kept(self, name: str) -> Result | None:
         """What is there of this name; None: nothing, or of a size of other numbers."""
         file = self._file(name)
-        if not file.is_file():
-            return None
-        result: Result = json.loads(file.read_text(encoding="utf-8"))
-        return result if result["size"] == asdict(self.size) else None
+        found = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else self._shipped.get(name)
+        return found if found is not None and found["size"] == asdict(self.size) else None
+
+    def names(self) -> list[str]:
+        """Of all pieces that are there."""
+        named = {file.stem for file in self.folder.glob("*.json")} | set(self._shipped)
+        return sorted(name for name in named if self.kept(name) is not None)
+
+    def ship(self, folder: Path) -> Path:
+        """Write all that is there into one file of lines, to come with the program; returns the file."""
+        folder.mkdir(parents=True, exist_ok=True)
+        lines = (json.dumps({"name": name, **(self.kept(name) or {})}, allow_nan=False) + "\n" for name in self.names())
+        write_whole(file := folder / f"{self.size.name}.jsonl", "".join(lines).encode())
+        return file
 
     def _file(self, name: str) -> Path:
         return self.folder / f"{name}.json"
+
+
+def _lines(file: Path) -> dict[str, Result]:
+    """The results of `Store.ship`, by name; none where there is no file."""
+    if not file.is_file():
+        return {}
+    rows = (json.loads(line) for line in file.read_text(encoding="utf-8").splitlines())
+    return {row.pop("name"): row for row in rows}
 
 
 def _cpu() -> float:
