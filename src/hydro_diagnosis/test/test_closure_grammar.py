@@ -25,7 +25,7 @@ from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import Law, Signals, edge_losses
+from hydro_sim.model.laws import ROUNDED, Law, Signals, edge_losses
 
 BENCH = Bench.nominal()
 
@@ -86,6 +86,28 @@ def test_a_gate_is_open_in_one_direction_alone() -> None:
     np.testing.assert_allclose(given, [[1e-7, 0.0, 0.0], [0.0, 0.0, 1e-7]], atol=1e-15)
 
 
+def test_a_law_reverses_over_a_millimetre_a_second_or_over_its_own_number() -> None:
+    at = Signals(velocity=np.array([-0.05, -5e-3, 0.0, 1e-3, 5e-3]), pressure_a=6e6, pressure_b=5e6)
+    plain, own = law("motion", "friction by pressure of A"), law("motion", f"friction by pressure of A, {ROUNDED}")
+    np.testing.assert_allclose(plain.value(at, BENCH, [1e-6]), 6.0 * np.tanh(at.velocity / 1e-3))
+    np.testing.assert_allclose(own.value(at, BENCH, [1e-6, 5e-3]), 6.0 * np.tanh(at.velocity / 5e-3))
+    film = law("load", f"rubbing, at a place, {ROUNDED}")
+    assert film.names == ("coefficient", "centre", "width", "turn")
+    there = film.value(replace(at, position=0.04), BENCH, [8.0, 0.03, 0.01, 5e-3])
+    np.testing.assert_allclose(there, 8.0 * np.exp(-1.0) * np.tanh(at.velocity / 5e-3))
+
+
+@pytest.mark.parametrize("one", [*grammar.LAWS, *grammar.COMPOSITIONS], ids=lambda one: f"{one.equation} {one.form}")
+def test_what_says_that_it_reverses_does(one: Law) -> None:
+    """Either direction, each side of any threshold."""
+    still = Signals(position=0.03, pressure_a=6e6, pressure_b=5e6, current=1e-3, force=90.0, drop=1e6, opened=1e-8,
+                    feeds=1.0, memory=0.3, second=0.02)  # fmt: skip
+    places = [replace(still, velocity=velocity, pressure_b=pressure, number=number)
+              for velocity in (-2e-3, 2e-3) for pressure in (5e6, 7e6) for number in (1e-4, 0.04, 1e9)]  # fmt: skip
+    moved = [one.shape(at, BENCH) != one.shape(replace(at, turn=5e-3), BENCH) for at in places]
+    assert any(moved) == one.reverses
+
+
 def test_a_curved_gauge_is_undone() -> None:
     effect, pressure = closure(law("sensor", "quadratic reading of pressure_a"), BENCH), np.linspace(1e5, 1.5e7, 50)
     values, memory = {"coefficient": 4e-9}, RecordMemory(1e-3)
@@ -114,6 +136,8 @@ def test_a_curved_gauge_is_undone() -> None:
         ("actuation", "throttled flow, of the return", {"coefficient": 1.0, "resistance": 2e15}, 0.1),
         ("motion", "drag, levelling off", {"coefficient": 400.0, "level": 0.03}, 0.05),
         ("load", "rubbing by deflection", {"coefficient": 500.0}, 0.05),
+        ("load", "rubbing by deflection, reversing over turn", {"coefficient": 570.0, "turn": 5e-3}, 0.1),
+        ("motion", "friction by pressure difference, reversing over turn", {"coefficient": 4e-6, "turn": 5e-3}, 0.2),
     ],
 )
 def test_a_law_is_found_with_all_of_its_numbers(

@@ -23,7 +23,7 @@ from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import Law, Signals
 
-SIGNALS = Signals(0.03, 0.1, 5e6, -4e6, 1e-3, 100.0, 2e6, 0.3, 0.5)
+SIGNALS = Signals(0.03, 0.1, 5e6, -4e6, 1e-3, 100.0, 2e6, memory=0.3, number=0.5, second=0.4)
 DRAG = ("motion", "quadratic drag")
 Numbers = Mapping[str, tuple[float, float, float]]
 """Value and ends of the interval, by a law's parameter."""
@@ -63,17 +63,18 @@ def dragged(folder: Path, coefficient: float) -> str:
     return report(folder, closure(law(*DRAG), {"coefficient": around(coefficient)}))
 
 
+EVERY = (*grammar.LAWS, *grammar.COMPOSITIONS[::7], *grammar.ROUNDED[::7])
 SMOOTH = {"equation": "load", "form": "smooth", "expression": "f(position)", "terms": {}, "range": [0.0, 1.0],
           "sentence": "A smooth function.", "share_closed": 1.0, "share_by_form": {}}  # fmt: skip
 
 
-@pytest.mark.parametrize("law", grammar.LAWS, ids=lambda law: f"{law.equation} {law.form}")
+@pytest.mark.parametrize("law", EVERY, ids=lambda law: f"{law.equation} {law.form}")
 def test_the_written_shape_is_the_laws(law: Law) -> None:
     shape = eval(f"lambda at, n: {shape_text(law)}", {"np": np})
     assert shape(SIGNALS, Bench.nominal()) == pytest.approx(law.shape(SIGNALS, Bench.nominal()), rel=1e-14)
 
 
-@pytest.mark.parametrize("law", grammar.LAWS, ids=lambda law: f"{law.equation} {law.form}")
+@pytest.mark.parametrize("law", EVERY, ids=lambda law: f"{law.equation} {law.form}")
 def test_a_report_says_which_law_it_holds(law: Law, tmp_path: Path) -> None:
     numbers = {name: around(0.1 * (k + 1)) for k, name in enumerate(law.names)}
     folders = [report(tmp_path / name, closure(law, numbers)) for name in "ab"]

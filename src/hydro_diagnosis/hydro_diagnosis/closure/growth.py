@@ -12,6 +12,7 @@ from copy import copy
 from dataclasses import dataclass
 
 from hydro_diagnosis.closure.evidence import definite
+from hydro_diagnosis.closure.rounding import newest_turned, plain, turned
 from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
 from hydro_diagnosis.closure.together import held_out_gain, mimics, paying
 from hydro_diagnosis.effects.base import Claim, Effect
@@ -90,9 +91,9 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen) -> Fit:
     for claim in found.claims if len(found.claims) > 1 else ():
         if isinstance(claim.effect, Closure):
             others = fit(problem, tuple(one for one in found.claims if one is not claim))
-            tried = {one.effect.label for one in found.claims}
+            tried = {plain(one.effect.label) for one in found.claims}
             found = _simplest(problem, [found, *_laws_fitted(problem, others, screen, tried)], claim)
-    return found
+    return turned(problem, found)
 
 
 def _laws_fitted(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
@@ -106,6 +107,8 @@ def _laws_fitted(problem: Problem, current: Fit, screen: Screen, tried: set[str]
         if one.gain < max(toll, LEAST * there_is, enough):
             break
         better = _fitted(problem, current, one.starts)
+        if noticeable(problem, better.residual):
+            better = newest_turned(problem, better)
         tried.add(one.effect.label)
         if score(problem, current) - score(problem, better) < toll or mimics(problem, current, better):
             continue

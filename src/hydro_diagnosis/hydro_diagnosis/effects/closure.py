@@ -28,7 +28,7 @@ from hydro_diagnosis.effects.path_memory import along, held_lag, limited
 from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import Element, Law, Number, Signals, edge_losses, sensed
+from hydro_sim.model.laws import TURN, Element, Law, Number, Signals, edge_losses, sensed
 from hydro_sim.model.tables import KNOTS, SETTLING, Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
@@ -102,7 +102,7 @@ class Closure(Effect):
         low, high = self.limits if number.over and self.probes else number.bounds
         return FitParameter(
             name=number.name, unit=number.unit, low=low, high=high, neutral=probes[len(probes) // 2], probes=probes,
-            systematic=0.01,
+            systematic=0.6 if number is TURN else 0.01,  # the recorded velocity is a smoothed one
         )  # fmt: skip
 
     def adapted(self, bench: Bench) -> Effect:

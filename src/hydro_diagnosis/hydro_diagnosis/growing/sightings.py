@@ -112,11 +112,17 @@ def _laws(report: str, content: Mapping[str, Any]) -> _Laws:
     return {(one.law.equation, one.law.form): one for one in found}
 
 
+_LAWS = (*grammar.LAWS, *grammar.COMPOSITIONS, *grammar.ROUNDED)
+
+
 def _sighting(report: str, closure: Mapping[str, Any]) -> Sighting:
     """The law of the grammar that an entry of `closures` was written from, with its numbers."""
     written = str(closure["expression"]).partition(" * ")[2]
-    for law in grammar.LAWS:
+    for law in _LAWS:
         same = law.equation == closure["equation"] and law.names == tuple(closure["terms"])
+        same = same and (
+            law.equation != "sensor" or law.sentence == closure["sentence"]
+        )  # which says whose sensor it is
         further = f", {law.numbers[0].name} = " if law.numbers else ""
         if same and (written == law.text or (further and written.startswith(law.text + further))):
             return Sighting(report, law, {name: _estimate(one) for name, one in closure["terms"].items()})

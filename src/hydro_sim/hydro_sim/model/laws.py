@@ -34,7 +34,7 @@ import numpy as np
 from hydro_sim.model.equations import Symbol, edge_drops, orifice
 
 SIGN_VELOCITY = 1e-3
-"""Velocity [m/s] over which a force that follows the sign of the velocity reverses."""
+"""Velocity [m/s] over which a term reverses that follows the velocity's sign, unless its law has it as a number."""
 WIDEST = 1e9
 """SI unit, of where a table or a threshold may lie."""
 
@@ -63,6 +63,13 @@ class Signals:
     """First of the law's further numbers, such as its threshold."""
     second: Symbol = 0.0
     """Second of them."""
+    turn: Symbol = SIGN_VELOCITY
+    """Velocity [m/s] over which the direction of motion reverses."""
+
+    @property
+    def direction(self) -> Symbol:
+        """sign(v), -1 to 1, rounded where it reverses."""
+        return np.tanh(self.velocity / self.turn)
 
     @property
     def pressure_difference(self) -> Symbol:
@@ -172,15 +179,34 @@ class Law:
         return self.element is not None or self.picks_up
 
     @property
+    def reverses(self) -> bool:
+        """Whether it follows the sign of the velocity."""
+        return "sign(v)" in self.text or "where v" in self.text
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of its parameters."""
         return ("coefficient", *(number.name for number in self.numbers))
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """Value of the term, in the unit of its equation."""
-        if self.numbers:
-            at = replace(at, number=numbers[1], second=numbers[2] if len(numbers) > 2 else 0.0)
-        return numbers[0] * self.shape(at, n)
+        further = dict(zip(self.names, numbers, strict=True))
+        if "turn" in further:
+            at = replace(at, turn=further.pop("turn"))
+        _, number, second = (*further.values(), 0.0, 0.0)[:3]
+        return numbers[0] * self.shape(replace(at, number=number, second=second), n)
+
+
+TURN = Number("turn", "m/s", (SIGN_VELOCITY,))
+"""Velocity over which a law reverses."""
+ROUNDED = "reversing over turn"
+"""Text of a law that has it as a number."""
+
+
+def rounded(law: Law) -> Law:
+    """The same law with the velocity over which it reverses as its last number."""
+    text = f"{law.text}, {ROUNDED}"
+    return replace(law, form=f"{law.form}, {ROUNDED}", text=text, numbers=(*law.numbers, TURN))
 
 
 def edge_losses(

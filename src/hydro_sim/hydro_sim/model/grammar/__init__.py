@@ -12,8 +12,7 @@ from typing import Any
 
 from hydro_sim.model.grammar import flows, forces, sensors, valve
 from hydro_sim.model.grammar.compositions import compositions
-from hydro_sim.model.grammar.words import sign
-from hydro_sim.model.laws import Law
+from hydro_sim.model.laws import Law, rounded
 from hydro_sim.model.tables import Factor, Table
 
 LAWS: tuple[Law, ...] = (*forces.LAWS, *flows.LAWS, *valve.LAWS, *sensors.LAWS)
@@ -21,8 +20,11 @@ LAWS: tuple[Law, ...] = (*forces.LAWS, *flows.LAWS, *valve.LAWS, *sensors.LAWS)
 COMPOSITIONS: tuple[Law, ...] = compositions(LAWS)
 """Laws that are compositions, without those that have names."""
 
+ROUNDED: tuple[Law, ...] = tuple(rounded(law) for law in (*LAWS, *COMPOSITIONS) if law.reverses)
+"""Laws that follow the sign of the velocity, with that over which they reverse as a number."""
+
 _VELOCITY = Factor("velocity", "v", lambda at: at.velocity)
-_DIRECTION = Factor("direction", "sign(v)", lambda at: sign(at.velocity))
+_DIRECTION = Factor("direction", "sign(v)", lambda at: at.direction)
 _ACROSS = Factor("pressure difference", "(p_a - p_b)", lambda at: at.pressure_difference, "pressure_a pressure_b")
 _OWN = {"a": Factor("pressure", "p_a", lambda at: at.pressure_a, "pressure_a"),
         "b": Factor("pressure", "p_b", lambda at: at.pressure_b, "pressure_b")}  # fmt: skip
@@ -57,7 +59,7 @@ TABLES: tuple[Table, ...] = (
 )  # fmt: skip
 """Smooth functions of one variable, alone or as a coefficient of a carrier, where no law is found."""
 
-_EVERY: tuple[Law | Table, ...] = (*LAWS, *COMPOSITIONS, *TABLES)
+_EVERY: tuple[Law | Table, ...] = (*LAWS, *COMPOSITIONS, *ROUNDED, *TABLES)
 ALL: dict[tuple[str, str], Law | Table] = {(one.equation, one.form): one for one in _EVERY}
 """By equation and form."""
 

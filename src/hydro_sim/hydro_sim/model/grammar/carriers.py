@@ -10,8 +10,8 @@ import numpy as np
 
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Carrier
-from hydro_sim.model.grammar.words import deflection, sign
-from hydro_sim.model.laws import SIGN_VELOCITY, Number, Signals
+from hydro_sim.model.grammar.words import deflection
+from hydro_sim.model.laws import Number, Signals
 
 _FRICTION = "Dry friction"
 
@@ -25,7 +25,7 @@ def _force(name: str, unit: str, text: str, phrase: str, scale: float, uses: str
 CONSTANT_FORCE = _force(
     "force", "-", "1", "A force against the motion", 1.0, "", 0.0, lambda at, n: 1.0 + 0.0 * at.position
 )
-DRY = _force("friction", "-", "sign(v)", _FRICTION, 1.0, "velocity", 0.0, lambda at, n: sign(at.velocity))
+DRY = _force("friction", "-", "sign(v)", _FRICTION, 1.0, "velocity", 0.0, lambda at, n: at.direction)
 VISCOUS = _force("drag", "m/s", "v", "Viscous friction", 0.05, "velocity", 1.0, lambda at, n: at.velocity)
 SQUARE = _force(
     "quadratic drag",
@@ -45,18 +45,18 @@ ROOT = _force(
     0.2,
     "velocity",
     0.5,
-    lambda at, n: at.velocity / np.sqrt(np.abs(at.velocity) + SIGN_VELOCITY),
+    lambda at, n: at.velocity / np.sqrt(np.abs(at.velocity) + at.turn),
 )
 BY_PRESSURE = tuple(
     _force(f"friction by pressure of {chamber.upper()}", "Pa", f"sign(v) p_{chamber}",
            f"Dry friction by the pressure of chamber {chamber.upper()}", 5e6, f"pressure_{chamber} velocity", 1.0,
            shape)
-    for chamber, shape in (("a", lambda at, n: sign(at.velocity) * at.pressure_a),
-                           ("b", lambda at, n: sign(at.velocity) * at.pressure_b))
+    for chamber, shape in (("a", lambda at, n: at.direction * at.pressure_a),
+                           ("b", lambda at, n: at.direction * at.pressure_b))
 )  # fmt: skip
 BY_DIFFERENCE = _force("friction by pressure difference", "Pa", "sign(v) |p_a - p_b|",
                        "Dry friction by the pressure across the piston", 3e6, "pressure_a pressure_b velocity", 1.0,
-                       lambda at, n: sign(at.velocity) * np.abs(at.pressure_difference))  # fmt: skip
+                       lambda at, n: at.direction * np.abs(at.pressure_difference))  # fmt: skip
 
 LOAD_DRY = _force(
     "rubbing",
@@ -66,7 +66,7 @@ LOAD_DRY = _force(
     1.0,
     "velocity",
     0.0,
-    lambda at, n: sign(at.velocity),
+    lambda at, n: at.direction,
     "load",
 )
 LOAD_VISCOUS = _force(
@@ -91,7 +91,7 @@ LOAD_RUBBING = _force(
     1e-2,
     "position velocity",
     1.0,
-    lambda at, n: sign(at.velocity) * np.abs(deflection(at, n)),
+    lambda at, n: at.direction * np.abs(deflection(at, n)),
     "load",
 )
 LOAD_SPRING = _force(

@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_sim.model.grammar.words import LAG, PLACE, above, creep, deflection, middle, path, sign, threshold
-from hydro_sim.model.laws import SIGN_VELOCITY, Element, Law, Number
+from hydro_sim.model.grammar.words import LAG, PLACE, above, creep, deflection, middle, path, threshold
+from hydro_sim.model.laws import Element, Law, Number
 
 _HEAT = (Number("path", "m", (0.1, 0.3, 1.0, 3.0)), Number("time", "s", (3.0, 10.0, 30.0)))
 LAWS: tuple[Law, ...] = (
@@ -18,10 +18,10 @@ LAWS: tuple[Law, ...] = (
         1000.0, lambda at, n: at.velocity * at.velocity * at.velocity),
     Law("motion", "root drag", "N sqrt(s/m)", "sign(v) sqrt(|v|)",
         "Force against motion that levels off with speed: typical of seals whose oil film grows.",
-        10.0, lambda at, n: at.velocity / np.sqrt(np.abs(at.velocity) + SIGN_VELOCITY)),
+        10.0, lambda at, n: at.velocity / np.sqrt(np.abs(at.velocity) + at.turn)),
     Law("motion", "friction along the stroke", "N", "sign(v) (x/L - 1/2)",
         "Dry friction that changes along the stroke: typical of a rod that is bent or a bore that is worn.",
-        20.0, lambda at, n: sign(at.velocity) * middle(at, n)),
+        20.0, lambda at, n: at.direction * middle(at, n)),
     Law("motion", "drag along the stroke", "N s/m", "v (x/L - 1/2)",
         "Viscous friction that changes along the stroke: typical of a gap that is not even.",
         100.0, lambda at, n: at.velocity * middle(at, n)),
@@ -30,10 +30,10 @@ LAWS: tuple[Law, ...] = (
         500.0, lambda at, n: at.velocity * middle(at, n) * middle(at, n)),
     Law("motion", "friction by pressure", "N/Pa", "sign(v) (p_a + p_b)/2",
         "Dry friction that grows with pressure: typical of seals that pressure presses on.",
-        1e-6, lambda at, n: sign(at.velocity) * 0.5 * (at.pressure_a + at.pressure_b)),
+        1e-6, lambda at, n: at.direction * 0.5 * (at.pressure_a + at.pressure_b)),
     Law("motion", "friction by pressure difference", "N/Pa", "sign(v) |p_a - p_b|",
         "Dry friction that grows with the pressure across the piston: typical of a piston seal.",
-        1e-6, lambda at, n: sign(at.velocity) * np.abs(at.pressure_difference)),
+        1e-6, lambda at, n: at.direction * np.abs(at.pressure_difference)),
     Law("load", "quadratic spring", "N/m2", "(x - x_rest) |x - x_rest|",
         "Load whose stiffness changes with its deflection: typical of a contact that grows.",
         1e5, lambda at, n: deflection(at, n) * np.abs(deflection(at, n))),
@@ -54,13 +54,13 @@ LAWS: tuple[Law, ...] = (
         100.0, lambda at, n: -np.fmax(-at.velocity, 0.0) * np.fmax(-at.velocity, 0.0)),
     Law("motion", "friction by pressure of A", "N/Pa", "sign(v) p_a",
         "Dry friction that grows with the pressure of chamber A: typical of a piston seal that lifts the other way.",
-        1e-6, lambda at, n: sign(at.velocity) * at.pressure_a),
+        1e-6, lambda at, n: at.direction * at.pressure_a),
     Law("motion", "friction by pressure of B", "N/Pa", "sign(v) p_b",
         "Dry friction that grows with the pressure of chamber B: typical of the rod's seal.",
-        1e-6, lambda at, n: sign(at.velocity) * at.pressure_b),
+        1e-6, lambda at, n: at.direction * at.pressure_b),
     Law("motion", "drag above a speed", "N s/m", "sign(v) max(|v| - threshold, 0)",
         "Force against motion that begins at a speed: typical of a port that chokes or a valve that shuts.",
-        50.0, lambda at, n: np.fmax(at.velocity - at.number, 0.0) - np.fmax(-at.velocity - at.number, 0.0),
+        50.0, lambda at, n: at.direction * above(at.speed, at.number),
         numbers=threshold("speed", "m/s", 0.01, 0.03, 0.06, 0.1, 0.2)),
     Law("motion", "drag towards the outer end", "N s/m2", "v max(x - threshold, 0)",
         "Viscous friction that begins at a place: typical of a throttle that closes towards the end of the stroke.",
@@ -73,7 +73,7 @@ LAWS: tuple[Law, ...] = (
         50.0, lambda at, n: at.velocity * np.exp(-at.memory), Element("heat", "position"), _HEAT),
     Law("motion", "warming friction", "N", "sign(v) exp(-w), w' = |v| / path - w / time",
         "Dry friction that fades with motion and returns with rest: typical of seals and grease that warm.",
-        5.0, lambda at, n: sign(at.velocity) * np.exp(-at.memory), Element("heat", "position"), _HEAT),
+        5.0, lambda at, n: at.direction * np.exp(-at.memory), Element("heat", "position"), _HEAT),
     Law("load", "second spring outwards", "N/m", "max(x - threshold, 0)",
         "Load that grows stiffer from a place on: typical of a bumper or a second spring that engages.",
         1e3, lambda at, n: above(at.position, at.number), numbers=PLACE),

@@ -3,11 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from operator import attrgetter
+
 import numpy as np
 
+from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Modulation
-from hydro_sim.model.grammar.words import PLACE, above, outwards, threshold
-from hydro_sim.model.laws import Element, Number
+from hydro_sim.model.grammar.words import PLACE, above, threshold
+from hydro_sim.model.laws import Element, Number, Signals
 
 ALWAYS = Modulation(name="", text="{}", phrase="", factor=lambda at, n: 1.0)
 
@@ -16,27 +20,34 @@ _TIMES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 _SHORT = (0.02, 0.1)
 
 
-def _gate(name: str, text: str, phrase: str, uses: str, signal: str, turn: float, side: float) -> Modulation:
-    """1 where a signal has a sign, else 0; rounded over `turn` [SI unit]."""
-    return Modulation(name=name, text=f"{{}} where {text}", phrase=phrase, uses=uses,
-                      gate=(signal, side),
-                      factor=lambda at, n: outwards(side * getattr(at, signal) * (1e-3 / turn)))  # fmt: skip
+def _gate(name: str, text: str, phrase: str, uses: str, signal: str, side: float,
+          direction: Callable[[Signals], Symbol]) -> Modulation:  # fmt: skip
+    """1 where a signal has a sign, else 0; `direction`: that sign, rounded."""
+    return Modulation(name=name, text=f"{{}} where {text}", phrase=phrase, uses=uses, gate=(signal, side),
+                      factor=lambda at, n: np.fmax(side * direction(at), 0.0))  # fmt: skip
 
 
+def _over(signal: str, turn: float) -> Callable[[Signals], Symbol]:
+    """Sign of a signal, rounded over `turn` [SI unit]."""
+    return lambda at: np.tanh(getattr(at, signal) / turn)
+
+
+_MOVING = attrgetter("direction")
 BY_MOTION = (
-    _gate("outwards", "v > 0", ", only while the piston moves out", "velocity", "velocity", 1e-3, 1.0),
-    _gate("inwards", "v < 0", ", only while the piston moves in", "velocity", "velocity", 1e-3, -1.0),
+    _gate("outwards", "v > 0", ", only while the piston moves out", "velocity", "velocity", 1.0, _MOVING),
+    _gate("inwards", "v < 0", ", only while the piston moves in", "velocity", "velocity", -1.0, _MOVING),
 )
+_ACROSS, _OPENED = _over("pressure_difference", 3e4), _over("current", 1e-5)
 BY_PRESSURE = (
     _gate("driven out", "p_a > p_b", ", only while chamber A has the higher pressure: typical of a check valve or lip",
-          "pressure_a pressure_b", "pressure_difference", 3e4, 1.0),
+          "pressure_a pressure_b", "pressure_difference", 1.0, _ACROSS),
     _gate("driven in", "p_a < p_b", ", only while chamber B has the higher pressure: typical of a check valve or lip",
-          "pressure_a pressure_b", "pressure_difference", 3e4, -1.0),
+          "pressure_a pressure_b", "pressure_difference", -1.0, _ACROSS),
 )  # fmt: skip
 BY_SIDE = (
-    _gate("to one side", "u > 0", ", only while the spool is opened one way", "current", "current", 1e-5, 1.0),
+    _gate("to one side", "u > 0", ", only while the spool is opened one way", "current", "current", 1.0, _OPENED),
     _gate("to the other side", "u < 0", ", only while the spool is opened the other way", "current", "current",
-          1e-5, -1.0),
+          -1.0, _OPENED),
 )  # fmt: skip
 BY_EDGE = (
     Modulation(name="of the supply", text="{} at the supply", phrase=", at the edges to the supply",

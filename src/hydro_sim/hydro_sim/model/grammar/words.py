@@ -8,17 +8,12 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import SIGN_VELOCITY, Element, Number, Signals
+from hydro_sim.model.laws import Element, Number, Signals
 
 
-def sign(velocity: Symbol) -> Symbol:
-    """Direction of motion, -1 to 1, rounded where it reverses."""
-    return np.tanh(velocity / SIGN_VELOCITY)
-
-
-def outwards(velocity: Symbol) -> Symbol:
-    """1 while the piston moves out, else 0; of the negative velocity: while it moves in."""
-    return np.fmax(sign(velocity), 0.0)
+def outwards(direction: Symbol) -> Symbol:
+    """1 while the piston moves out, else 0; of the negative direction: while it moves in."""
+    return np.fmax(direction, 0.0)
 
 
 def above(signal: Symbol, threshold: Symbol) -> Symbol:
