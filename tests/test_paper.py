@@ -16,11 +16,12 @@ import pytest
 import torch
 
 from benchmarks.paper import metric, report, sensitivity, times
+from benchmarks.paper.__main__ import main
 from benchmarks.paper.certificate import AtRate, NetworkDynamics, NetworkMetric, paper_filter
 from benchmarks.paper.claims import CLAIMS
 from benchmarks.paper.foreign import ForeignPlant
 from benchmarks.paper.reasons import MISSING, REASONS, why
-from benchmarks.paper.store import FULL, PRINTED, QUICK, Store
+from benchmarks.paper.store import FULL, PRINTED, QUICK, RESULTS, Store
 from benchmarks.paper.verdicts import AS_PAPER, CONTRARY, EQUAL, NOT_RUN, less, verdict
 from hydro_bridge.signals import STATE_DTYPE
 from hydro_filter.certificate.continuous import Certificate
@@ -67,6 +68,56 @@ def test_a_piece_is_made_once_and_again_for_another_size(tmp_path: Path) -> None
     assert again["value"] == [None, 1.0]
     assert Store(tmp_path, FULL).kept("one") is None
     assert Store(tmp_path, replace(QUICK, seeds=3)).kept("one") is None
+
+
+def test_results_that_came_with_the_program_count_as_made(tmp_path: Path) -> None:
+    first = Store(tmp_path / "here", QUICK)
+    first.piece("one", lambda: {"value": 1.0})
+    first.piece("other", lambda: {"value": 2.0})
+    first.ship(tmp_path / "results")
+    there = Store(tmp_path / "there", QUICK, tmp_path / "results")
+    assert there.names() == ["one", "other"]
+    assert there.piece("one", lambda: {"value": 3.0}) == first.kept("one")
+    assert Store(tmp_path / "there", replace(QUICK, seeds=3), tmp_path / "results").names() == []
+    assert Store(tmp_path / "fresh", QUICK).names() == []
+    there.piece("third", lambda: {"value": 4.0})
+    there.ship(tmp_path / "results")
+    assert Store(tmp_path / "later", QUICK, tmp_path / "results").names() == ["one", "other", "third"]
+
+
+def test_a_piece_whose_weights_are_gone_is_made_again(tmp_path: Path) -> None:
+    made: list[int] = []
+    weights = tmp_path / "weights"
+
+    def make() -> dict[str, object]:
+        made.append(1)
+        weights.write_text("")
+        return {}
+
+    store = Store(tmp_path, QUICK)
+    for _ in range(2):
+        store.piece("one", make, weights)
+    weights.unlink()
+    store.piece("one", make)
+    assert len(made) == 1
+    store.piece("one", make, weights)
+    assert len(made) == 2
+
+
+def test_a_seed_that_no_size_has_is_refused(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.argv", ["paper", "--show", "--seeds", "5"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code
+    assert "the seeds of this size are 0 to 4" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not (RESULTS / "full.jsonl").is_file(), reason="no results came with it")
+def test_the_page_is_made_from_the_results_that_came_with_it(tmp_path: Path) -> None:
+    page = (RESULTS.parents[2] / "docs/reports/paper.md").read_text(encoding="utf-8")
+    assert page == report.text(Store(tmp_path, FULL, RESULTS), Store(tmp_path, QUICK, RESULTS))
 
 
 def test_a_piece_that_another_one_needs_has_its_own_time(tmp_path: Path) -> None:

@@ -8,7 +8,8 @@ HEAD = """# The paper, row by row
 The paper's own method on the emulated bench, beside the paper's numbers and ours. All figures but the paper's are the
 emulator's: orders and signs compare, Newtons do not. *quick*: `make paper ARGS=--quick`, sizes far below the paper's,
 which show that the method runs and nothing about what it comes to; *full*: `make paper`, hours. A row that is not
-there was not run yet. Cells: mean ± standard deviation over seeds, where there is more than one.
+there was not run yet. Cells: mean ± standard deviation over seeds, where there is more than one. The pieces that the
+page is made from lie in benchmarks/paper/results; `make paper ARGS=--fresh` runs them all again.
 """
 
 CLAIMS = """
