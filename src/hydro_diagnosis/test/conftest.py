@@ -19,9 +19,11 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.offline import Schedule, simulate
 
 
-def record(truth: Bench, seed: int = 1, seconds: float = 10.0, waveform: Waveform = Waveform.MULTISINE) -> StateArray:
+def record(
+    truth: Bench, seed: int = 1, seconds: float = 10.0, waveform: Waveform = Waveform.MULTISINE, amplitude: float = 260.0
+) -> StateArray:
     """A run of the analytic plant, which shares no code with the diagnosis; the box believes the nominal bench."""
-    reference = ReferenceSignal(waveform=waveform, amplitude=260.0, frequency=0.7)
+    reference = ReferenceSignal(waveform=waveform, amplitude=amplitude, frequency=0.7)
     schedule = Schedule(reference=reference, gains=(60.0, 10.0), seconds=seconds)
     return simulate(AnalyticPlant(truth), Bench.nominal(), schedule, seed=seed)
 

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Names that fit but do not foretell are said to; those of the true cause are not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.selection.foretelling import not_foretold
+from hydro_sim.model.bench import Bench
+
+BENCH = Bench.nominal()
+SLOW, FAST = 60.0, 300.0
+"""Amplitudes of the reference [N]."""
+
+
+def problem_of(states: StateArray) -> Problem:
+    table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
+    return Problem(list(checked(table, BENCH).segments), BENCH)
+
+
+def claims(*names: str) -> list[Claim]:
+    effects = [next(one for one in LIBRARY if one.label == name).adapted(BENCH) for name in names]
+    return [Claim(one, {number.name: number.probes[0] for number in one.parameters}) for one in effects]
+
+
+@pytest.mark.parametrize(
+    ("truth", "named", "foretold"),
+    [
+        ({"effects": ({"id": "friction_viscous", "parameters": {"coefficient": 150.0}},)}, ["friction_viscous"], True),
+        ({"closures": ({"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 1500.0}},)},
+         ["friction_viscous"], False),
+        ({}, [], True),
+    ],
+)  # fmt: skip
+def test_a_name_that_takes_the_form_of_another_within_what_was_seen_does_not_foretell(
+    record: Callable[..., StateArray], truth: dict[str, Sequence[object]], named: list[str], foretold: bool
+) -> None:
+    bench = replace(BENCH, **truth)
+    fitted, unseen = (problem_of(record(bench, seed, amplitude=size)) for seed, size in ((1, SLOW), (2, FAST)))
+    found = fit(fitted, claims(*named))
+    unseen.update_weights(found.claims)
+    note = not_foretold(unseen, found.claims)
+    assert (note == "") == foretold
+    assert foretold or "(motion)" in note
