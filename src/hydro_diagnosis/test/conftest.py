@@ -20,7 +20,11 @@ from hydro_sim.simulation.offline import Schedule, simulate
 
 
 def record(
-    truth: Bench, seed: int = 1, seconds: float = 10.0, waveform: Waveform = Waveform.MULTISINE, amplitude: float = 260.0
+    truth: Bench,
+    seed: int = 1,
+    seconds: float = 10.0,
+    waveform: Waveform = Waveform.MULTISINE,
+    amplitude: float = 260.0,
 ) -> StateArray:
     """A run of the analytic plant, which shares no code with the diagnosis; the box believes the nominal bench."""
     reference = ReferenceSignal(waveform=waveform, amplitude=amplitude, frequency=0.7)

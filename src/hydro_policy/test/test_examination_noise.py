@@ -70,17 +70,32 @@ def test_fixed_gains_that_were_stopped_in_one_repeat_count_as_no_tracking_there(
 
 
 @pytest.mark.parametrize(
-    ("score", "errors", "better"),
+    ("score", "errors", "best_error", "better"),
     [
-        (0.9, [0.0, 0.0], True),
-        (0.9, [0.05, 0.05], False),
-        (0.9, [0.03, 0.03], True),
-        (0.9, [0.0, 0.07], False),
-        (0.9, [0.0] * 40 + [0.05], False),
+        (0.9, [0.0, 0.0], 0.0, True),
+        (0.9, [0.05, 0.05], 0.05, False),
+        (0.9, [0.03, 0.03], 0.03, True),
+        (0.9, [0.0, 0.07], 0.0, False),
+        (0.9, [0.0] * 40 + [0.05], 0.0, False),
+        (0.9, [0.1, *[0.01] * 8], 0.1, False),
+        (0.9, [0.03] * 9, 0.03, False),
     ],
 )
-def test_better_is_better_by_more_than_the_noise(score: float, errors: list[float], better: bool) -> None:
-    assert significantly_better(score, 1.0, errors) is better
+def test_better_is_better_by_more_than_the_noise(
+    score: float, errors: list[float], best_error: float, better: bool
+) -> None:
+    """The best score's own noise counts, and so does how often a run has compared."""
+    assert significantly_better(score, 1.0, errors, best_error) is better
+
+
+def test_noise_alone_passes_for_better_in_few_runs() -> None:
+    """Policies that are all alike, two runs of four sines each, nine examinations: the one that came is kept."""
+    rng, passed = np.random.default_rng(0), 0
+    for _ in range(400):
+        state = RunState(TrainingSettings(), Learner(), Progress(reference_rmse=FIXED.tolist()), None, RunRecord())  # type: ignore[arg-type]
+        found = [state.add_exam(scores(FIXED * (0.8 + 0.05 * rng.standard_normal((2, 4))))) for _ in range(9)]
+        passed += any(found[1:])
+    assert passed / 400 < 0.15
 
 
 def test_a_run_knows_its_noise_unless_told_otherwise() -> None:

@@ -13,8 +13,8 @@ from hydro_diagnosis.selection.localisation import locate, noticeable
 def not_foretold(unseen: Problem, claims: Sequence[Claim]) -> str:
     """Note on held-out recordings that hold more than noise, weighed for these claims; empty where they do not.
 
-    Names fit what they can take the form of: viscous friction with a Stribeck rise takes that of drag with the square of
-    speed, as far as the piston was moved.
+    Names fit what they can take the form of: viscous friction with a Stribeck rise takes that of drag with the square
+    of speed, as far as the piston was moved.
     """
     residual = unseen.residual(claims)
     if not noticeable(unseen, residual):

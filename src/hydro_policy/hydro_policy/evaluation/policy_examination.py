@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 
 import numpy as np
 
@@ -23,8 +24,14 @@ from hydro_policy.task.scoring import Score
 RETRIES = 2
 """Repeats of a sine with late corrections, whose result is not due to the policy."""
 
-SURE = 2.0
-"""Standard errors by which a score must be better: one comparison passes by chance about once in forty."""
+CHANCE = 0.025
+"""Probability that a score passes for better by chance, over the comparisons of the run so far (Bonferroni)."""
+
+LEAD = 16.0
+"""s that a policy, or the fixed gains, act before the first sine of an examination that follows no episode.
+
+What arming or other gains leave in the box's integral fades with K_p / K_i, which is 6 s for (90, 15) and up to 18 s.
+"""
 
 EXAMINED = "policy"
 """Name of the policy in an examination's scores."""
@@ -74,24 +81,37 @@ class Verdict:
         return sum(ratio < 1.0 for ratio in self.ratios)
 
 
-def significantly_better(score: float, best: float, errors: Sequence[float]) -> bool:
+def significantly_better(score: float, best: float, errors: Sequence[float], best_error: float = 0.0) -> bool:
     """Return whether a score is below the best one by more than the noise of both.
 
     Parameters
     ----------
     errors
-        Standard errors of all scores of the run, since two runs of a sine alone give a poor estimate of their scatter.
-        For a score of single runs it is 0: unknown.
+        Standard errors of all scores of the run, this one's last. Two runs of a sine alone give a poor estimate of
+        their scatter: the root of the mean square of all of them counts where a score's own is smaller. For a score of
+        single runs it is 0: unknown.
+    best_error
+        That of the best score.
     """
     known = [error for error in errors if error > 0.0]
-    noise = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
-    return score < best - SURE * math.sqrt(2.0) * noise
+    pooled = math.hypot(*known) / math.sqrt(len(known)) if known else 0.0
+    noise = math.hypot(max(errors[-1], pooled), max(best_error, pooled))
+    return score < best - NormalDist().inv_cdf(1.0 - CHANCE / max(len(errors) - 1, 1)) * noise
 
 
 def examination(
-    settings: ExamSettings, policy: Policy, gains: GainRange, reference_too: bool, around: SessionContext
+    settings: ExamSettings,
+    policy: Policy,
+    gains: GainRange,
+    reference_too: bool,
+    around: SessionContext,
+    *,
+    fresh: bool = False,
 ) -> EvaluationSession:
-    """Create the session that examines `policy` and, if requested, the fixed gains that its score is relative to."""
+    """Create the session that examines `policy` and, if requested, the fixed gains that its score is relative to.
+
+    `fresh`: no episode has passed since the box was armed.
+    """
     controllers: list[Controller] = [PolicyController(policy, gains, EXAMINED)]
     if reference_too:
         controllers.append(FixedGains(settings.reference_kp, settings.reference_ki, around.override.base))
@@ -103,6 +123,7 @@ def examination(
         override=around.override,
         monitor=around.monitor,
         retries=RETRIES,
+        lead=LEAD if fresh or reference_too else 0.0,
     )
 
 

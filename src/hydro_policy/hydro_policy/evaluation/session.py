@@ -65,6 +65,8 @@ class EvaluationSession:
         Number of repeats of a run in which the box held base gains for too long (`HELD_MAX`).
     requirements
         Requirements before arming, besides plant and filter.
+    lead
+        s that each controller's first run settles longer; then each controller makes all its runs before the next.
     """
 
     def __init__(
@@ -80,12 +82,16 @@ class EvaluationSession:
         monitor: SafetyMonitor | None = None,
         retries: int = 0,
         requirements: Sequence[Requirement] = (),
+        lead: float = 0.0,
     ) -> None:
         if not controllers:
             raise ValueError("an evaluation needs a controller")
         self.settings, self.override = settings, override or GainOverride()
         self.watch = watch or PlantSupervisor(outputs, rearm, requirements, self.override)
         self.plan = [(r, c, k) for r in range(settings.repeats) for c in settings.cases for k in controllers]
+        if lead:
+            self.plan.sort(key=lambda run: controllers.index(run[2]))
+        self._lead = lead
         self.scores: list[Score] = []
         self.traces: list[Trace] = []
         self.warnings: list[str] = []
@@ -105,12 +111,20 @@ class EvaluationSession:
     @property
     def seconds(self) -> float:
         """Bench time of all runs, s."""
-        return sum(self.settings.length(case) for _, case, _ in self.plan)
+        return self._length(len(self.plan))
 
     @property
     def seconds_done(self) -> float:
         """Bench time of the scored runs, s."""
-        return sum(self.settings.length(case) for _, case, _ in self.plan[: len(self.scores)])
+        return self._length(len(self.scores))
+
+    def _length(self, runs: int) -> float:
+        """Bench time of the first so many runs, s."""
+        return sum(self.settings.length(case) + self._more(k) for k, (_, case, _) in enumerate(self.plan[:runs]))
+
+    def _more(self, index: int) -> float:
+        """By how much a run settles longer, s."""
+        return self._lead if index == 0 or self.plan[index][2] is not self.plan[index - 1][2] else 0.0
 
     def on_sample(self, sequence: int, sample: FloatArray, flags: int, now: float) -> bool:
         """Take a sample [14]; True if gains went out."""
@@ -160,7 +174,7 @@ class EvaluationSession:
         return _Run(repeat, case, controller, sequence)
 
     def _advance(self, run: _Run, sequence: int, sample: FloatArray, flags: int) -> bool:
-        time = (sequence - run.first) * SAMPLE_PERIOD - self.settings.settle
+        time = (sequence - run.first) * SAMPLE_PERIOD - self.settings.settle - self._more(len(self.scores))
         if time >= 0.0:
             run.rows.append((time, sequence, *sample, flags))
         step = self._clock.add(sequence, sample, flags)

@@ -83,7 +83,8 @@ class RunState:
         progress.reference_rmse = progress.reference_rmse or policy_examination.reference_rmse(settings, scores)
         verdict = policy_examination.verdict(scores, progress.reference_rmse)
         errors = [*(exam.get("error", 0.0) for exam in progress.exams), verdict.score_error]
-        best = policy_examination.significantly_better(verdict.score, progress.best_score, errors)
+        kept = next((exam.get("error", 0.0) for exam in reversed(progress.exams) if exam["best"]), 0.0)
+        best = policy_examination.significantly_better(verdict.score, progress.best_score, errors, kept)
         self.keeper.accept(best)
         progress.examined, progress.best_score = progress.episode, verdict.score if best else progress.best_score
         if progress.passed_at < 0 and verdict.beaten == len(verdict.rmse):

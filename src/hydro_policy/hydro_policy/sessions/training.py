@@ -88,6 +88,7 @@ class TrainingSession:
         self.exam: EvaluationSession | None = None
         self._around = policy_examination.SessionContext(outputs, self.watch, self.override, self.monitor)
         self._outputs = outputs
+        self._fresh = True  # no episode has passed since the box was armed
 
     @property
     def policy(self) -> Policy:
@@ -183,6 +184,7 @@ class TrainingSession:
         if reason is not None:
             self._stop(reason, step.sample)
         elif self.player.complete:
+            self._fresh = False
             self._go_on(best=self.state_of_run.add_episode(self.current))
 
     def _begin_exam(self) -> None:
@@ -192,7 +194,9 @@ class TrainingSession:
             self.policy.load_flat(parameters)
         reference_too = not self.progress.reference_rmse
         gains = self.settings.task.gains
-        self.exam = policy_examination.examination(self.settings.exam, self.policy, gains, reference_too, self._around)
+        self.exam = policy_examination.examination(
+            self.settings.exam, self.policy, gains, reference_too, self._around, fresh=self._fresh
+        )
         self.explorer.forget()
         self.phase = Phase.EVALUATING
 
@@ -239,7 +243,7 @@ class TrainingSession:
 
     def _pause(self, reason: str, where: str) -> None:
         sentence = f"paused in {where} at step {self.current.steps}: {reason}; it begins anew once the plant is armed"
-        self.phase, self.exam = Phase.PAUSED, None
+        self.phase, self.exam, self._fresh = Phase.PAUSED, None, True
         self.progress.interruptions += 1
         self.explorer.forget()
         self._outputs.say(sentence, warning=True)
