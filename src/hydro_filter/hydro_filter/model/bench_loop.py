@@ -47,6 +47,9 @@ from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
 """Effects that the linearized loop leaves out."""
 
+OVERLAP = "valve_deadband"
+"""Of these, the one within which no current moves anything: B = 0."""
+
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
 
@@ -132,6 +135,12 @@ def parts(truth: Bench) -> BenchParts:
 def without_disturbances(truth: Bench) -> Bench:
     """Return the bench without the effects that the linearization leaves out."""
     return replace(truth, effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES))
+
+
+def without_overlap(truth: Bench) -> Bench | None:
+    """Return the bench without its valve's overlap; None if it has none."""
+    kept = tuple(effect for effect in truth.effects if effect["id"] != OVERLAP)
+    return replace(truth, effects=kept) if len(kept) < len(truth.effects) else None
 
 
 def effects_to_compile(truth: Bench) -> str:
