@@ -35,6 +35,7 @@ from hydro_filter.model.bench_terms import (
     state_number,
 )
 from hydro_filter.model.loop_model import LOOP, least_gain, loop_scale
+from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model import hydraulics
@@ -141,6 +142,17 @@ def without_overlap(truth: Bench) -> Bench | None:
     """Return the bench without its valve's overlap; None if it has none."""
     kept = tuple(effect for effect in truth.effects if effect["id"] != OVERLAP)
     return replace(truth, effects=kept) if len(kept) < len(truth.effects) else None
+
+
+def overlap_of(truth: Bench) -> Overlap:
+    """Return the overlap of a bench's valve: of several, the sum; of a soft one, its half width."""
+    closing, back, out = -sum(null_shifts(truth)), 0.0, 0.0
+    for effect in truth.effects:
+        if effect["id"] == OVERLAP:
+            widths = effect["parameters"]
+            out += float(widths["half_width"])
+            back += float(widths.get("half_width_negative", widths["half_width"]))
+    return Overlap(closing, back, out)
 
 
 def effects_to_compile(truth: Bench) -> str:

@@ -52,8 +52,8 @@ from hydro_sim.structured.model import StructuredModel
 HELD_OUT = 5
 """Every fifth rollout is held out."""
 OVERLAP_TOLD = (
-    "the bench file has a valve_deadband, within which no current moves the piston: the certificate is of the loop "
-    "without it and bounds no error within it; reduce the overlap, or expect errors that small gains leave standing"
+    "the bench file has a valve_deadband, within which no current moves the piston: the metric is of the loop without "
+    "it, and corrections leap over it; reduce the overlap, or expect leaps of the current by both half widths"
 )
 """Told of a bench with an overlap."""
 
