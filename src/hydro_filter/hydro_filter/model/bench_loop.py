@@ -6,8 +6,9 @@ Two models stand behind it, both compiled from the bench file::
     whole   all effects: for predictions, hidden states and the monitor
     loop    without `DISTURBANCES`: linearized, by its exact Jacobian
 
-Dry friction, overlap and gaps are bounded disturbances to the certificate, as dry friction is to the structured model:
-within them nothing moves, and a derivative there does not describe the loop.
+Dry friction, overlap and gaps are bounded disturbances to the metric, as dry friction is to the structured model:
+within them nothing moves, and a derivative there does not describe the loop. The certificate counts what of the current
+passes an overlap (`overlap`).
 
 The certificate has eight coordinates. Effects without a place among them are refused: dead times, a second lag of the
 valve, a second lag on the load's force. Other hidden states (bristles, a drooping supply) are held fixed in
