@@ -53,7 +53,7 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
     a, b, best = sampled.half_line(bent, slope, level)
     limit = loop.current_max
     applied = min(max(nominal, -limit), limit)
-    return Problem(a, b, -limit - applied, limit - applied, bent, slope, level, best)
+    return Problem(a, b, -limit - applied, limit - applied, bent, slope, level, best, applied)
 
 
 @njit
@@ -166,9 +166,9 @@ def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
     """`loop_filter.propose` by differences; nothing watches the model."""
     parts, workspace, _, _ = box[0]
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
-        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     p = build_problem(parts, memory[0], x, nominal, current, reference, reference_rate, gain, workspace)
-    return FITS, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
+    return FITS, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best, p.applied
 
 
 class DifferencedLoopFilter(LoopFilter):

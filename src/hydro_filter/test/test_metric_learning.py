@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,10 @@ from hydro_bridge.cli.console import UserError
 from hydro_bridge.signals import SAMPLE_PERIOD, STATE_DTYPE, Flag, FloatArray, StateArray
 from hydro_filter.metric.design import MetricDesign, decaying_range, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.model.bench_loop import without_overlap
 from hydro_filter.model.loop_model import LoopModel, loop_model
+from hydro_filter.precompile import FOUND
+from hydro_filter.training.certificate import where_violated
 from hydro_filter.training.data import (
     NEITHER,
     STABLE,
@@ -25,18 +29,20 @@ from hydro_filter.training.data import (
     certified_range,
     concatenated,
     label_of,
+    label_of_both,
     roll_out,
     windows_of,
 )
 from hydro_filter.training.lmi_refinement import refine
 from hydro_filter.training.loss import Samples
-from hydro_filter.training.metric_learning import correction
+from hydro_filter.training.metric_learning import correction, free_plant, require_held_out
 from hydro_filter.training.options import arguments, fixed_options
 from hydro_filter.training.training import TrainingSettings, certificate_queries, evaluate_quality, network_of, train
 from hydro_filter.validation import validate
 from hydro_sim.learned.model import Learned
 from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.plant import AnalyticPlant
 
 DATA = DataSettings(rollouts=8, windows=10)
 
@@ -142,6 +148,12 @@ def test_a_metric_that_says_itself_that_it_does_not_hold_is_unfit(loop: LoopMode
     metric = LearnedMetric.designed(loop, bench, MetricDesign())
     assert metric.unfit("own") == replace(metric, training={"violated": 3.0}).unfit("own") == ""
     assert "own is no certificate: 93 % of the held-out" in replace(metric, training={"violated": 93.0}).unfit("own")
+    where = {"violated": 36.1, "where": "K_p 87 to 92 1/s, where the loop itself decays at 0.4 1/s"}
+    assert "36 % of the held-out samples of its range (K_p 87 to 92 1/s, where" in replace(
+        metric, training=where
+    ).unfit("own")
+    foreign = {"violated": 1.0, "foreign_violated": 50.0}
+    assert "50 % of the held-out samples under its own correction" in replace(metric, training=foreign).unfit("own")
 
 
 def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: LoopModel) -> None:
@@ -151,10 +163,47 @@ def test_a_range_ends_where_the_loop_at_rest_decays_no_more(loop: LoopModel) -> 
 
     asked = replace(MetricDesign(), gain_high=200.0)
     found = decaying_range(loop, asked)
-    assert slowest(found.gain_high) < 1.0 <= slowest(found.gain_high + asked.gain_step)
+    limit = found.gain_high / asked.gain_share
+    assert slowest(limit - 1.0) < 1.0 <= slowest(limit), "a reserve below the gain at which the loop decays no more"
     assert decaying_range(loop, found) == found
     with pytest.raises(ValueError, match="does not decay at K_p = 150 1/s"):
         decaying_range(loop, replace(asked, gain_low=150.0))
+    with pytest.raises(ValueError, match="rollouts are stable from K_p = 100 1/s on, and the loop at rest decays no m"):
+        decaying_range(loop, replace(asked, gain_low=100.0))
+
+
+def test_an_overlap_makes_no_gain_stable_and_none_unstable_that_its_loop_is_not(bench: Bench) -> None:
+    """It holds twins apart at a small gain, and at a high one still what the loop without it would not."""
+    model = replace(bench, effects=(*FOUND, {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}))
+    plant, free = AnalyticPlant(model), free_plant(model)
+    assert free is not None and free_plant(without_overlap(model) or model) is None
+    settings = DataSettings()
+    for index, between, held, label in ((94, (35.0, 42.0), NEITHER, STABLE), (19, (120.0, 200.0), STABLE, UNSTABLE)):
+        alone, asked = (roll_out(plant, bench, settings, index, one) for one in (None, free))
+        assert between[0] < alone.gains[0] < between[1]
+        assert (alone.label, asked.label) == (held, label)
+        np.testing.assert_array_equal(alone.states, asked.states)
+    assert label_of_both(UNSTABLE, STABLE) == UNSTABLE, "what the bench itself does counts"
+
+
+def test_a_range_that_no_held_out_rollout_can_judge_is_refused(windows: Windows) -> None:
+    kept = replace(windows, gain=np.full_like(windows.gain, 60.0), label=np.full_like(windows.label, STABLE))
+    require_held_out(kept, replace(MetricDesign(), gain_low=50.0, gain_high=70.0))
+    with pytest.raises(ValueError, match="no held-out rollout has a gain of the certified range, K_p 75 to 77 1/s"):
+        require_held_out(kept, replace(MetricDesign(), gain_low=75.0, gain_high=77.0))
+
+
+def test_where_a_metric_is_violated_is_told(asked: tuple[LearnedMetric, Samples]) -> None:
+    metric, samples = asked
+    how = TrainingSettings().loss
+    told = re.fullmatch(
+        r"K_p (\d+) to (\d+) 1/s, where the loop itself decays at (\S+) 1/s", where_violated(*asked, how)
+    )
+    assert told is not None
+    low, high, decay = map(float, told.groups())
+    assert metric.gains[0] - 0.5 <= low <= high <= metric.gains[-1] + 0.5
+    assert 0.1 < decay < 10.0, "the still bench's metric is violated where the loop decays"
+    assert where_violated(metric, samples._replace(decay=samples.decay + 1.0), how) == ""
 
 
 def test_the_law_makes_the_loop_nearly_the_same_everywhere(windows: Windows) -> None:

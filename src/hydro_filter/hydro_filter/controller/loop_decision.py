@@ -7,6 +7,9 @@
                        metric network ──> M, M' ────────────┼──> quadratic in du ──> half-line ──> smallest du
                        law's integral ──> w ────────────────┘
 
+Where the valve has an overlap, du is counted as what of it passes (`overlap`), and the half-line as the current that
+makes this.
+
 Samples must be consecutive: the memory simulates the spool from their currents. See `loop_filter` for objects around
 this call.
 """
@@ -23,9 +26,10 @@ from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.certificate import qp, sampled
 from hydro_filter.metric import network
 from hydro_filter.metric.network import MetricParts, MetricValue, metric_value
-from hydro_filter.model import displacement
+from hydro_filter.model import displacement, overlap
 from hydro_filter.model.loop import Loop, Step, displace, follow, linearize, settle, step_of
 from hydro_filter.model.loop_model import LOOP
+from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.model.hydraulics import input_gain, velocity_term
 
@@ -45,6 +49,8 @@ class LoopParts(NamedTuple):
     """The same for all other gains, whose metric has another size."""
     integral_allowance: float
     """Allowance of the law's integral I [N/s]: its share for disturbances on stable runs."""
+    overlap: Overlap = Overlap()
+    """Of the model's valve."""
 
 
 class Workspace(NamedTuple):
@@ -71,7 +77,7 @@ class Decision(NamedTuple):
 
 
 class Problem(NamedTuple):
-    """The QP of one sample: `a du <= b`, `low <= du <= high`, and M_c as a function of du."""
+    """The QP of one sample: `a du <= b`, `low <= du <= high`; M_c as a function of what of du passes the overlap."""
 
     a: float
     b: float
@@ -82,6 +88,8 @@ class Problem(NamedTuple):
     level: float
     best: float
     """A, the du with the smallest M_c."""
+    applied: float
+    """A, what the law alone gives the valve."""
 
 
 def workspace(parts: LoopParts) -> Workspace:
@@ -111,21 +119,26 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
     rate = parts.foreign_rate if outside else parts.rate
     term, law_gain = integral_term(loop.bench[0], loop.gain_floor, x, nominal, reference, reference_rate, gain)
     asked = sampled.excess_integral(term, parts.integral_allowance) / law_gain
+    limit = loop.current_max
+    applied = min(max(nominal, -limit), limit)
     bent, slope, level, size = sampled.quadratic(
-        step, value, workspace.v, current - nominal + asked, asked, rate, workspace.next_v, workspace.after_v
-    )
+        step, value, workspace.v, current - overlap.lost(parts.overlap, current) - nominal + asked,
+        asked - overlap.lost(parts.overlap, applied), rate, workspace.next_v, workspace.after_v,
+    )  # fmt: skip
     share = sampled.displacement_share(size, parts.foreign_noise_size if outside else parts.noise_size)
     slope, level = share * slope, share * share * level
     a, b, best = sampled.half_line(bent, slope, level)
-    limit = loop.current_max
-    applied = min(max(nominal, -limit), limit)
-    return Problem(a, b, -limit - applied, limit - applied, bent, slope, level, best)
+    if a != 0.0 and math.isfinite(a):
+        b = a * overlap.change_for(parts.overlap, applied, b / a)
+    best = overlap.change_for(parts.overlap, applied, best)
+    return Problem(a, b, -limit - applied, limit - applied, bent, slope, level, best, applied)
 
 
 @njit(cache=True)
-def certificate_before_after(problem, change):
-    """Return M_c [1/s] before and with a change of the current [A]."""
-    after = problem.bent * change * change + 2.0 * problem.slope * change + problem.level
+def certificate_before_after(of, problem, change):
+    """Return M_c [1/s] before and with a change of the current [A], through an `Overlap`."""
+    moved = overlap.passed_change(of, problem.applied, change)
+    after = problem.bent * moved * moved + 2.0 * problem.slope * moved + problem.level
     return problem.level / SAMPLE_PERIOD, after / SAMPLE_PERIOD
 
 
@@ -136,10 +149,11 @@ def correction_of(nominal, change, limit):
 
 
 @njit(cache=True)
-def least_violation(problem):
+def least_violation(of, problem):
     """Return the change [A] with the smallest M_c, if none restores the certificate, and its status."""
     change = min(max(problem.best, problem.low), problem.high)
-    removed = problem.level - (problem.bent * change * change + 2.0 * problem.slope * change + problem.level)
+    before, after = certificate_before_after(of, problem, change)
+    removed = SAMPLE_PERIOD * (before - after)
     if removed < qp.LEAST_IMPROVEMENT * problem.level:
         return 0.0, qp.INFEASIBLE
     return change, qp.RELAXED
@@ -183,8 +197,8 @@ def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, 
     if not armed:
         return Decision(0.0, 0.0, 0.0, qp.PASS)
     if math.isnan(problem.a) and math.isfinite(problem.best):
-        change, status = least_violation(problem)
+        change, status = least_violation(parts.overlap, problem)
     else:
         change, status = qp.closed_form_kernel(problem.a, problem.b, problem.low, problem.high)
-    before, after = certificate_before_after(problem, change)
+    before, after = certificate_before_after(parts.overlap, problem, change)
     return Decision(correction_of(nominal, change, parts.loop.current_max), before, after, status)

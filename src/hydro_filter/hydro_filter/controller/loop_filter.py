@@ -31,7 +31,9 @@ from hydro_filter.controller.filter import Result
 from hydro_filter.controller.loop_decision import LoopParts, Problem
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model import displacement
+from hydro_filter.model.bench_loop import overlap_of
 from hydro_filter.model.loop import loop_of, memories
+from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.sample import Sample
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
@@ -85,11 +87,11 @@ def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
     if not loop_decision.finite(x, nominal, current, reference, reference_rate, gain):
         displacement.reset(memory[0])
         innovations.reset(monitor[0])
-        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return NOT_FINITE, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     innovations.update(parts.loop.model, limit, monitor[0], x, memory[0].hidden)
     p = loop_decision.build_problem(parts, memory[0], x, nominal, current, reference, reference_rate, gain, workspace)
     state = BROKEN if monitor[0].broken != 0 else FITS
-    return state, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best
+    return state, p.a, p.b, p.low, p.high, p.bent, p.slope, p.level, p.best, p.applied
 
 
 class LoopFilter:
@@ -138,7 +140,7 @@ class LoopFilter:
             return Result(0.0, math.nan, math.nan, status)
         problem = Problem(*numbers)  # also of an old sample: the memory moves on
         if self.settings.bypass:
-            before, _ = certificate_before_after(problem, 0.0)
+            before, _ = certificate_before_after(self.parts.overlap, problem, 0.0)
             return Result(0.0, before, before, CorrectionStatus.BYPASSED)
         if state == BROKEN:  # a certificate of another bench says nothing
             return Result(0.0, math.nan, math.nan, CorrectionStatus.MISMATCH)
@@ -147,11 +149,11 @@ class LoopFilter:
         if not sample.armed:
             return Result(0.0, 0.0, 0.0, CorrectionStatus.PASS)
         if math.isnan(problem.a) and math.isfinite(problem.best):
-            change, number = least_violation(problem)
+            change, number = least_violation(self.parts.overlap, problem)
             status = CorrectionStatus(number)
         else:
             change, status = self.qp.solve(problem.a, problem.b, problem.low, problem.high)
-        before, after = certificate_before_after(problem, change)
+        before, after = certificate_before_after(self.parts.overlap, problem, change)
         delta_u = correction_of(nominal, change, self.parts.loop.current_max)
         return Result(delta_u, before, after, status)
 
@@ -169,6 +171,7 @@ def loop_parts(
         noise_size=chosen.noise_share * levels.noise_size,
         foreign_noise_size=chosen.noise_share * levels.foreign_noise_size,
         integral_allowance=levels.integral_allowance,
+        overlap=overlap_of(model) if isinstance(model, Bench) else Overlap(),
     )
 
 

@@ -34,6 +34,8 @@ class MetricDesign:
     """The certified range's lower end."""
     gain_high: Annotated[float, quantity("1/s", 1.0, 200.0)] = 95.0
     """The certified range's upper end: the rollouts turn unstable some 20 1/s above."""
+    gain_share: Annotated[float, quantity("-", 0.1, 1.0)] = 0.8
+    """The upper end is at most this share of the gain at which the loop at rest decays no more."""
     gain_step: Annotated[float, quantity("1/s", 0.5, 50.0)] = 5.0
     """Step between the table's gains."""
     own_decay: Annotated[float, quantity("-", 0.0, 0.95)] = 0.3
@@ -85,24 +87,33 @@ def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> Float
 
 
 def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
-    """Return the design with the upper end of its range where the loop at rest still decays.
+    """Return the design with a range that ends at a share of the gain at which the loop at rest decays no more.
 
-    Dry friction, which the linearized loop has none of, holds a real bench still at gains beyond that.
+    Dry friction and overlap, which the linearized loop has none of, hold a real bench still at gains beyond that: its
+    rollouts are stable where its loop is not. The share is the reserve that the range has below unstable rollouts.
 
     Raises
     ------
     ValueError
-        If the loop does not decay at the range's lower end.
+        If the loop does not decay at the range's lower end, or the reserve leaves no range.
     """
-    gains = _gains(design)
-    decays = [slowest < 1.0 for slowest in (float(np.abs(np.linalg.eigvals(_closed(loop, g))).max()) for g in gains)]
-    count = len(gains) if all(decays) else decays.index(False)
-    if not count:
+    low, share = design.gain_low, design.gain_share
+    for gain in np.arange(low, design.gain_high / share, 1.0):
+        if float(np.abs(np.linalg.eigvals(_closed(loop, float(gain)))).max()) >= 1.0:
+            break
+    else:
+        return design
+    if gain == low:
         raise ValueError(
-            f"the loop does not decay at K_p = {gains[0]:g} 1/s, the lower end of the certified range: the bench file "
+            f"the loop does not decay at K_p = {low:g} 1/s, the lower end of the certified range: the bench file "
             "is not of this box, or its valve is too slow for it"
         )
-    return design if count == len(gains) else replace(design, gain_high=float(gains[count - 1]))
+    if not share * gain > low:
+        raise ValueError(
+            f"no range of gains has a certificate: rollouts are stable from K_p = {low:g} 1/s on, and the loop at rest "
+            f"decays no more from {gain:g} 1/s on, of which {100.0 * share:.0f} % are allowed"
+        )
+    return replace(design, gain_high=min(design.gain_high, float(share * gain)))
 
 
 def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: float) -> tuple[FloatArray, FloatArray]:

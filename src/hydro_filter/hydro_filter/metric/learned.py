@@ -33,8 +33,8 @@ from hydro_sim.neural import mlp
 
 STRUCTURE = "metric"
 ARRAYS = ("center", "scale", "low", "high", "gains", "table")
-UNFIT = 50.0
-"""%, held-out samples of the certified range that do not decay, beyond which the filter refuses a metric."""
+UNFIT = 10.0
+"""%, held-out samples that do not decay, beyond which the filter refuses a metric: sound ones have up to 3.2."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,11 +92,16 @@ class LearnedMetric:
 
     def unfit(self, name: str) -> str:
         """Return why the metric of this file name is no certificate; empty if it is, or where the file says nothing."""
-        violated = self.training.get("violated", 0.0)
-        if violated <= UNFIT:
+        violated, foreign = (self.training.get(name, 0.0) for name in ("violated", "foreign_violated"))
+        if violated <= UNFIT and foreign <= UNFIT:
             return ""
+        of = f"{violated:.0f} % of the held-out samples of its range"
+        if violated <= UNFIT:
+            of = f"{foreign:.0f} % of the held-out samples under its own correction"
+        elif where := self.training.get("where", ""):
+            of = f"{of} ({where})"
         return (
-            f"the metric {name} is no certificate: {violated:.0f} % of the held-out samples of its range do not decay; "
+            f"the metric {name} is no certificate: {of} do not decay; "
             "make it anew on a model that predicts this bench (`ros2 run hydro_sim validate` says how well)"
         )
 

@@ -6,8 +6,9 @@ Two models stand behind it, both compiled from the bench file::
     whole   all effects: for predictions, hidden states and the monitor
     loop    without `DISTURBANCES`: linearized, by its exact Jacobian
 
-Dry friction, overlap and gaps are bounded disturbances to the certificate, as dry friction is to the structured model:
-within them nothing moves, and a derivative there does not describe the loop.
+Dry friction, overlap and gaps are bounded disturbances to the metric, as dry friction is to the structured model:
+within them nothing moves, and a derivative there does not describe the loop. The certificate counts what of the current
+passes an overlap (`overlap`).
 
 The certificate has eight coordinates. Effects without a place among them are refused: dead times, a second lag of the
 valve, a second lag on the load's force. Other hidden states (bristles, a drooping supply) are held fixed in
@@ -35,6 +36,7 @@ from hydro_filter.model.bench_terms import (
     state_number,
 )
 from hydro_filter.model.loop_model import LOOP, least_gain, loop_scale
+from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.model import hydraulics
@@ -46,6 +48,9 @@ from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
 """Effects that the linearized loop leaves out."""
+
+OVERLAP = "valve_deadband"
+"""Of these, the one within which no current moves anything: B = 0."""
 
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
@@ -132,6 +137,23 @@ def parts(truth: Bench) -> BenchParts:
 def without_disturbances(truth: Bench) -> Bench:
     """Return the bench without the effects that the linearization leaves out."""
     return replace(truth, effects=tuple(effect for effect in truth.effects if effect["id"] not in DISTURBANCES))
+
+
+def without_overlap(truth: Bench) -> Bench | None:
+    """Return the bench without its valve's overlap; None if it has none."""
+    kept = tuple(effect for effect in truth.effects if effect["id"] != OVERLAP)
+    return replace(truth, effects=kept) if len(kept) < len(truth.effects) else None
+
+
+def overlap_of(truth: Bench) -> Overlap:
+    """Return the overlap of a bench's valve: of several, the sum; of a soft one, its half width."""
+    closing, back, out = -sum(null_shifts(truth)), 0.0, 0.0
+    for effect in truth.effects:
+        if effect["id"] == OVERLAP:
+            widths = effect["parameters"]
+            out += float(widths["half_width"])
+            back += float(widths.get("half_width_negative", widths["half_width"]))
+    return Overlap(closing, back, out)
 
 
 def effects_to_compile(truth: Bench) -> str:

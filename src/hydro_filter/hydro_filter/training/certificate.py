@@ -15,6 +15,7 @@ import torch
 from hydro_bridge.cli.console import Table
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.network import GAIN_UNIT
 from hydro_filter.training import loss
 from hydro_filter.training.loss import LossSettings, Samples
 from hydro_filter.training.training import network_of
@@ -52,6 +53,20 @@ def certificate_table(
                 condition=float(np.median(condition)), condition_max=float(condition.max()),
             )  # fmt: skip
     return table
+
+
+@torch.no_grad()
+def where_violated(metric: LearnedMetric, samples: Samples, how: LossSettings) -> str:
+    """Gains of the certified range whose samples violate the metric, and how fast their loop decays; empty: none."""
+    own = (samples.kind > 0) & (samples.inputs[:, -1] < 0.5)
+    chosen = Samples(*(part[own] for part in samples))
+    bad = growth(metric, chosen, how)[0] > 0.0
+    if not bad.any():
+        return ""
+    gains = GAIN_UNIT * chosen.inputs[bad, -2].numpy()
+    slowest = torch.linalg.eigvals(chosen.closed[bad]).abs().amax(dim=1)
+    decay = float(-torch.log(slowest).median()) / SAMPLE_PERIOD
+    return f"K_p {gains.min():.0f} to {gains.max():.0f} 1/s, where the loop itself decays at {decay:.2g} 1/s"
 
 
 @torch.no_grad()

@@ -6,6 +6,9 @@ the distance between the twins, largest |difference of f_l| in a window, early a
 
     stable      late < 0.6 early         unstable    late > early, or the box tripped       else: neither, not used
 
+An overlap of the valve holds twins apart at small gains, by less the higher the gain, and at high ones it holds still
+what the loop would not. Where a bench has one, twins of the bench without it (`free`) are asked too: `label_of_both`.
+
 Gains are drawn from all that the box takes; references are those of `hydro_sim.excitation.drawn`. Every rollout gives
 windows of successive samples (paper: horizon H_m = 10) with what the certificate needs of each: x, x', v as the
 filter sees it, noise and all, and the exact F, G, K. None of these depends on the metric: they are computed once, not
@@ -106,21 +109,29 @@ class Windows:
         return Windows(**{entry.name: getattr(self, entry.name)[which] for entry in fields(self)})
 
 
-def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int) -> Rollout:
-    """Run rollout number `index`, reproducible for equal settings."""
+def roll_out(plant: Plant, bench: Bench, settings: DataSettings, index: int, free: Plant | None = None) -> Rollout:
+    """Run rollout number `index`, reproducible for equal settings; `free`: the plant without its overlap."""
     rng = np.random.default_rng((settings.seed, index))
     low, high = settings.gain_min, settings.gain_max
     edges = ((low, 0.0), (0.0, 0.4 * high), (0.0, 0.4 * high), (0.4 * high, high))
     gains = float(rng.uniform(*edges[index % 4])), float(rng.uniform(-5.0, settings.integral_gain_max))
     reference, seed = _reference(rng), int(rng.integers(2**31))
     plan = Schedule(reference=reference, gains=gains, seconds=settings.seconds)
+    first, second = _twins(plant, bench, plan, seed)
+    label = label_of(first, second)
+    if free is not None:
+        label = label_of_both(label, label_of(*_twins(free, bench, plan, seed)))
+    trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
+    kept = first[: trips[0]] if len(trips) else first
+    return Rollout(states=kept, gains=gains, label=label)
+
+
+def _twins(plant: Plant, bench: Bench, plan: Schedule, seed: int) -> tuple[StateArray, StateArray]:
+    """Run twice with the same noise, the second time with the pulse."""
     pulse = np.zeros(plan.samples)
     first = simulate(plant, bench, _corrected(plan, pulse), seed=seed)
     pulse[PULSE_AT : PULSE_AT + 10] = PULSE
-    second = simulate(plant, bench, _corrected(plan, pulse), seed=seed)
-    trips = np.flatnonzero((first["flags"] & Flag.TRIPPED) != 0)
-    kept = first[: trips[0]] if len(trips) else first
-    return Rollout(states=kept, gains=gains, label=label_of(first, second))
+    return first, simulate(plant, bench, _corrected(plan, pulse), seed=seed)
 
 
 def _corrected(plan: Schedule, correction: FloatArray) -> Schedule:
@@ -139,6 +150,11 @@ def label_of(first: StateArray, second: StateArray) -> int:
     distance = np.abs(first["load_force"] - second["load_force"])
     early, late = distance[EARLY].max(), distance[LATE].max()
     return UNSTABLE if late > early else STABLE if late < DECAYED * early else NEITHER
+
+
+def label_of_both(own: int, free: int) -> int:
+    """Return the label of a pair of gains from the bench's own label and that of the bench without its overlap."""
+    return UNSTABLE if own == UNSTABLE else free
 
 
 def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) -> Windows | None:
@@ -195,10 +211,12 @@ def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, 
         follow(loop, memory[0], x[k], current, reference_rate)
 
 
-def collect(plant: Plant, bench: Bench, loop: Loop, settings: DataSettings) -> Iterator[tuple[Rollout, Windows | None]]:
-    """Generate all rollouts of the settings with their windows."""
+def collect(
+    plant: Plant, bench: Bench, loop: Loop, settings: DataSettings, free: Plant | None = None
+) -> Iterator[tuple[Rollout, Windows | None]]:
+    """Generate all rollouts of the settings with their windows; `free`: see `roll_out`."""
     for index in range(settings.rollouts):
-        rollout = roll_out(plant, bench, settings, index)
+        rollout = roll_out(plant, bench, settings, index, free)
         yield rollout, windows_of(rollout, loop, settings, index)
 
 
