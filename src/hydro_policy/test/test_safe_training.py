@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import CorrectionStatus, Flag, Waveform
 from hydro_filter.controller.filter import Result
 from hydro_filter.model.sample import Sample
+from hydro_policy.evaluation import policy_examination
 from hydro_policy.evaluation.controllers import FixedGains, PolicyController
+from hydro_policy.evaluation.policy_examination import LEAD
 from hydro_policy.evaluation.session import EvaluationSession
 from hydro_policy.runs.record import RunRecord
 from hydro_policy.runs.run import TrainingSettings
@@ -77,13 +80,14 @@ def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_fro
 
 
 def test_an_examined_policy_is_the_one_that_learning_had_reached_and_acts_by_its_mean() -> None:
-    graph, learner, session = start(settings(episodes=1))
-    graph.run(session, 60.0, learner)
+    exam = replace(EXAM, settle=6.0)  # what other gains have left in the integral has faded
+    graph, learner, session = start(settings(episodes=1, exam=exam))
+    graph.run(session, 150.0, learner)
     # With the weights that were last accepted the same sines give the same error but for the noise.
     again = OfflineGraph(AnalyticPlant(BENCH), BENCH)
     session.policy.load_flat(session.keeper.good)
-    repeat = EvaluationSession(EXAM.evaluation, [PolicyController(session.policy, GainRange(), "policy")], again)
-    again.run(repeat, 30.0)
+    repeat = EvaluationSession(exam.evaluation, [PolicyController(session.policy, GainRange(), "policy")], again)
+    again.run(repeat, 60.0)
     np.testing.assert_allclose([s.rmse for s in repeat.scores], session.record.of("exam")[-1]["rmse"], rtol=0.1)
     assert session.record.of("exam")[-1]["policy"] == session.policy.digest(), "it is known which weights were examined"
 
@@ -107,7 +111,7 @@ def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_po
 def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well() -> None:
     chosen = settings(episodes=3, monitor=MonitorSettings(rollbacks_max=50))
     graph, learner, session = start(chosen)
-    graph.run(session, 13.5, learner)
+    graph.run(session, 13.5 + 2.0 * LEAD, learner)
     assert session.phase is Phase.TRAINING
     good = session.keeper.good
     sample = np.zeros(14)
@@ -288,3 +292,30 @@ def test_the_current_is_judged_again_once_the_force_is_back_from_base_gains() ->
     assert monitor.add(replace(wild, held=int(Flag.FILTER_STALE))) is None
     *spared, judged = (monitor.add(wild) for _ in range(30))  # 0.2 s of return, and a window of 0.1 s
     assert spared == [None] * 29 and judged is not None and "chattering" in judged
+
+
+def test_with_a_lead_controllers_take_turns_and_the_first_run_of_each_settles_longer() -> None:
+    graph = OfflineGraph(AnalyticPlant(BENCH), BENCH)
+    controllers = [FixedGains(90.0, 15.0), FixedGains(60.0, 10.0)]
+    settings = EvaluationSettings(frequencies=(2.0,), settle=0.5, measure=0.5, repeats=2)
+    session = EvaluationSession(settings, controllers, graph, lead=1.0)
+    graph.run(session, 20.0)
+    assert [score.controller for score in session.scores] == [one.name for one in controllers for _ in range(2)]
+    assert session.seconds == session.seconds_done == pytest.approx(4 * 1.0 + 2 * 1.0)
+    begins = [int(trace.states["sequence"][0]) for trace in session.traces]
+    np.testing.assert_allclose(np.diff(begins), [1000, 2000, 1000], atol=2)
+
+
+def test_an_examination_that_follows_no_episode_begins_with_a_lead(monkeypatch: pytest.MonkeyPatch) -> None:
+    leads = []
+
+    class Spied(EvaluationSession):
+        def __init__(self, *given: Any, lead: float, **more: Any) -> None:
+            leads.append(lead)
+            super().__init__(*given, lead=lead, **more)
+
+    monkeypatch.setattr(policy_examination, "EvaluationSession", Spied)
+    graph, learner, session = start(settings())
+    graph.run(session, 90.0, learner)
+    assert session.finished
+    assert leads == [LEAD, 0.0, 0.0]
