@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -13,6 +13,8 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.estimation.addition import Parts, amplitudes, apart, between, responses, shapes, written
+from hydro_diagnosis.estimation.columns import Columns
 from hydro_diagnosis.estimation.needed_numbers import connected
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.noise_floor import residual_noise, sensor_noise
@@ -91,6 +93,8 @@ class Problem:
         """The same problem from half of the rows where rows are missing; None where none are."""
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
+        self.columns = Columns()
+        """Responses to terms that add, and derivatives of the residual (`slopes.jacobian`), as computed."""
         self._doubt: list[FloatArray] = []
         self._deviations: dict[tuple[str, int], FloatArray | float] = {}
         """By channel and segment: `deviation` under the present doubt, as far as asked for."""
@@ -186,23 +190,44 @@ class Problem:
 
     def parts(self, claims: Sequence[Claim]) -> dict[tuple[str, int], FloatArray]:
         """Residuals by channel and segment in the order of `layout`, physical unit."""
-        everything = (*self.baseline, *claims)
-        parts: dict[tuple[str, int], FloatArray] = {}
+        adding, others = apart((*self.baseline, *claims))
+        parts = self._parts(others)
+        for claim in adding:
+            for key, response in self._responses(claim, others).items():
+                parts[key] = parts[key] + np.array(amplitudes(claim)) @ response
+        return parts
+
+    def _responses(self, claim: Claim, others: Sequence[Claim]) -> Parts:
+        """What each amplitude of a term that adds does to the residual, shape (amplitudes, n)."""
+        beside = between(claim, others)
+        limits = getattr(claim.effect, "limits", ())
+        key = ("response", claim.effect.label, limits, *shapes(claim), written(beside))
+        found: Parts | None = self.columns.get(key)
+        if found is None:
+            touched = claim.effect.touches & set(self.blocks)
+            found = responses(claim, beside, lambda claims: self._parts(claims, touched))
+            self.columns.put(key, found, sum(one.nbytes for one in found.values()))
+        return found
+
+    def _parts(self, everything: Sequence[Claim], only: Collection[str] = ()) -> Parts:
+        """Residuals of claims each as it stands; `only`: in these blocks, the arcs left out."""
+        blocks = only or self.blocks
+        parts: Parts = {}
         arcs: list[FloatArray] | None = None
-        if PRESSURE in self.blocks:
+        if PRESSURE in blocks:
             chambers = self._block(PRESSURE, everything, self._pressure)
             parts |= {("pressure_a", k): part for k, (_, part, _) in enumerate(chambers)}
             parts |= {("pressure_b", k): part for k, (_, _, part) in enumerate(chambers)}
-            arcs = [arc for arc, _, _ in chambers]
-        if MOTION in self.blocks:
+            arcs = None if only else [arc for arc, _, _ in chambers]
+        if MOTION in blocks:
             motions = self._block(MOTION, everything, lambda model, claims: model.motion_residual(claims))
             rounded = any(claim.effect.rounds == "hydraulic_force" for claim in everything)
             for k, part in enumerate(motions):
                 parts["motion", k] = part if arcs is None or rounded else part + arcs[k]
-        if LOAD in self.blocks:
+        if LOAD in blocks:
             loads = self._block(LOAD, everything, lambda model, claims: model.load_residual(claims))
             parts |= {("load", k): part for k, part in enumerate(loads)}
-        if HYDRAULIC in self.blocks:
+        if HYDRAULIC in blocks:
             balances = self._block(HYDRAULIC, everything, lambda model, claims: model.hydraulic_residual(claims))
             parts |= {("hydraulic", k): part for k, part in enumerate(balances)}
         return parts
