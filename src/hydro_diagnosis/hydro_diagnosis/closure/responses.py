@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from scipy.ndimage import correlate1d
 from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import Claim, FloatArray
@@ -22,7 +21,6 @@ from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.preprocessing.smoothing import finish_taps, smooth_taps
 from hydro_sim.model import equations as eq
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -86,10 +84,10 @@ class Responses:
         return signals[:, self.model.rows]
 
     def _smooth(self, signals: FloatArray) -> FloatArray:
-        return np.asarray(correlate1d(signals, smooth_taps(self.model.spacing), mode="nearest"))
+        return np.stack([self.model.kept_smooth(one) for one in signals])
 
     def _finish(self, signals: FloatArray) -> FloatArray:
-        return np.asarray(correlate1d(signals, finish_taps(self.model.spacing), mode="nearest"))
+        return np.stack([self.model.kept_finish(one) for one in signals])
 
     def _present(self, shown: Mapping[str, FloatArray | None]) -> Shown:
         blocks = {"pressure_a": "pressure", "pressure_b": "pressure"}
@@ -97,13 +95,13 @@ class Responses:
                 and blocks.get(name, name) in self.problem.blocks}  # fmt: skip
 
     def _moved(self, force: FloatArray) -> Shown:
-        return self._present({"motion": -self._kept(self._finish(force))})
+        return self._present({"motion": -self._finish(force)})
 
     def _loaded(self, force: FloatArray) -> Shown:
         seen, bandwidth = force, self.bench.load_cell_bandwidth
         if bandwidth is not None:
             seen = np.stack([self.memory.low_pass("", one, bandwidth, LOAD_CELL_DAMPING) for one in force])
-        return {**self._moved(force), **self._present({"load": -self._kept(self._smooth(seen))})}
+        return {**self._moved(force), **self._present({"load": -self._smooth(seen)})}
 
     def _filled(self, into_a: FloatArray, into_b: FloatArray) -> Shown:
         shown: dict[str, FloatArray | None] = {}
@@ -111,7 +109,7 @@ class Responses:
             if flow.any():
                 built = np.zeros_like(flow)
                 np.cumsum((flow * (stiff * self.model.step))[:, :-1], axis=1, out=built[:, 1:])
-                shown[name] = -self._kept(self._smooth(self._forget(built)))
+                shown[name] = -self._smooth(self._forget(built))
         return self._present(shown)
 
     def _forget(self, signals: FloatArray) -> FloatArray:
@@ -126,7 +124,7 @@ class Responses:
         channels = self.model.channels
         if channel == "load_force":
             force = self.model.spring_force(self.bench, [], self.model.recorded)
-            return self._present({"load": -self._kept(self._smooth(read(force)))})
+            return self._present({"load": -self._smooth(read(force))})
         raw = read(channels[channel])
         return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
 

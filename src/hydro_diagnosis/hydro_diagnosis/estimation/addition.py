@@ -62,16 +62,13 @@ def written(claims: Sequence[Claim]) -> Key:
     return tuple((one.effect.label, *one.values.values()) for one in claims)
 
 
-def responses(claim: Claim, beside: tuple[Claim, ...], compute: Callable[[tuple[Claim, ...]], Parts]) -> Parts:
-    """What each amplitude of a term does to the residual, per unit, beside other claims.
-
-    `compute`: residuals of claims, in the blocks that the term touches.
-    """
-    nothing, rows = compute(beside), []
+def responses(claim: Claim, compute: Callable[[Claim], Parts]) -> Parts:
+    """What each amplitude of a term does to the residual, per unit; `compute`: what the term does."""
     neutral = {**claim.values, **{one.name: 0.0 for one in claim.effect.parameters if one.smallest > 0.0}}
+    rows = []
     for one in claim.effect.parameters:
         if one.smallest > 0.0:
-            moved = compute((*beside, Claim(claim.effect, {**neutral, one.name: one.span})))
-            rows.append({key: (moved[key] - nothing[key]) / one.span for key in nothing})
-    found = {key: np.stack([row[key] for row in rows]) for key in nothing}
+            moved = compute(Claim(claim.effect, {**neutral, one.name: one.span}))
+            rows.append({key: part / one.span for key, part in moved.items()})
+    found = {key: np.stack([row[key] for row in rows]) for key in rows[0]}
     return {key: part for key, part in found.items() if part.any()}

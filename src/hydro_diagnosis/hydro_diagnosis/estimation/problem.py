@@ -15,10 +15,11 @@ from scipy.ndimage import uniform_filter1d
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
 from hydro_diagnosis.estimation.addition import Parts, amplitudes, apart, between, responses, shapes, written
 from hydro_diagnosis.estimation.columns import Columns
+from hydro_diagnosis.estimation.direct_response import direct_response
 from hydro_diagnosis.estimation.needed_numbers import connected
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.noise_floor import residual_noise, sensor_noise
-from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.preprocessing.smoothing import ACCELERATION_NOISE_GAIN
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
@@ -93,6 +94,8 @@ class Problem:
         """The same problem from half of the rows where rows are missing; None where none are."""
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
+        self.shelf: dict[str, Any] = {}
+        """What later stages keep of these recordings, by their own names."""
         self.columns = Columns()
         """Responses to terms that add, and derivatives of the residual (`slopes.jacobian`), as computed."""
         self._doubt: list[FloatArray] = []
@@ -204,10 +207,22 @@ class Problem:
         key = ("response", claim.effect.label, limits, *shapes(claim), written(beside))
         found: Parts | None = self.columns.get(key)
         if found is None:
-            touched = claim.effect.touches & set(self.blocks)
-            found = responses(claim, beside, lambda claims: self._parts(claims, touched))
+            found = responses(claim, lambda one: self._response(one, beside))
             self.columns.put(key, found, sum(one.nbytes for one in found.values()))
         return found
+
+    def _response(self, claim: Claim, beside: tuple[Claim, ...]) -> Parts:
+        """What a term that adds does to the residual."""
+        touched = claim.effect.touches & set(self.blocks)
+        shown: Parts = {}
+        channels = {name for block in touched for name in BLOCKS[block]}
+        for k, model in enumerate(self.models):
+            direct = direct_response(model, claim, beside)
+            if direct is None:
+                with_it, without = self._parts((*beside, claim), touched), self._parts(beside, touched)
+                return {key: with_it[key] - part for key, part in without.items()}
+            shown |= {(name, k): part for name, part in direct.items() if name in channels}
+        return shown
 
     def _parts(self, everything: Sequence[Claim], only: Collection[str] = ()) -> Parts:
         """Residuals of claims each as it stands; `only`: in these blocks, the arcs left out."""
