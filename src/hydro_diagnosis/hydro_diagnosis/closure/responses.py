@@ -2,19 +2,30 @@
 """Residuals that a term of an equation leaves, to first order: its own hooks, then the way through to the channels.
 
 Many terms are carried at a time: the way is linear, so it is one filter for all rows. What a term of one equation does
-by way of another is left out: this ranks terms, it fits none. A gauge's error goes through the flows too: it is
-simulated as it stands.
+by way of another is left out: this ranks terms, it fits none. A gauge's error also goes through the flows, which are
+computed from its readings (`gauge_responses`); only a snubber, which is no small change, is computed as it stands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import lfilter
 
+from hydro_diagnosis.closure.gauge_responses import GaugeWays
 from hydro_diagnosis.effects.base import Claim, FloatArray
-from hydro_diagnosis.effects.closure import Closure, EdgeClosure, FlowClosure, LoadClosure, MotionClosure, ValveClosure
+from hydro_diagnosis.effects.closure import (
+    Closure,
+    EdgeClosure,
+    FlowClosure,
+    GaugeClosure,
+    LoadClosure,
+    MotionClosure,
+    SnubberClosure,
+    ValveClosure,
+)
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model import chambers
@@ -32,7 +43,7 @@ class Responses:
     """Ways of one segment, under the names that stand."""
 
     def __init__(self, problem: Problem, model: SegmentModel, claims: Sequence[Claim]) -> None:
-        self.problem, self.model = problem, model
+        self.problem, self.model, self.claims = problem, model, claims
         self.bench = model.bench(claims)
         self.memory = RecordMemory(model.step, model.beside)
         if "pressure" in problem.blocks:
@@ -60,7 +71,14 @@ class Responses:
             still = np.zeros_like(self.model.time), np.zeros_like(self.model.time)
             flows = [one.effect.inflows(still, self.oil, self.memory, one.values) for one in terms]
             return self._filled(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
+        if isinstance(effect, GaugeClosure):
+            return self._present(self.gauges.of(terms, effect.law.where))
         return self._read(terms, effect.law.where)
+
+    @cached_property
+    def gauges(self) -> GaugeWays:
+        """Ways of a gauge's error."""
+        return GaugeWays(self.model, self.claims)
 
     def _each(self, terms: Sequence[Claim], of: Callable[[Claim], FloatArray]) -> FloatArray:
         return np.stack([of(one) for one in terms])
@@ -136,7 +154,7 @@ def shown(problem: Problem, base: Fit, ways: Sequence[Responses], terms: Sequenc
     """By channel: responses of its residuals, over their deviation, to terms of one law; shape (terms, residuals)."""
     effect = terms[0].effect
     assert isinstance(effect, Closure)
-    if effect.law.where.startswith("pressure"):
+    if isinstance(effect, SnubberClosure):
         changes = np.stack([problem.residual((*base.claims, one)) - base.residual for one in terms])
         channel = problem.layout.channel
         return {int(k): changes[:, channel == k] for k in np.unique(channel)}

@@ -30,7 +30,18 @@ def apart(claims: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
     acting = [claim for claim in claims if acts(claim)]
     bent: set[str] = set().union(*(one.effect.touches for one in acting if one.effect.bends))
     adding = [one for one in acting if one.effect.adds and not one.effect.touches & bent]
-    return adding, tuple(one for one in acting if one not in adding)
+    return adding, tuple(one for one in acting if not any(one is other for other in adding))
+
+
+def summed(claims: Sequence[Claim], known: Sequence[Claim]) -> tuple[list[Claim], tuple[Claim, ...]]:
+    """Claims whose responses are worth keeping, and all others that act.
+
+    Behind a claim that is being fitted, whatever is not `known`, responses would change with each of its values.
+    """
+    adding, others = apart(claims)
+    fitted = [one for one in others if not any(one is other for other in known)]
+    kept = [one for one in adding if not between(one, fitted)]
+    return kept, tuple(one for one in claims if acts(one) and not any(one is other for other in kept))
 
 
 def acts(claim: Claim) -> bool:

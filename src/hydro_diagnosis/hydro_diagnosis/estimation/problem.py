@@ -13,7 +13,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
-from hydro_diagnosis.estimation.addition import Parts, amplitudes, apart, between, responses, shapes, written
+from hydro_diagnosis.estimation.addition import Parts, amplitudes, between, responses, shapes, summed, written
 from hydro_diagnosis.estimation.columns import Columns
 from hydro_diagnosis.estimation.direct_response import direct_response
 from hydro_diagnosis.estimation.needed_numbers import connected
@@ -193,16 +193,16 @@ class Problem:
 
     def parts(self, claims: Sequence[Claim]) -> dict[tuple[str, int], FloatArray]:
         """Residuals by channel and segment in the order of `layout`, physical unit."""
-        adding, others = apart((*self.baseline, *claims))
-        parts = self._parts(others)
+        adding, rest = summed((*self.baseline, *claims), self.baseline)
+        parts = self._parts(rest)
         for claim in adding:
-            for key, response in self._responses(claim, others).items():
+            for key, response in self._responses(claim).items():
                 parts[key] = parts[key] + np.array(amplitudes(claim)) @ response
         return parts
 
-    def _responses(self, claim: Claim, others: Sequence[Claim]) -> Parts:
+    def _responses(self, claim: Claim) -> Parts:
         """What each amplitude of a term that adds does to the residual, shape (amplitudes, n)."""
-        beside = between(claim, others)
+        beside = between(claim, self.baseline)
         limits = getattr(claim.effect, "limits", ())
         key = ("response", claim.effect.label, limits, *shapes(claim), written(beside))
         found: Parts | None = self.columns.get(key)
@@ -212,7 +212,7 @@ class Problem:
         return found
 
     def _response(self, claim: Claim, beside: tuple[Claim, ...]) -> Parts:
-        """What a term that adds does to the residual."""
+        """What a term that adds does to the residual beside others that stand between it and the sensors."""
         touched = claim.effect.touches & set(self.blocks)
         shown: Parts = {}
         channels = {name for block in touched for name in BLOCKS[block]}
