@@ -30,3 +30,8 @@ class Columns:
         self._bytes += size
         while self._bytes > ROOM and len(self._kept) > 1:
             self._bytes -= self._kept.pop(next(iter(self._kept)))[1]
+
+    def clear(self) -> None:
+        """Keep nothing."""
+        self._kept.clear()
+        self._bytes = 0

@@ -211,6 +211,11 @@ class Problem:
             self.columns.put(key, found, sum(one.nbytes for one in found.values()))
         return found
 
+    def forget(self) -> None:
+        """Drop what was kept to spare computing, of copies too."""
+        self.shelf.clear()
+        self.columns.clear()
+
     def _response(self, claim: Claim, beside: tuple[Claim, ...]) -> Parts:
         """What a term that adds does to the residual beside others that stand between it and the sensors."""
         touched = claim.effect.touches & set(self.blocks)
