@@ -38,7 +38,11 @@ def sized(claim: Claim, random: np.random.Generator) -> Claim:
 
 
 def some(terms: list[Claim], random: np.random.Generator, count: int = 3) -> list[Claim]:
-    chosen = {terms[k].effect.label: sized(terms[k], random) for k in random.choice(len(terms), count)}
+    """Terms of kinds drawn alike, few or many as they are, and a name."""
+    present = dict.fromkeys(type(one.effect) for one in terms)
+    kinds = [[one for one in terms if type(one.effect) is kind] for kind in present]
+    drawn = [kinds[random.integers(len(kinds))] for _ in range(count)]
+    chosen = {one.effect.label: sized(one, random) for kind in drawn for one in [kind[random.integers(len(kind))]]}
     name = NAMES[random.integers(len(NAMES))]
     return [*chosen.values(), Claim(name, {one.name: one.probes[0] for one in name.parameters})]
 
@@ -47,7 +51,7 @@ def test_residuals_of_terms_that_add_are_those_of_each_as_it_stands(problem: Pro
     """Terms of every equation, drawn at random, beside a name."""
     random, spared = np.random.default_rng(0), 0
     nothing = problem._parts(())
-    for _ in range(120):
+    for _ in range(250):
         claims = some(terms, random)
         spared += len(summed(claims, ())[0])
         by_sum, as_it_stands = problem.parts(claims), problem._parts(claims)

@@ -185,6 +185,8 @@ class FlowClosure(Closure):
 class EdgeClosure(Closure):
     """A share of the flow through the valve's edges that does not pass."""
 
+    adds = True
+
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         bench = self.numbers

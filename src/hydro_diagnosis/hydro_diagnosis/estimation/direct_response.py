@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Claim, FloatArray, changes
-from hydro_diagnosis.effects.closure import FlowClosure, LoadClosure, MotionClosure
+from hydro_diagnosis.effects.closure import EdgeClosure, FlowClosure, LoadClosure, MotionClosure
 from hydro_diagnosis.model import chambers, kernels
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -30,7 +30,7 @@ def direct_response(model: SegmentModel, claim: Claim, beside: Sequence[Claim]) 
         return {MOTION: -model.kept_finish(_resistance(model, claim))}
     if isinstance(effect, LoadClosure):
         return _of_load(model, claim, beside)
-    if not isinstance(effect, FlowClosure):
+    if not isinstance(effect, FlowClosure | EdgeClosure):
         raise TypeError(f"{effect.label} does not just add")
     oil, bench = model.oil(beside), model.bench(beside)
     flows = effect.inflows((nothing, nothing), oil, model.memory, claim.values)
