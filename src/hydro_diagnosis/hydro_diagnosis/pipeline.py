@@ -167,6 +167,7 @@ def _diagnosed(
             ahead = ahead or (next_for_law(problem, assessment.fit) if rehearsable(believed) else None)
             unseen.update_weights(assessment.fit.claims)
             proof = {**closed.held, "equations": equations_told(unseen, assessment.fit.claims)}
+    problem.forget()
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, unseen, outcome, assessment, bounds)
     beyond = "" if assessment.remainder else not_foretold(unseen, assessment.fit.claims)

@@ -9,18 +9,21 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.leakage import LeakageInternal
+from hydro_diagnosis.effects.splines import splined
 from hydro_diagnosis.effects.valve import ValveGain
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.tables import KNOTS
 
 
 def _memory() -> None:
     path, record = np.zeros(10), RecordMemory(1e-3)
     record.bristle("z", path, 2e5, np.ones(10))
     record.play("p", path, 0.1)
+    splined(path, 0.0, 1.0, np.zeros(KNOTS))
 
 
 def _equations() -> None:

@@ -53,7 +53,8 @@ def test_what_a_law_gains_is_that_of_cross_validation_and_of_its_own_residual(ca
 
 
 FORMS = ("carried oil, outwards", "quadratic leak", "pick-up of position of load_force", "drag, inwards",
-         "damping", "gain, to one side")  # fmt: skip
+         "damping", "gain, to one side", "quadratic reading of pressure_b", "pick-up of current of pressure_a",
+         "pick-up of position of pressure_b")  # fmt: skip
 
 
 def test_the_threshold_pays_for_the_number_of_columns() -> None:

@@ -192,3 +192,32 @@ def test_a_grown_effect_passes_its_own_test(which: tuple[str, str], values: dict
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr
     assert "4 passed" in done.stdout
+
+
+STARTED = """
+import sys
+from hydro_bridge.process.start import main_of
+sys.exit(main_of.hydro_diagnosis.cli())
+"""
+
+
+@pytest.mark.parametrize(
+    ("source", "why"),
+    [
+        ("EFFECT = NamedLaw(\n", "SyntaxError"),
+        ("import nowhere_to_be_found\n", "nowhere_to_be_found"),
+        ("ID = 'broken'\n", "EFFECT"),
+        ("EFFECT = 1\n", "its EFFECT is no NamedLaw"),
+    ],
+)
+def test_a_grown_effect_that_cannot_be_read_ends_in_one_sentence(tmp_path: Path, source: str, why: str) -> None:
+    broken = tmp_path / "broken.py"
+    broken.write_text(source)
+    environment = {**os.environ, "HYDRO_EFFECTS": str(tmp_path)}
+    command = [sys.executable, "-c", STARTED, "nothing.csv", "--out", str(tmp_path / "report")]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, timeout=240, check=False)
+    assert done.returncode == 2
+    (sentence,) = done.stderr.strip().splitlines()
+    assert str(broken) in sentence
+    assert why in sentence
+    assert sentence.endswith("mend the file or remove it")

@@ -8,7 +8,7 @@ from copy import copy
 
 import numpy as np
 
-from hydro_diagnosis.closure.evidence import HeldOutBlocks
+from hydro_diagnosis.closure.evidence import Blocks, HeldOutBlocks
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import Closure, closure
@@ -106,19 +106,27 @@ class Candidates:
     def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
         self.terms = list(terms)
         ways = [Responses(problem, model, (*problem.baseline, *base.claims)) for model in problem.models]
-        self.columns: list[FloatArray] = [_columns(problem, base, ways, one) for one in terms]
+        self._blocks = Blocks(problem)
+        self._columns = [self._blocks.sorted(_columns(problem, base, ways, one)) for one in terms]
+        self._own = [self._blocks.products(one, one) for one in self._columns]
 
     def without(self, label: str) -> Candidates:
         """All but the terms of one law."""
         kept, left = copy(self), [k for k, one in enumerate(self.terms) if one.effect.label != label]
-        kept.terms, kept.columns = [self.terms[k] for k in left], [self.columns[k] for k in left]
+        kept.terms = [self.terms[k] for k in left]
+        kept._columns, kept._own = [self._columns[k] for k in left], [self._own[k] for k in left]
         return kept
 
     def gains(self, problem: Problem, base: Fit) -> tuple[FloatArray, float]:
         """Held-out deviance that each term gains, and that which there is to gain."""
-        before = HeldOutBlocks(problem, base, ()).deviance(())
+        standing = self._blocks.sorted(np.column_stack([base.residual, base.jacobian]))
+        squares, after = self._blocks.products(standing, standing), []
+        for columns, own in zip(self._columns, self._own, strict=True):
+            beside = self._blocks.products(standing, columns)
+            products = [[squares, beside], [beside.swapaxes(-1, -2), own]]
+            after.append(HeldOutBlocks.of_products(problem, base, products).deviance((0,)))
+        before = HeldOutBlocks.of_products(problem, base, [[squares]]).deviance(())
         there_is = before - float(np.sum(problem.layout.count()))  # a residual that is noise alone leaves one each
-        after = [HeldOutBlocks(problem, base, [columns]).deviance((0,)) for columns in self.columns]
         return before - np.array(after), there_is
 
 

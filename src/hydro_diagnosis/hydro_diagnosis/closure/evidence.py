@@ -26,6 +26,28 @@ BLOCK = 1.0
 """Length of a held-out block [s]: many times the memory of any residual."""
 
 
+class Blocks:
+    """Residuals in folds of blocks of time, by channel."""
+
+    def __init__(self, problem: Problem) -> None:
+        layout = problem.layout
+        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
+        self._order = np.lexsort((fold, layout.channel))
+        group = (layout.channel * FOLDS + fold)[self._order]
+        self._edges = np.searchsorted(group, np.arange(len(CHANNELS) * FOLDS + 1))
+
+    def sorted(self, columns: FloatArray) -> FloatArray:
+        """Rows of an array, shape (n, columns), by channel and fold."""
+        return columns[self._order]
+
+    def products(self, one: FloatArray, other: FloatArray) -> FloatArray:
+        """Products of columns by fold and channel; shape (folds, channels, columns of one, columns of the other)."""
+        found = np.zeros((FOLDS, len(CHANNELS), one.shape[1], other.shape[1]))
+        for at, (begin, end) in enumerate(pairwise(self._edges)):
+            found[at % FOLDS, at // FOLDS] = one[begin:end].T @ other[begin:end]
+        return found
+
+
 class HeldOutBlocks:
     """Columns of candidates beside a fit, and how well any set of them predicts blocks that it was not fitted to.
 
@@ -40,22 +62,28 @@ class HeldOutBlocks:
     """
 
     def __init__(self, problem: Problem, found: Fit, columns: Sequence[FloatArray]) -> None:
-        layout = problem.layout
-        table = np.column_stack([found.residual, found.jacobian, *columns])
-        self._scale = np.maximum(np.linalg.norm(table, axis=0), 1e-300)
-        table /= self._scale
-        edges = np.cumsum([1, found.jacobian.shape[1], *(one.shape[1] for one in columns)])
-        self._standing = list(range(1, int(edges[1])))
-        self._places = [list(range(int(a), int(b))) for a, b in pairwise(edges[1:])]
-        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
+        blocks, standing = Blocks(problem), np.column_stack([found.residual, found.jacobian])
+        table = [blocks.sorted(one) for one in (standing, *columns)]
+        self._take(problem, found, [[blocks.products(one, other) for other in table] for one in table])
+
+    @classmethod
+    def of_products(cls, problem: Problem, found: Fit, products: Sequence[Sequence[FloatArray]]) -> HeldOutBlocks:
+        """The same from `Blocks.products` of residual and Jacobian, together, and of the candidates with each other."""
+        made = cls.__new__(cls)
+        made._take(problem, found, products)
+        return made
+
+    def _take(self, problem: Problem, found: Fit, products: Sequence[Sequence[FloatArray]]) -> None:
+        edges = np.cumsum([one[0].shape[-2] for one in products])
+        self._standing = list(range(1, int(edges[0])))
+        self._places = [list(range(int(a), int(b))) for a, b in pairwise(edges)]
+        self._products = np.concatenate([np.concatenate(row, axis=-1) for row in products], axis=-2)
+        squares = np.einsum("fcii->i", self._products)
+        self._scale = np.maximum(np.sqrt(np.maximum(squares, 0.0)), 1e-300)
+        self._products /= self._scale[:, None] * self._scale
         weight = 1.0 / spreads(problem, found.residual)
-        self._products = np.zeros((FOLDS, len(CHANNELS), table.shape[1], table.shape[1]))
-        for k in range(FOLDS):
-            for channel in np.unique(layout.channel):
-                part = table[(fold == k) & (layout.channel == channel)]
-                self._products[k, channel] = part.T @ part
         self._weighted = np.einsum("fcij,c->fij", self._products, weight)
-        self._count = layout.count()
+        self._count = problem.layout.count()
 
     def deviance(self, chosen: Sequence[int]) -> float:
         """-2 log likelihood of the held-out blocks with these candidates, up to a constant."""

@@ -2,27 +2,36 @@
 """Residuals that a term of an equation leaves, to first order: its own hooks, then the way through to the channels.
 
 Many terms are carried at a time: the way is linear, so it is one filter for all rows. What a term of one equation does
-by way of another is left out: this ranks terms, it fits none. A gauge's error goes through the flows too: it is
-simulated as it stands.
+by way of another is left out: this ranks terms, it fits none. A gauge's error also goes through the flows, which are
+computed from its readings (`gauge_responses`); only a snubber, which is no small change, is computed as it stands.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
 
 import numpy as np
-from scipy.ndimage import correlate1d
 from scipy.signal import lfilter
 
+from hydro_diagnosis.closure.gauge_responses import GaugeWays
 from hydro_diagnosis.effects.base import Claim, FloatArray
-from hydro_diagnosis.effects.closure import Closure, EdgeClosure, FlowClosure, LoadClosure, MotionClosure, ValveClosure
+from hydro_diagnosis.effects.closure import (
+    Closure,
+    EdgeClosure,
+    FlowClosure,
+    GaugeClosure,
+    LoadClosure,
+    MotionClosure,
+    SnubberClosure,
+    ValveClosure,
+)
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.preprocessing.smoothing import finish_taps, smooth_taps
 from hydro_sim.model import equations as eq
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -34,7 +43,7 @@ class Responses:
     """Ways of one segment, under the names that stand."""
 
     def __init__(self, problem: Problem, model: SegmentModel, claims: Sequence[Claim]) -> None:
-        self.problem, self.model = problem, model
+        self.problem, self.model, self.claims = problem, model, claims
         self.bench = model.bench(claims)
         self.memory = RecordMemory(model.step, model.beside)
         if "pressure" in problem.blocks:
@@ -62,7 +71,14 @@ class Responses:
             still = np.zeros_like(self.model.time), np.zeros_like(self.model.time)
             flows = [one.effect.inflows(still, self.oil, self.memory, one.values) for one in terms]
             return self._filled(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
+        if isinstance(effect, GaugeClosure):
+            return self._present(self.gauges.of(terms, effect.law.where))
         return self._read(terms, effect.law.where)
+
+    @cached_property
+    def gauges(self) -> GaugeWays:
+        """Ways of a gauge's error."""
+        return GaugeWays(self.model, self.claims)
 
     def _each(self, terms: Sequence[Claim], of: Callable[[Claim], FloatArray]) -> FloatArray:
         return np.stack([of(one) for one in terms])
@@ -86,10 +102,10 @@ class Responses:
         return signals[:, self.model.rows]
 
     def _smooth(self, signals: FloatArray) -> FloatArray:
-        return np.asarray(correlate1d(signals, smooth_taps(self.model.spacing), mode="nearest"))
+        return np.stack([self.model.kept_smooth(one) for one in signals])
 
     def _finish(self, signals: FloatArray) -> FloatArray:
-        return np.asarray(correlate1d(signals, finish_taps(self.model.spacing), mode="nearest"))
+        return np.stack([self.model.kept_finish(one) for one in signals])
 
     def _present(self, shown: Mapping[str, FloatArray | None]) -> Shown:
         blocks = {"pressure_a": "pressure", "pressure_b": "pressure"}
@@ -97,13 +113,13 @@ class Responses:
                 and blocks.get(name, name) in self.problem.blocks}  # fmt: skip
 
     def _moved(self, force: FloatArray) -> Shown:
-        return self._present({"motion": -self._kept(self._finish(force))})
+        return self._present({"motion": -self._finish(force)})
 
     def _loaded(self, force: FloatArray) -> Shown:
         seen, bandwidth = force, self.bench.load_cell_bandwidth
         if bandwidth is not None:
             seen = np.stack([self.memory.low_pass("", one, bandwidth, LOAD_CELL_DAMPING) for one in force])
-        return {**self._moved(force), **self._present({"load": -self._kept(self._smooth(seen))})}
+        return {**self._moved(force), **self._present({"load": -self._smooth(seen)})}
 
     def _filled(self, into_a: FloatArray, into_b: FloatArray) -> Shown:
         shown: dict[str, FloatArray | None] = {}
@@ -111,7 +127,7 @@ class Responses:
             if flow.any():
                 built = np.zeros_like(flow)
                 np.cumsum((flow * (stiff * self.model.step))[:, :-1], axis=1, out=built[:, 1:])
-                shown[name] = -self._kept(self._smooth(self._forget(built)))
+                shown[name] = -self._smooth(self._forget(built))
         return self._present(shown)
 
     def _forget(self, signals: FloatArray) -> FloatArray:
@@ -126,7 +142,7 @@ class Responses:
         channels = self.model.channels
         if channel == "load_force":
             force = self.model.spring_force(self.bench, [], self.model.recorded)
-            return self._present({"load": -self._kept(self._smooth(read(force)))})
+            return self._present({"load": -self._smooth(read(force))})
         raw = read(channels[channel])
         return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
 
@@ -138,7 +154,7 @@ def shown(problem: Problem, base: Fit, ways: Sequence[Responses], terms: Sequenc
     """By channel: responses of its residuals, over their deviation, to terms of one law; shape (terms, residuals)."""
     effect = terms[0].effect
     assert isinstance(effect, Closure)
-    if effect.law.where.startswith("pressure"):
+    if isinstance(effect, SnubberClosure):
         changes = np.stack([problem.residual((*base.claims, one)) - base.residual for one in terms])
         channel = problem.layout.channel
         return {int(k): changes[:, channel == k] for k in np.unique(channel)}

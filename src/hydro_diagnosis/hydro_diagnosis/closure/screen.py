@@ -9,6 +9,7 @@ the best few are fitted.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from copy import copy
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -80,6 +81,21 @@ class Screen:
             }
             self._blocks.append((slice(at, at + len(probes)), block))
             at += len(probes)
+
+    @classmethod
+    def beside(cls, problem: Problem, base: Fit, terms: Sequence[Claim]) -> Screen:
+        """The screen; an earlier one of these recordings beside the same names if there is one.
+
+        What a law does depends little on the other claims' values: to rank laws, not to fit them, it may be old.
+        """
+        names = tuple(one.effect.label for one in base.claims if one.effect.named)
+        key = problem.doubted, names, tuple((one.effect.label, *one.values.values()) for one in terms)
+        known = problem.shelf.get("screen")
+        if known is None or known[0] != key:
+            known = problem.shelf["screen"] = key, cls(problem, base, terms)
+        found = copy(known[1])
+        found.problem = problem
+        return found
 
     def __len__(self) -> int:
         return len(self.terms)

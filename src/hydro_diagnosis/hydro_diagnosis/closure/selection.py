@@ -46,7 +46,7 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
 
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
     """Laws and names that together leave nothing; else laws alone beside the names that stand."""
-    screen = Screen(problem, base, laws(problem))
+    screen = Screen.beside(problem, base, laws(problem))
     beside = grown_by_law(problem, base, screen, names)
     if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
         return beside

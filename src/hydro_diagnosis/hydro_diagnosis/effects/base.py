@@ -146,6 +146,8 @@ class Effect:
     """Effects of one family can mimic errors in each other's form."""
     needs: ClassVar[tuple[str, ...]] = ()
     """Ids of effects without which this one does nothing."""
+    adds: ClassVar[bool] = False
+    """Whether it adds to one equation in proportion to its amplitudes, whatever other effects do there."""
     bristles: ClassVar[bool] = False
     """Whether it carries the dry friction elastically: the model then adds none of its own, and nothing sticks."""
 
@@ -158,6 +160,11 @@ class Effect:
     def turns(self) -> bool:
         """Whether it rounds rises otherwise than falls: other channels cannot be delayed alike."""
         return False
+
+    @property
+    def bends(self) -> bool:
+        """Whether what others do to a residual does not just add up behind it."""
+        return self.rounds.startswith("pressure")
 
     @property
     def curves(self) -> str:

@@ -10,7 +10,6 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from scipy.interpolate import BSpline
 
 from hydro_diagnosis.effects.base import (
     LOAD,
@@ -26,19 +25,20 @@ from hydro_diagnosis.effects.base import (
 )
 from hydro_diagnosis.effects.path_memory import along, held_lag, limited
 from hydro_diagnosis.effects.sensors import TOUCHES
+from hydro_diagnosis.effects.splines import splined
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.laws import TURN, Element, Law, Number, Signals, edge_losses, sensed
-from hydro_sim.model.tables import KNOTS, SETTLING, Table
+from hydro_sim.model.tables import SETTLING, Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
 _EQUATIONS = {"pressure": ("pressure_a", "pressure_b")}
-_SPLINES = np.arange(-2.0, KNOTS + 2.0)
-"""Knots of a table's cubic B-splines, which peak at 0 to `KNOTS` - 1."""
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
 _INVERSIONS = 6
 """Iterations that find a signal from its reading: each leaves the part of the error that is not a straight line."""
+_FOUND = 1e-6
+"""Pa: what is left of an error that is as good as nothing."""
 
 
 @dataclass(frozen=True)
@@ -153,13 +153,14 @@ class Closure(Effect):
         """Value of the term, in the unit of its equation."""
         if isinstance(self.law, Law):
             return np.asarray(self.law.value(at, bench or self.numbers, [*values.values()]))
-        spline = BSpline.construct_fast(_SPLINES, np.array([*values.values()]), 3)  # `Table.value`, many times faster
-        given = spline(self.law.along(at, *self.limits))
+        given = splined(np.asarray(self.law.over(at)), *self.limits, np.array([*values.values()]))
         return np.asarray(given * self.law.factor.shape(at) if self.law.factor else given)
 
 
 class MotionClosure(Closure):
     """A force against the motion."""
+
+    adds = True
 
     def resistance(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                    values: Values) -> FloatArray:  # fmt: skip
@@ -171,6 +172,8 @@ class MotionClosure(Closure):
 class FlowClosure(Closure):
     """A flow out of the chambers beside the valve."""
 
+    adds = True
+
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         at = Signals(oil.position, oil.velocity, *oil.pressures, oil.spool.mean(axis=-1))
@@ -181,6 +184,8 @@ class FlowClosure(Closure):
 
 class EdgeClosure(Closure):
     """A share of the flow through the valve's edges that does not pass."""
+
+    adds = True
 
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
@@ -195,6 +200,8 @@ class EdgeClosure(Closure):
 class LoadClosure(Closure):
     """A force of the load."""
 
+    adds = True
+
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         at = Signals(motion.position, motion.velocity)
         return force + self.given(self._remembering(at, memory, values), values, bench)
@@ -202,6 +209,10 @@ class LoadClosure(Closure):
 
 class SensorClosure(Closure):
     """What a sensor shows more than its signal."""
+
+    @property
+    def bends(self) -> bool:
+        return self.law.where in (self.law.uses or self.law.where)
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         if channel != self.law.where:
@@ -214,14 +225,21 @@ class GaugeClosure(SensorClosure):
     """What a pressure sensor shows more than the pressure, which the flows follow."""
 
     @property
+    def bends(self) -> bool:
+        """A curve is taken by its slope where the reading says that it is."""
+        return False
+
+    @property
     def curves(self) -> str:
         return self.law.where if self.law.where in (self.law.uses or self.law.where) else ""
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
         signal = reading
         for _ in range(_INVERSIONS if channel == self.law.where else 0):
-            at = sensed(channel, signal, memory.beside)
+            at, before = sensed(channel, signal, memory.beside), signal
             signal = reading - self.given(self._remembering(at, memory, values), values)
+            if not self.curves or float(np.max(np.abs(signal - before))) < _FOUND:
+                break
         return signal
 
 
@@ -234,6 +252,10 @@ class SnubberClosure(SensorClosure):
 
     @property
     def turns(self) -> bool:
+        return True
+
+    @property
+    def bends(self) -> bool:
         return True
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:

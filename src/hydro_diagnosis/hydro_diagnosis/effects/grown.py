@@ -49,6 +49,10 @@ class Grown(Effect):
         return self.term.curves
 
     @property
+    def bends(self) -> bool:
+        return self.term.bends
+
+    @property
     def family(self) -> str:  # type: ignore[override]
         """That of the effects of the table which act in the same equation."""
         return _FAMILIES.get(self._law.law.equation, "leak")

@@ -12,8 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import Claim, Effect, FitParameter, FloatArray
+from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
+from hydro_diagnosis.effects.closure import Closure
+from hydro_diagnosis.estimation.parameters import pack, unpack
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.slopes import jacobian
+from hydro_sim.model.tables import Table
+
+STRAIGHT = 0.05
+"""Share of a step's effect that slopes may have missed and still hold at its end."""
 
 
 @dataclass(frozen=True)
@@ -53,41 +60,6 @@ def deviance(problem: Problem, residual: FloatArray) -> float:
     return float(np.sum(layout.count() * np.log(variance) + squares / variance))
 
 
-def pack(claims: Sequence[Claim]) -> tuple[list[FitParameter], FloatArray]:
-    """Parameters and their values, claim after claim."""
-    parameters = [parameter for claim in claims for parameter in claim.effect.parameters]
-    values = [claim.values[parameter.name] for claim in claims for parameter in claim.effect.parameters]
-    return parameters, np.array(values, dtype=np.float64)
-
-
-def unpack(effects: Sequence[Effect], values: FloatArray) -> tuple[Claim, ...]:
-    """Claims from values."""
-    claims, k = [], 0
-    for effect in effects:
-        names = [parameter.name for parameter in effect.parameters]
-        claims.append(Claim(effect, dict(zip(names, map(float, values[k : k + len(names)]), strict=True))))
-        k += len(names)
-    return tuple(claims)
-
-
-def jacobian(problem: Problem, claims: Sequence[Claim], residual: FloatArray, first: int = 0) -> FloatArray:
-    """One-sided differences, towards the neutral value's far side unless a bound stands there.
-
-    `first`: parameter from which on columns are computed.
-    """
-    parameters, values = pack(claims)
-    effects = [claim.effect for claim in claims]
-    columns = np.empty((len(residual), len(values) - first))
-    for k, parameter in enumerate(parameters[first:], first):
-        step = 1e-3 * parameter.span
-        if values[k] + step > parameter.high:
-            step = -step
-        moved = values.copy()
-        moved[k] += step
-        columns[:, k - first] = (problem.residual(unpack(effects, moved)) - residual) * (parameter.span / step)
-    return columns
-
-
 def fit(
     problem: Problem,
     claims: Sequence[Claim],
@@ -101,49 +73,77 @@ def fit(
 
     Numbers that the problem estimates are fitted too, before the claims. `fixed`: index of a parameter that stays where
     it is. `slopes`: the Jacobian nearby; it is then followed by secants (Broyden 1965), one residual a step, instead of
-    being computed at each.
+    being computed at each. Beside tables that do not just add, a Jacobian that foretold a step serves for the next
+    one too; what is reached by it is confirmed by a fresh one.
     """
     claims = problem.with_estimated(claims)
     effects = [claim.effect for claim in claims]
-    parameters, values = pack(claims)
-    low = np.array([parameter.low for parameter in parameters])
-    high = np.array([parameter.high for parameter in parameters])
-    span = np.array([parameter.span for parameter in parameters])
+    values = pack(claims)[1]
+    span = np.array([parameter.span for parameter in pack(claims)[0]])
     residual = problem.residual(claims)
     best = deviance(problem, residual)
     slopes = None if problem.estimated else slopes  # numbers begin far from where they end: too far for secants
     damping, secant = 1e-4, slopes is not None
     slopes = jacobian(problem, claims, residual) if slopes is None else slopes
+    lasting = not secant and any(_many(effect) for effect in effects)
+    old = False
     for _ in range(iterations if len(values) else 0):
         weight = 1.0 / spreads(problem, residual)[problem.layout.channel]
-        normal = slopes.T @ (slopes * weight[:, None])
-        force = slopes.T @ (residual * weight)
-        if fixed is not None:
-            normal[fixed, :] = normal[:, fixed] = force[fixed] = 0.0
-            normal[fixed, fixed] = 1.0
-        improved = False
-        for _ in range(4):
-            damped = normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300)
-            move = -np.linalg.lstsq(damped, force, rcond=None)[0] * span
-            trial = np.clip(values + move, low, high)
-            outcome = problem.residual(unpack(effects, trial))
-            reached = deviance(problem, outcome)
-            if reached < best:
-                improved = True
-                break
-            damping *= 20.0
-        if not improved:
+        found = _stepped(problem, effects, values, residual, best, slopes, weight, damping, fixed)
+        if found is None and not old:
             break
-        gained, best = best - reached, reached
-        step = (trial - values) / span
-        if secant:
-            slopes = slopes + np.outer(outcome - residual - slopes @ step, step / max(float(step @ step), 1e-300))
-        values, residual, damping = trial, outcome, damping * 0.1
-        if not secant:
-            slopes = jacobian(problem, unpack(effects, values), residual)
-        if gained < tolerance:
+        gained = 0.0
+        if found is not None:
+            trial, outcome, reached, damping = found
+            gained, best = best - reached, reached
+            step, damping = (trial - values) / span, damping * 0.1
+            foretold = slopes @ step
+            missed = outcome - residual - foretold
+            if secant:
+                slopes = slopes + np.outer(missed, step / max(float(step @ step), 1e-300))
+            values, residual = trial, outcome
+        ends = gained < tolerance and not old
+        if not secant and not (ends and lasting):
+            # a step that gained next to nothing tells nothing about the slopes
+            old = lasting and gained >= tolerance and _share(missed, foretold, weight) < STRAIGHT
+            slopes = slopes if old else jacobian(problem, unpack(effects, values), residual)
+            problem.evaluations += len(values) if old else 0  # a search's effort is the same, however it is spared
+        if ends:
             break
+    if old:
+        slopes = jacobian(problem, unpack(effects, values), residual)
     return Fit(unpack(effects, values), residual, slopes, best)
+
+
+def _stepped(problem: Problem, effects: Sequence[Effect], values: FloatArray, residual: FloatArray, best: float,
+             slopes: FloatArray, weight: FloatArray, damping: float, fixed: int | None,
+             ) -> tuple[FloatArray, FloatArray, float, float] | None:  # fmt: skip
+    """Values, residual, deviance and damping after a step that gains; None where none does."""
+    parameters = [parameter for effect in effects for parameter in effect.parameters]
+    low, high, span = (np.array([getattr(one, name) for one in parameters]) for name in ("low", "high", "span"))
+    normal = slopes.T @ (slopes * weight[:, None])
+    force = slopes.T @ (residual * weight)
+    if fixed is not None:
+        normal[fixed, :] = normal[:, fixed] = force[fixed] = 0.0
+        normal[fixed, fixed] = 1.0
+    for _ in range(4):
+        damped = normal + damping * np.diag(np.diag(normal) + 1e-12 * np.trace(normal) + 1e-300)
+        trial = np.clip(values - np.linalg.lstsq(damped, force, rcond=None)[0] * span, low, high)
+        outcome = problem.residual(unpack(effects, trial))
+        reached = deviance(problem, outcome)
+        if reached < best:
+            return trial, outcome, reached, damping
+        damping *= 20.0
+    return None
+
+
+def _many(effect: Effect) -> bool:
+    return isinstance(effect, Closure) and isinstance(effect.law, Table) and not effect.adds
+
+
+def _share(missed: FloatArray, foretold: FloatArray, weight: FloatArray) -> float:
+    """Weighted size of what slopes missed of a step's effect, over what they foretold."""
+    return float(np.sqrt(missed**2 @ weight / max(float(foretold**2 @ weight), 1e-300)))
 
 
 def with_one_more(problem: Problem, found: Fit, claim: Claim, *, tolerance: float = 0.1) -> Fit:

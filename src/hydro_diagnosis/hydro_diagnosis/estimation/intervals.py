@@ -17,7 +17,8 @@ from math import hypot, sqrt
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, fit, pack, spreads, unpack
+from hydro_diagnosis.estimation.fit import Fit, fit, spreads
+from hydro_diagnosis.estimation.parameters import pack, unpack
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unrecorded_rows import shifts
 

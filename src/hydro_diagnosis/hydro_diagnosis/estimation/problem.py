@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -13,10 +13,13 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.estimation.addition import Parts, amplitudes, between, responses, shapes, summed, written
+from hydro_diagnosis.estimation.columns import Columns
+from hydro_diagnosis.estimation.direct_response import direct_response
 from hydro_diagnosis.estimation.needed_numbers import connected
 from hydro_diagnosis.model.chambers import ChamberRun
 from hydro_diagnosis.model.noise_floor import residual_noise, sensor_noise
-from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.segment_model import BLOCKS, SegmentModel
 from hydro_diagnosis.preprocessing.smoothing import ACCELERATION_NOISE_GAIN
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
@@ -91,6 +94,10 @@ class Problem:
         """The same problem from half of the rows where rows are missing; None where none are."""
         self.blocks = self._checked_blocks()
         self._cache: dict[tuple[Any, ...], list[Any]] = {}
+        self.shelf: dict[str, Any] = {}
+        """What later stages keep of these recordings, by their own names."""
+        self.columns = Columns()
+        """Responses to terms that add, and derivatives of the residual (`slopes.jacobian`), as computed."""
         self._doubt: list[FloatArray] = []
         self._deviations: dict[tuple[str, int], FloatArray | float] = {}
         """By channel and segment: `deviation` under the present doubt, as far as asked for."""
@@ -186,23 +193,61 @@ class Problem:
 
     def parts(self, claims: Sequence[Claim]) -> dict[tuple[str, int], FloatArray]:
         """Residuals by channel and segment in the order of `layout`, physical unit."""
-        everything = (*self.baseline, *claims)
-        parts: dict[tuple[str, int], FloatArray] = {}
+        adding, rest = summed((*self.baseline, *claims), self.baseline)
+        parts = self._parts(rest)
+        for claim in adding:
+            for key, response in self._responses(claim).items():
+                parts[key] = parts[key] + np.array(amplitudes(claim)) @ response
+        return parts
+
+    def _responses(self, claim: Claim) -> Parts:
+        """What each amplitude of a term that adds does to the residual, shape (amplitudes, n)."""
+        beside = between(claim, self.baseline)
+        limits = getattr(claim.effect, "limits", ())
+        key = ("response", claim.effect.label, limits, *shapes(claim), written(beside))
+        found: Parts | None = self.columns.get(key)
+        if found is None:
+            found = responses(claim, lambda one: self._response(one, beside))
+            self.columns.put(key, found, sum(one.nbytes for one in found.values()))
+        return found
+
+    def forget(self) -> None:
+        """Drop what was kept to spare computing, of copies too."""
+        self.shelf.clear()
+        self.columns.clear()
+
+    def _response(self, claim: Claim, beside: tuple[Claim, ...]) -> Parts:
+        """What a term that adds does to the residual beside others that stand between it and the sensors."""
+        touched = claim.effect.touches & set(self.blocks)
+        shown: Parts = {}
+        channels = {name for block in touched for name in BLOCKS[block]}
+        for k, model in enumerate(self.models):
+            direct = direct_response(model, claim, beside)
+            if direct is None:
+                with_it, without = self._parts((*beside, claim), touched), self._parts(beside, touched)
+                return {key: with_it[key] - part for key, part in without.items()}
+            shown |= {(name, k): part for name, part in direct.items() if name in channels}
+        return shown
+
+    def _parts(self, everything: Sequence[Claim], only: Collection[str] = ()) -> Parts:
+        """Residuals of claims each as it stands; `only`: in these blocks, the arcs left out."""
+        blocks = only or self.blocks
+        parts: Parts = {}
         arcs: list[FloatArray] | None = None
-        if PRESSURE in self.blocks:
+        if PRESSURE in blocks:
             chambers = self._block(PRESSURE, everything, self._pressure)
             parts |= {("pressure_a", k): part for k, (_, part, _) in enumerate(chambers)}
             parts |= {("pressure_b", k): part for k, (_, _, part) in enumerate(chambers)}
-            arcs = [arc for arc, _, _ in chambers]
-        if MOTION in self.blocks:
+            arcs = None if only else [arc for arc, _, _ in chambers]
+        if MOTION in blocks:
             motions = self._block(MOTION, everything, lambda model, claims: model.motion_residual(claims))
             rounded = any(claim.effect.rounds == "hydraulic_force" for claim in everything)
             for k, part in enumerate(motions):
                 parts["motion", k] = part if arcs is None or rounded else part + arcs[k]
-        if LOAD in self.blocks:
+        if LOAD in blocks:
             loads = self._block(LOAD, everything, lambda model, claims: model.load_residual(claims))
             parts |= {("load", k): part for k, part in enumerate(loads)}
-        if HYDRAULIC in self.blocks:
+        if HYDRAULIC in blocks:
             balances = self._block(HYDRAULIC, everything, lambda model, claims: model.hydraulic_residual(claims))
             parts |= {("hydraulic", k): part for k, part in enumerate(balances)}
         return parts

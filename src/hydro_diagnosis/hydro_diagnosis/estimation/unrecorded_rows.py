@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
-from hydro_diagnosis.estimation.fit import Fit, pack, spreads
+from hydro_diagnosis.estimation.fit import Fit, spreads
+from hydro_diagnosis.estimation.parameters import pack
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.score_test import allowed, cause
 

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from hydro_bridge.signals import ReferenceSignal, Waveform
-from hydro_diagnosis.estimation.fit import Fit, jacobian
+from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.estimation.slopes import jacobian
 from hydro_diagnosis.experiment_design.synthetic_recording import rehearsal
 from hydro_diagnosis.io.table import InputError
 from hydro_diagnosis.selection.effect_summary import CLOSE

@@ -82,11 +82,11 @@ class ChamberObserver(SegmentRecord):
         """Innovations and arcs under the claims."""
         bench = self.bench(claims)
         oil = self.oil(claims)
-        stiff, (built_a, built_b) = self._built(bench, oil, claims)
+        stiff, (built_a, built_b) = self.built(bench, oil, claims)
         lagging = any(claim.effect.rounds.startswith("pressure") for claim in claims)
         for _ in range(HASTENED if lagging else 0):
             oil = self._hastened(oil, (built_a, built_b), claims)
-            stiff, (built_a, built_b) = self._built(bench, oil, claims)
+            stiff, (built_a, built_b) = self.built(bench, oil, claims)
         innovations = tuple(
             self._innovation(channel, built, claims)
             for channel, built in (("pressure_a", built_a), ("pressure_b", built_b))
@@ -95,7 +95,7 @@ class ChamberObserver(SegmentRecord):
         arc = chambers.force_arc(bench, oil, stiff, self.a, self.step)
         return ChamberRun((innovations[0], innovations[1]), arc, force)
 
-    def _built(
+    def built(
         self, bench: Bench, oil: Oil, claims: Sequence[Claim]
     ) -> tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]:
         """beta/V [Pa/m3] of both chambers, and the pressure [Pa] that each sample builds in them."""

@@ -99,16 +99,6 @@ def _correlated_at(signal, taps, rows):
     return found
 
 
-def finish_taps(spacing: int = 1) -> FloatArray:
-    """Weights of `finish`."""
-    return _taps(_REST_WIDTH * spacing, 0)
-
-
-def smooth_taps(spacing: int = 1) -> FloatArray:
-    """Weights of `smooth`."""
-    return _taps(TOTAL_WIDTH * spacing, 0)
-
-
 def _through(signal: FloatArray, width: float, derivative: int = 0) -> FloatArray:
     taps = _taps(width, derivative)
     if len(taps) <= LONG:

@@ -13,7 +13,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect
-from hydro_diagnosis.estimation.fit import Fit, fit, pack, without_one
+from hydro_diagnosis.estimation.fit import Fit, fit, without_one
+from hydro_diagnosis.estimation.parameters import pack
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import Outcome, SearchSettings, Step, score

@@ -87,10 +87,13 @@ class Table:
         """Whether it has hidden states."""
         return self.element is not None or self.picks_up
 
+    def over(self, at: Signals) -> Symbol:
+        """Its variable."""
+        return at.memory if self.variable in PASTS else getattr(at, self.variable)
+
     def along(self, at: Signals, low: Symbol, high: Symbol) -> Symbol:
         """Position of its variable among the peaks of its splines, 1 to `KNOTS` - 2."""
-        variable = at.memory if self.variable in PASTS else getattr(at, self.variable)
-        return 1.0 + clip((variable - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
+        return 1.0 + clip((self.over(at) - low) * ((KNOTS - 3) / (high - low)), 0.0, KNOTS - 3.0)
 
     def value(self, at: Signals, n: Any, numbers: Sequence[Symbol]) -> Symbol:
         """Value of the term, in the unit of its equation."""

@@ -12,6 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from pkgutil import iter_modules
 
+from hydro_bridge.errors import UserError
 from hydro_sim.model.effects.named_law import NamedLaw
 
 VARIABLE = "HYDRO_EFFECTS"
@@ -44,7 +45,26 @@ def is_read(place: Path) -> bool:
 
 def _read() -> tuple[NamedLaw, ...]:
     names = sorted({module.name for module in iter_modules(__path__) if not module.name.startswith("test_")})
-    return tuple(import_module(f"{__name__}.{name}").EFFECT for name in names)
+    return tuple(map(_effect, names))
+
+
+def _effect(name: str) -> NamedLaw:
+    try:
+        found = import_module(f"{__name__}.{name}").EFFECT
+    except Exception as error:
+        why = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise UserError(
+            f"{_file(name)}: this grown effect cannot be read ({why}): mend the file or remove it"
+        ) from error
+    if not isinstance(found, NamedLaw):
+        raise UserError(f"{_file(name)}: its EFFECT is no NamedLaw: mend the file or remove it")
+    return found
+
+
+def _file(name: str) -> Path:
+    places = [Path(one) / name for one in __path__]
+    found = [path for place in places for path in (place.with_suffix(".py"), place) if path.exists()]
+    return found[0] if found else Path(name)
 
 
 def sources() -> list[Path]:
