@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
-from hydro_diagnosis.closure.evidence import definite
+from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
@@ -151,6 +151,18 @@ def test_a_law_is_found_with_all_of_its_numbers(
     assert not noticeable(problem, found.fit.residual)
     for bound, value in zip(intervals(problem, found.fit), numbers.values(), strict=True):
         assert bound.value == pytest.approx(value, rel=tolerance)
+
+
+def test_a_number_that_no_sample_shows_is_not_known(record: Callable[..., StateArray]) -> None:
+    """A rate that the spool never reaches, of which not even the square of a slope is left."""
+    problem = problem_of(record(BENCH, 3))
+    slow = closure(law("actuation", "rate limit"), BENCH)
+    found = fit(problem, [Claim(slow, {"coefficient": 0.05, "rate": 9.0, "time": 1e-3})], iterations=0)
+    place = [one.name for one in slow.parameters].index("rate")
+    for size in (0.0, 1e-170):
+        found.jacobian[:, place] = size * np.sign(found.jacobian[:, 0])
+        assert not definite(problem, found, found.claims[0])
+        assert np.isfinite(HeldOutBlocks(problem, found, ()).deviance(()))
 
 
 def test_a_law_that_is_a_name_in_disguise_is_not_definite(record: Callable[..., StateArray]) -> None:

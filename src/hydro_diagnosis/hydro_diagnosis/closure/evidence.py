@@ -20,6 +20,10 @@ from hydro_diagnosis.estimation.problem import CHANNELS, Problem
 EDGE = 1e-3
 """Share of a number's size or range, within which of a bound it stands there."""
 FOLDS = 4
+SHORTEST = 1e-100
+"""Length of a column below which it counts as nothing: its square still is a number."""
+UNSEEN = 1e-14
+"""Share of the largest information of any number, below which one is not seen at all."""
 VAGUE = 0.5
 """95 % reach of a law's further number, over its size or its range, from which it says nothing."""
 BLOCK = 1.0
@@ -79,7 +83,7 @@ class HeldOutBlocks:
         self._places = [list(range(int(a), int(b))) for a, b in pairwise(edges)]
         self._products = np.concatenate([np.concatenate(row, axis=-1) for row in products], axis=-2)
         squares = np.einsum("fcii->i", self._products)
-        self._scale = np.maximum(np.sqrt(np.maximum(squares, 0.0)), 1e-300)
+        self._scale = np.maximum(np.sqrt(np.maximum(squares, 0.0)), SHORTEST)
         self._products /= self._scale[:, None] * self._scale
         weight = 1.0 / spreads(problem, found.residual)
         self._weighted = np.einsum("fcij,c->fij", self._products, weight)
@@ -108,6 +112,7 @@ def definite(problem: Problem, found: Fit, claim: Claim) -> bool:
     weight = 1.0 / spreads(problem, found.residual)[problem.layout.channel]
     normal = found.jacobian.T @ (found.jacobian * weight[:, None])
     deviations = np.sqrt(np.maximum(np.diag(np.linalg.pinv(normal, hermitian=True)), 0.0))
+    deviations[np.diag(normal) <= UNSEEN * np.max(np.diag(normal), initial=0.0)] = np.inf  # the pseudo-inverse has 0
     at = sum(len(one.effect.parameters) for one in found.claims[: found.claims.index(claim)])
     for one, deviation in zip(claim.effect.parameters, deviations[at:], strict=False):
         value, width = claim.values[one.name], one.high - one.low

@@ -16,7 +16,7 @@ from itertools import groupby
 import numpy as np
 import numpy.typing as npt
 
-from hydro_diagnosis.closure.evidence import BLOCK, FOLDS
+from hydro_diagnosis.closure.evidence import BLOCK, FOLDS, SHORTEST
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, spreads
@@ -118,7 +118,7 @@ class Screen:
     def gains(self, found: Fit) -> tuple[FloatArray, float]:
         """Held-out deviance that each term gains beside a fit, shape (terms,), and what there is to gain at all."""
         layout, base = self.problem.layout, np.column_stack([found.residual, found.jacobian])
-        lengths = np.maximum(np.linalg.norm(base, axis=0), 1e-300)
+        lengths = np.maximum(np.linalg.norm(base, axis=0), SHORTEST)
         base = base / lengths
         fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
         weight = 1.0 / spreads(self.problem, found.residual)
