@@ -251,19 +251,24 @@ def test_commands_without_the_epoch_or_with_an_old_one_are_refused_and_counted(o
     probe.wait(lambda: probe.commander.epoch != before)
     assert probe.arm(True).success
     probe.listen(0.6)  # until then they are late ones of the session before
-    commander = probe.commander
-    commander._epoch = before if old else 0
-    probe.commands = False
-    for _ in range(5):
-        commander.gains(32.0, 0.0)
-        commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5))
-        probe.listen(0.02)
-    said = lambda: {pair.key: pair.value for status in steered.told[-1:] for pair in status.values}  # noqa: E731
-    probe.wait(lambda: (said().get(f"refused {GAINS}"), said().get(f"refused {REFERENCE}")) == ("5", "5"))
+    probe.commands, sent, began = False, 10, time.monotonic()
+    for _ in range(sent):
+        probe.commander._epoch = before if old else 0  # each time: the plant keeps telling it
+        probe.commander.gains(32.0, 0.0)
+        probe.commander.reference(ReferenceSignal(waveform=Waveform.SINE, amplitude=256.0, frequency=0.5))
+        probe.listen(0.05)
     assert steered.armed() and steered.box.commands[-1].command.reference == ReferenceSignal()
+
+    def counted() -> list[int]:
+        said = {pair.key: pair.value for status in steered.told[-1:] for pair in status.values}
+        return [int(said.get(f"refused {topic}", 0)) for topic in (GAINS, REFERENCE)]
+
+    probe.wait(lambda: min(counted()) >= 5)  # these topics keep the last message alone: one may replace another
+    assert max(counted()) <= sent
     sentence = "of /hydro/gains without the authority over this plant (from probe)"
     probe.wait(lambda: sentence in steered.output.getvalue())
-    assert steered.output.getvalue().count("refused: ") <= 4, "each topic once a second at most"
+    said = steered.output.getvalue().count("refused: ")
+    assert said <= 2.0 * (time.monotonic() - began + 1.0), "each topic once a second at most"
 
 
 def test_another_node_is_told_who_commands_and_gets_its_turn(steered, probe):
