@@ -114,7 +114,6 @@ def test_a_seed_that_no_size_has_is_refused(
     assert "the seeds of this size are 0 to 4" in capsys.readouterr().err
 
 
-@pytest.mark.skipif(not (RESULTS / "full.jsonl").is_file(), reason="no results came with it")
 def test_the_page_is_made_from_the_results_that_came_with_it(tmp_path: Path) -> None:
     page = (RESULTS.parents[2] / "docs/reports/paper.md").read_text(encoding="utf-8")
     assert page == report.text(Store(tmp_path, FULL, RESULTS), Store(tmp_path, QUICK, RESULTS))
