@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from benchmarks.beyond_the_table.kinds import Kind
 from hydro_sim.model.grammar import COMPOSITIONS
-from hydro_sim.model.laws import ROUNDED, Law
+from hydro_sim.model.laws import REVERSING, Law
 
 
 class Form(NamedTuple):
@@ -102,7 +102,7 @@ def right_form(kind: Kind, closure: Mapping[str, Any]) -> bool:
     """Whether an entry of `closures` is a law that depends on what it should, with the right power, or with memory."""
     if closure["form"] != "law" or closure["equation"] not in places(kind):
         return False
-    text = closure["expression"].partition(" * ")[2].replace(f", {ROUNDED}", "")
+    text = closure["expression"].partition(" * ")[2].replace(f", {REVERSING}", "")
     form = next((form for known, form in FORMS.items() if text == known or text.startswith(f"{known}, ")), None)
     if form is None or form.variables != kind.variables or form.memory != kind.memory:
         return False

@@ -25,7 +25,7 @@ from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import ROUNDED, Law, Signals, edge_losses
+from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses
 
 BENCH = Bench.nominal()
 
@@ -88,10 +88,10 @@ def test_a_gate_is_open_in_one_direction_alone() -> None:
 
 def test_a_law_reverses_over_a_millimetre_a_second_or_over_its_own_number() -> None:
     at = Signals(velocity=np.array([-0.05, -5e-3, 0.0, 1e-3, 5e-3]), pressure_a=6e6, pressure_b=5e6)
-    plain, own = law("motion", "friction by pressure of A"), law("motion", f"friction by pressure of A, {ROUNDED}")
+    plain, own = law("motion", "friction by pressure of A"), law("motion", f"friction by pressure of A, {REVERSING}")
     np.testing.assert_allclose(plain.value(at, BENCH, [1e-6]), 6.0 * np.tanh(at.velocity / 1e-3))
     np.testing.assert_allclose(own.value(at, BENCH, [1e-6, 5e-3]), 6.0 * np.tanh(at.velocity / 5e-3))
-    film = law("load", f"rubbing, at a place, {ROUNDED}")
+    film = law("load", f"rubbing, at a place, {REVERSING}")
     assert film.names == ("coefficient", "centre", "width", "turn")
     there = film.value(replace(at, position=0.04), BENCH, [8.0, 0.03, 0.01, 5e-3])
     np.testing.assert_allclose(there, 8.0 * np.exp(-1.0) * np.tanh(at.velocity / 5e-3))

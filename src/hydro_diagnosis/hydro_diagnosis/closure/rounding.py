@@ -14,7 +14,7 @@ from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.outcome import score
-from hydro_sim.model.laws import ROUNDED, SIGN_VELOCITY, TURN, Law, rounded
+from hydro_sim.model.laws import REVERSING, SIGN_VELOCITY, TURN, Law, rounded
 
 START = 2.0 * SIGN_VELOCITY
 """Value that it is fitted from [m/s]."""
@@ -49,4 +49,4 @@ def newest_turned(problem: Problem, found: Fit, place: int = -1) -> Fit:
 
 def plain(label: str) -> str:
     """The label of a law, whether or not it has that number."""
-    return label.replace(f", {ROUNDED}", "")
+    return label.replace(f", {REVERSING}", "")

@@ -102,7 +102,7 @@ class Closure(Effect):
         low, high = self.limits if number.over and self.probes else number.bounds
         return FitParameter(
             name=number.name, unit=number.unit, low=low, high=high, neutral=probes[len(probes) // 2], probes=probes,
-            systematic=0.6 if number is TURN else 0.01,  # the recorded velocity is a smoothed one
+            systematic=0.6 if number.name == TURN.name else 0.01,  # the recorded velocity is a smoothed one
         )  # fmt: skip
 
     def adapted(self, bench: Bench) -> Effect:

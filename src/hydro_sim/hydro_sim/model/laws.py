@@ -199,14 +199,14 @@ class Law:
 
 TURN = Number("turn", "m/s", (SIGN_VELOCITY,))
 """Velocity over which a law reverses."""
-ROUNDED = "reversing over turn"
+REVERSING = "reversing over turn"
 """Text of a law that has it as a number."""
 
 
 def rounded(law: Law) -> Law:
     """The same law with the velocity over which it reverses as its last number."""
-    text = f"{law.text}, {ROUNDED}"
-    return replace(law, form=f"{law.form}, {ROUNDED}", text=text, numbers=(*law.numbers, TURN))
+    text = f"{law.text}, {REVERSING}"
+    return replace(law, form=f"{law.form}, {REVERSING}", text=text, numbers=(*law.numbers, TURN))
 
 
 def edge_losses(
