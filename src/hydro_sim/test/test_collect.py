@@ -260,6 +260,7 @@ def test_a_terminal_that_has_gone_changes_nothing(plant: Callable[..., None], tm
     end = time.monotonic() + 60.0
     while process.poll() is None and time.monotonic() < end:
         subprocess.run([str(executable_path("hydro_bridge", "arm"))], timeout=30, check=False)
+        time.sleep(2.0)  # who arms too early is disarmed, and the second at rest begins anew
     assert process.wait(10.0) == 0
     armed = (read_bag(tmp_path / "bag").state["flags"] & Flag.ARMED) != 0
     edges = np.flatnonzero(np.diff(np.concatenate([[0], armed.astype(int), [0]])))
