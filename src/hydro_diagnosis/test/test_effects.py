@@ -48,7 +48,7 @@ def test_probes_lie_inside_the_bounds(effect: Effect) -> None:
 
 @pytest.mark.parametrize("effect", [e for e in ADAPTED if not e.needs], ids=lambda effect: effect.label)
 def test_effect_shows_in_the_channels_it_touches_and_nowhere_else(effect: Effect, problem: Problem) -> None:
-    from hydro_diagnosis.estimation.problem import CHANNELS
+    from hydro_diagnosis.estimation.layout import CHANNELS
     from hydro_diagnosis.model.segment_model import BLOCKS
 
     change = problem.residual([Claim(effect, values_at(effect, "probe"))]) - problem.residual([])

@@ -15,7 +15,8 @@ import numpy as np
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, spreads
 from hydro_diagnosis.estimation.intervals import QUANTILE
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import Problem
 
 EDGE = 1e-3
 """Share of a number's size or range, within which of a bound it stands there."""

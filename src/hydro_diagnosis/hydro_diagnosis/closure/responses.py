@@ -27,7 +27,8 @@ from hydro_diagnosis.effects.closure import (
     ValveClosure,
 )
 from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY

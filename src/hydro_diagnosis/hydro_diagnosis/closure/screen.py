@@ -20,7 +20,8 @@ from hydro_diagnosis.closure.evidence import BLOCK, FOLDS, SHORTEST
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, spreads
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import Problem
 
 ROWS = 40000
 """Residuals of a channel beyond which only every second, third ... is taken."""

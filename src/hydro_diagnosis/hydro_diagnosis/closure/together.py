@@ -16,7 +16,8 @@ from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import SearchSettings, score
 from hydro_diagnosis.selection.search import Search

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import Claim, FloatArray
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.free_form import variable_of
-from hydro_diagnosis.estimation.problem import CHANNELS
+from hydro_diagnosis.estimation.layout import CHANNELS
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_sim.model.effects import grown
 from hydro_sim.plotting import BLUE, GRAY, ORANGE, RED, figure, legend

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.estimation.problem import CHANNELS
+from hydro_diagnosis.estimation.layout import CHANNELS
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.report.plots import svg
 from hydro_diagnosis.selection.localisation import Place

@@ -7,7 +7,8 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FitParameter, FloatArray
 from hydro_diagnosis.estimation.fit import Fit
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unrecorded_rows import shifts
 from hydro_diagnosis.selection.localisation import mean_squares, noticeable, remaining
 from hydro_diagnosis.selection.outcome import MINOR

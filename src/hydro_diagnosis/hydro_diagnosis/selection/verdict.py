@@ -17,7 +17,8 @@ import numpy.typing as npt
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.free_form import FreeForm, free_forms
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.constancy import without_varying
 from hydro_diagnosis.selection.localisation import (
     Place,

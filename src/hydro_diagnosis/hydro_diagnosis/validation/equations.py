@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from hydro_diagnosis.effects.base import MOTION, Claim, FloatArray
-from hydro_diagnosis.estimation.problem import CHANNELS, Problem
+from hydro_diagnosis.estimation.layout import CHANNELS
+from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.findings import channel_errors
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.validation.heldout import FREE_RUN, HORIZON, WINDOWS, Comparison, Known, compare
