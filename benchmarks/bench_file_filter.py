@@ -57,6 +57,7 @@ BEGIN, SECONDS = 2000, 6.0
 FILE_NAME = str.maketrans(" /", "__", "%")
 COLUMNS = {
     "bench": "",
+    "seed": "of the noise, and of the recording where there is one",
     "gains": "asked for: K_p, K_i",
     "filter": "none, or on the bench file with its own metric",
     "rmse": "N, of f_r - f_l after 2 s",
@@ -115,9 +116,10 @@ def metric(model: Path, folder: Path) -> tuple[Path, dict[str, Any]]:
     return out, {"range": span, "violated": violated, "made_in": time.monotonic() - began}
 
 
-def row(plant: TruthPlant, gains: tuple[float, float], corrector: Corrector | None) -> dict[str, Any]:
+def row(plant: TruthPlant, gains: tuple[float, float], corrector: Corrector | None, seed: int) -> dict[str, Any]:
     """What one run came to."""
-    states, statuses = play(plant, Bench.nominal(), FixedGains(*gains), REFERENCE, corrector=corrector, seconds=SECONDS)
+    own = FixedGains(*gains)
+    states, statuses = play(plant, Bench.nominal(), own, REFERENCE, corrector=corrector, seconds=SECONDS, seed=seed)
     done = outcome(states, statuses, BEGIN)
     settled = np.asarray(statuses[BEGIN:])
     wrong = 100.0 * float((settled == CorrectionStatus.MISMATCH).mean()) if len(settled) else np.nan
@@ -150,18 +152,23 @@ def loaded(metric_file: Path, model: Path) -> LoopFilter:
 
 
 def add_runs(
-    table: Table, name: str, plant: TruthPlant, filtering: tuple[LoopFilter, dict[str, Any]] | None, told: str
+    table: Table,
+    name: str,
+    plant: TruthPlant,
+    filtering: tuple[LoopFilter, dict[str, Any]] | None,
+    told: str,
+    seed: int = 0,
 ) -> None:
     """Add a bench's rows: without a filter, and under wide gains behind this one, if there is one, called `told`."""
-    nothing = dict.fromkeys(list(COLUMNS)[9:], np.nan)
+    nothing = dict.fromkeys(list(COLUMNS)[10:], np.nan)
     for gains in ((90.0, 15.0), (250.0, 15.0), (300.0, 30.0)):
-        table.add(bench=name, filter="none", **row(plant, gains, None), **nothing)
+        table.add(bench=name, seed=seed, filter="none", **row(plant, gains, None, seed), **nothing)
         if filtering is not None and gains[0] > 90.0:
             made, said = filtering
             timed = Timed(made)
-            found = row(plant, gains, timed)
+            found = row(plant, gains, timed, seed)
             p50, p99 = 1e6 * np.quantile(timed.took, (0.5, 0.99))
-            table.add(bench=name, filter=told, **found, call_p50=p50, call_p99=p99, **said)
+            table.add(bench=name, seed=seed, filter=told, **found, call_p50=p50, call_p99=p99, **said)
 
 
 def table_of(names: list[str], folder: Path) -> Table:

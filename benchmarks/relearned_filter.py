@@ -12,6 +12,7 @@ import argparse
 import subprocess
 import sys
 import time
+from itertools import product
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -20,7 +21,7 @@ import yaml
 
 from benchmarks.bench_file_filter import CASES as ALL
 from benchmarks.bench_file_filter import COLUMNS, FILE_NAME, add_runs, loaded
-from hydro_bridge.cli.console import Table, add_json_argument, command, progress
+from hydro_bridge.cli.console import Table, UserError, add_json_argument, command, progress
 from hydro_filter.controller.loop_filter import LoopFilter
 from hydro_filter.training.relearn import METRIC, MODEL
 from hydro_filter.validation.plants import modified_truth
@@ -31,11 +32,11 @@ CASES = {name: case[0] for name, case in ALL.items() if name != "deadband 0.5 mA
 SECONDS = 60.0
 
 
-def made_for(name: str, folder: Path) -> tuple[LoopFilter, dict[str, Any]]:
+def made_for(name: str, folder: Path, seed: int) -> tuple[LoopFilter, dict[str, Any]]:
     """The filter that `relearn` makes of a minute of recordings, and what is said of it (raises ValueError)."""
     truth, bag, out = folder / "truth.yaml", folder / "recording", folder / "relearned"
     truth.write_text(yaml.safe_dump({"profile": "default", **CASES[name]}), encoding="utf-8")
-    words = ["--offline", "--truth", str(truth), "--seconds", str(SECONDS), "--seed", "1", "--out", str(bag)]
+    words = ["--offline", "--truth", str(truth), "--seconds", str(SECONDS), "--seed", str(seed), "--out", str(bag)]
     _run("hydro_sim.emulator.command", *words)
     began = time.monotonic()
     said = _run("hydro_filter.training.relearn", str(bag), "--out", str(out))
@@ -47,13 +48,13 @@ def made_for(name: str, folder: Path) -> tuple[LoopFilter, dict[str, Any]]:
     return made, {"range": span, "violated": violated, "made_in": took}
 
 
-def table_of(names: list[str]) -> Table:
+def table_of(names: list[str], seeds: int) -> Table:
     """All rows."""
     table = Table(COLUMNS, title="The filter after relearn")
-    for name in progress(names, label="benches", unit="bench"):
+    for seed, name in progress(list(product(range(1, seeds + 1), names)), label="benches", unit="bench"):
         with TemporaryDirectory(suffix=name.translate(FILE_NAME)) as folder:
-            filtering = made_for(name, Path(folder))
-        add_runs(table, name, TruthPlant(modified_truth(CASES[name])), filtering, "relearned")
+            filtering = made_for(name, Path(folder), seed)
+        add_runs(table, name, TruthPlant(modified_truth(CASES[name])), filtering, "relearned", seed)
     return table
 
 
@@ -71,9 +72,12 @@ def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.relearned_filter", description=__doc__)
     parser.add_argument("--bench", nargs="+", default=list(CASES), choices=list(CASES), help="default: all")
+    parser.add_argument("--seeds", type=int, default=1, metavar="N", help="of recording and runs (default: 1)")
     add_json_argument(parser)
     asked = parser.parse_args()
-    table_of(asked.bench).show(asked.json)
+    if asked.seeds < 1:
+        raise UserError("--seeds of at least 1 is meant")
+    table_of(asked.bench, asked.seeds).show(asked.json)
 
 
 if __name__ == "__main__":
