@@ -179,6 +179,13 @@ def test_the_loss_follows_the_label(model: NetworkModel) -> None:
     assert float((losses[True] - losses[False]).detach()) == pytest.approx(weight * value, rel=1e-6)
 
 
+def test_the_long_training_ends_when_twenty_epochs_have_gained_less_than_a_hundredth() -> None:
+    falling = [2.0 * 0.999**epoch for epoch in range(60)]
+    assert not metric.converged(falling[:20]) and not metric.converged(falling)  # 2 % in twenty
+    flat = [*falling, *[0.995 * falling[-1]] * metric.PATIENCE]
+    assert metric.converged(flat) and not metric.converged([*flat, 0.98 * flat[-1]])
+
+
 def test_the_shipped_metric_says_what_it_is_worth() -> None:
     told = metric._ours()
     assert told["epochs"] == 0

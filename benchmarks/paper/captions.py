@@ -57,7 +57,8 @@ METRICS = """
 ### Table training_metric
 
 Made on rollouts of the paper's network model under fixed gains, no filter; judged on rollouts not trained on. Ours is
-solved, not trained, on the shipped model, and judged on its rollouts; its loss is another one.
+solved, not trained, on the shipped model, and judged on its rollouts; its loss is another one. The last of the paper's
+rows ends when 20 epochs have lowered the best held-out loss by less than 1 %.
 """
 
 VALIDATION = """

@@ -10,6 +10,7 @@ second on.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -32,8 +33,10 @@ from hydro_sim.neural.network_model import NetworkModel
 
 TABLE = PRINTED["training_metric"]
 TRAININGS = ("short", "long")
-"""The paper's three epochs; as many as the size has."""
+"""The paper's three epochs; until it has converged, or as many as the size has."""
 WINDOWS, HELD_OUT = 200, 5
+PATIENCE, GAIN = 20, 0.01
+"""The long training has converged when this many epochs have lowered the best held-out loss by less than this share."""
 SETTLED = 300
 """Samples at a rollout's beginning that are not used: the gains fade in."""
 PLACES = torch.zeros(len(ROWS), STATES * STATES)
@@ -87,6 +90,8 @@ def _trained(store: Store, name: str, seed: int) -> Result:
     optimizer = torch.optim.Adam(network.parameters(), lr=TABLE["learning_rate"])
     history = [judged(network, held_out)]
     for _ in range(TABLE["epochs"] if name == "short" else store.size.metric_epochs):
+        if converged([epoch["loss"] for epoch in history]):
+            break
         for batch in torch.randperm(len(training.z)).split(TABLE["batch"]):
             value = loss(network, Samples(*(part[batch] for part in training)))
             optimizer.zero_grad()
@@ -96,6 +101,11 @@ def _trained(store: Store, name: str, seed: int) -> Result:
     kept = {f"layer{n}": p.detach().numpy().T for n, p in enumerate(network.parameters())}
     np.savez(_file(store, name, seed), center=model.center, scale=model.scale, **kept)
     return {"windows": len(training.z), "rollouts": labels, "history": history}
+
+
+def converged(losses: Sequence[float]) -> bool:
+    """Whether the last epochs have gained nothing that counts."""
+    return len(losses) > PATIENCE and min(losses[-PATIENCE:]) > (1.0 - GAIN) * min(losses[:-PATIENCE])
 
 
 def growth(network: torch.nn.Module, samples: Samples) -> tuple[torch.Tensor, torch.Tensor]:

@@ -73,9 +73,10 @@ def three_epochs(store: Store) -> str:
         caught = "" if np.isnan(unstable) else f" and {unstable:.0f} % of the unstable"
         return f"{stable:.0f} % of the stable{caught}"
 
+    longest = max(len(history) - 1 for history in histories)
     return (
         f"Held out, the loss is {mean(0, 'loss'):.3g} before training, {mean(3, 'loss'):.3g} after three epochs and "
-        f"{mean(-1, 'loss'):.3g} after {store.size.metric_epochs}; the sign of M_c is right in {shares(3)} samples "
+        f"{mean(-1, 'loss'):.3g} after {longest} at most; the sign of M_c is right in {shares(3)} samples "
         f"after three, in {shares(-1)} after all."
     )
 

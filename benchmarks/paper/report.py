@@ -84,7 +84,7 @@ def _sizes(store: Store) -> str:
     size, done = store.size, [one for name in store.names() if (one := store.kept(name)) is not None]
     spent = sum(one["cpu"] for one in done) / 60.0
     told = (
-        f"{size.seeds} seeds; networks {size.model_epochs} epochs; metrics {size.metric_epochs} epochs on "
+        f"{size.seeds} seeds; networks {size.model_epochs} epochs; metrics at most {size.metric_epochs} epochs on "
         f"{size.rollouts} rollouts;\nruns of {size.validation_seconds:g} s; II {size.simulated_episodes} and I "
         f"{size.bench_episodes} episodes of {PRINTED['training_agent']['steps']} steps.\n"
     )
@@ -109,12 +109,14 @@ def _models(store: Store) -> str:
 
 def _metrics(store: Store) -> str:
     rows = []
-    for told, name, place in (("0", "short", 0), ("3", "short", -1), (str(store.size.metric_epochs), "long", -1)):
+    for told, name, place in (("0", "short", 0), ("3", "short", -1), ("long", "long", -1)):
         if found := _all(store, f"metric-{name}-{{}}"):
             after = [one["history"][place] for one in found]
             keys = ("stable_verified", "unstable_found")
             shares = [cell(100.0 * np.array([one[key] for one in after], float), missing="none") for key in keys]
-            rows.append([told, cell([one["loss"] for one in after], 3), *shares, str(len(found))])
+            lengths = sorted(len(one["history"]) - 1 for one in found)
+            epochs = told if name == "short" else f"{lengths[0]} to {lengths[-1]}"
+            rows.append([epochs, cell([one["loss"] for one in after], 3), *shares, str(len(found))])
     if ours := store.kept("metric-ours"):
         shares = [f"{100.0 * ours[key]:.2f}" for key in ("stable_verified", "unstable_found")]
         rows.append([f"ours, as shipped: {ours['epochs']}", "", *shares, "1"])

@@ -49,7 +49,7 @@ class Size:
     """Of everything that is learnt, and of the runs that judge it."""
     model_epochs: int
     metric_epochs: int
-    """Of the long training; the paper's 3 are run by themselves, too."""
+    """Of the long training at most; the paper's 3 are run by themselves, too."""
     rollouts: int
     """For the metric, of 3 s."""
     validation_seconds: float
