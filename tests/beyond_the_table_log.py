@@ -145,12 +145,10 @@ def behind_play(read: FloatArray, size: float, width: float) -> FloatArray:
     return position
 
 
-def behind_cycle(read: FloatArray, size: float, pitch: float) -> FloatArray:
-    """Position [m] whose encoder reads this with an error that repeats, by iteration."""
-    position = read
-    for _ in range(30):
-        position = read - size * np.sin(2.0 * math.pi * position / pitch)
-    return np.asarray(position)
+def sagged(s: Signals, size: float) -> FloatArray:
+    """What a hydraulic cell misses [N] whose supply the valve's current loads: `s.b` holds what it reads."""
+    read, share = BENCH.piston_area * s.a - AREA_B * s.b, size * np.abs(s.u) / BENCH.valve_nominal_current
+    return np.asarray(read * share / (1.0 - share))
 
 
 def squeezed(velocity: FloatArray, seconds: float, travel: float) -> FloatArray:

@@ -33,8 +33,8 @@ SEALED: tuple[Kind, ...] = (
     entry("specimen_beds_in", "sealed", "load", (0.07, 0.25), "-", 6.0, "time position", degree=1.0),
     # load += size |x - rest| w, w' = (v - |v| w) / shape: wire rope, whose strands rub the more the more it is bent
     entry("wire_rope", "sealed", "load", (600.0, 2400.0), "N/m", 2e-3, "position velocity", memory=True),
-    # encoder reads x + size sin(2 pi x / shape): its two tracks are not of the same height
-    entry("encoder_cycle", "sealed", "sensor", (5e-6, 2e-5), "m", 2e-3, "position"),
+    # hydraulic cell reads F (1 - size |u| / u_n): its bridge and the valve hang on one weak supply
+    entry("bridge_sags", "sealed", "sensor", (0.4, 1.6), "-", 0.0, "hydraulic_force current", degree=2.0),
     # load cell reads f + size w, w' = (f' - |f'| w) / shape: its steel gives back less than it took
     entry("cell_hysteresis", "sealed", "sensor", (5.0, 20.0), "N", 60.0, "load_force", memory=True),
     # gauge B reads p_b + size p_a: their amplifiers share a bad ground

@@ -8,12 +8,12 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    BRIDGE_SAGS,
     CELL_BYPASS,
     CELL_CREEP,
     CELL_CURVE,
     CELL_HYSTERESIS,
     CELL_PICKUP,
-    ENCODER_CYCLE,
     ENCODER_PLAY,
     GAUGE_CROSSTALK,
     GAUGE_LIMIT,
@@ -21,7 +21,7 @@ from benchmarks.beyond_the_table.physics.places import (
     GAUGE_WARMS,
     MEMORY,
 )
-from benchmarks.foreign_truth.equations import CELL, CELL_RATE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
+from benchmarks.foreign_truth.equations import CELL, CELL_RATE, PRESSURE_A, PRESSURE_B, VELOCITY
 
 RISING = 5e-4
 """s, lag of a snubber whose check valve is open."""
@@ -52,8 +52,8 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[5] -= size * max(state[PRESSURE_B] - shape, 0.0)
     if kind == ENCODER_PLAY:
         row[6] -= size * state[MEMORY]
-    if kind == ENCODER_CYCLE:
-        row[6] += size * math.sin(2.0 * math.pi * state[POSITION] / shape)
+    if kind == BRIDGE_SAGS:
+        row[0] -= size * abs(current) / bench.valve_nominal_current * hydraulic_force(bench, state)
     if kind == CELL_HYSTERESIS:
         row[2] += size * state[MEMORY]
     if kind == GAUGE_CROSSTALK:
