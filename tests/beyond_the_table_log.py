@@ -145,6 +145,28 @@ def behind_play(read: FloatArray, size: float, width: float) -> FloatArray:
     return position
 
 
+def sagged(s: Signals, size: float) -> FloatArray:
+    """What a hydraulic cell misses [N] whose supply the valve's current loads: `s.b` holds what it reads."""
+    read, share = BENCH.piston_area * s.a - AREA_B * s.b, size * np.abs(s.u) / BENCH.valve_nominal_current
+    return np.asarray(read * share / (1.0 - share))
+
+
+def squeezed(velocity: FloatArray, seconds: float, travel: float) -> FloatArray:
+    """Share of the lips without a film, exact for a velocity that is held from row to row."""
+    out = np.ones_like(velocity)
+    for k in range(1, len(out)):
+        rate = 1.0 / seconds + abs(velocity[k - 1]) / travel
+        rest = 1.0 / seconds / rate
+        out[k] = rest + (out[k - 1] - rest) * math.exp(-PERIOD * rate)
+    return out
+
+
+def choked(s: Signals, share: float, threshold: float) -> FloatArray:
+    """Flow out of B that jets into the tank do not pass."""
+    acting = s.b - share * np.maximum(s.b - threshold, 0.0)
+    return np.asarray(GAIN * np.maximum(s.u, 0.0) * (np.sqrt(s.b) - np.sqrt(acting)))
+
+
 def drops(s: Signals) -> FloatArray:
     """Pressure [Pa] over both edges that are open."""
     return np.asarray(np.where(s.u >= 0.0, BENCH.supply_pressure - s.a + s.b, s.a + BENCH.supply_pressure - s.b))

@@ -10,13 +10,16 @@ from numba import njit
 from benchmarks.beyond_the_table.physics.places import (
     BLOW_BY,
     FLOATING_RING,
+    GAP_WIDENS,
     HOSE,
     HOT_LEAK,
     LEAK_BY_MOTION,
     LEAK_ORIFICE,
     MEMORY,
+    PISTON_TILTS,
     PORT_RELIEF,
     ROD_FILM,
+    SLOW_RELIEF,
     WEEPING_FITTING,
     WORN_BORE,
 )
@@ -24,6 +27,8 @@ from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B,
 
 WORN = 0.045
 """m, where the barrel is worn most."""
+POPPET = 0.04
+"""s, lag of a relief valve's poppet."""
 
 
 @njit
@@ -38,12 +43,16 @@ def lost_flows(kind, size, shape, bench, state):
         return 0.0, size * bench.area_ratio * bench.piston_area * max(velocity, 0.0)
     if kind == WEEPING_FITTING:
         return 0.0, size * root(b - bench.tank_pressure)
-    flow = across(kind, size, shape, a, b, state)
+    if kind == SLOW_RELIEF:
+        return 0.0, size * state[MEMORY]
+    if kind == GAP_WIDENS:
+        return 0.0, size * max(b - bench.tank_pressure, 0.0) ** 2
+    flow = across(kind, size, shape, bench, a, b, state)
     return flow, -flow
 
 
 @njit
-def across(kind, size, shape, a, b, state):
+def across(kind, size, shape, bench, a, b, state):
     """Flow [m3/s] from chamber A to chamber B."""
     if kind == LEAK_ORIFICE:
         return size * root(a - b)
@@ -51,6 +60,8 @@ def across(kind, size, shape, a, b, state):
         return size * (a - b) * max(math.tanh(state[VELOCITY] / shape), 0.0)
     if kind == WORN_BORE:
         return size * (a - b) * math.exp(-(((state[POSITION] - WORN) / shape) ** 2))
+    if kind == PISTON_TILTS:
+        return size * (a - b) * abs(state[POSITION] - bench.spring_rest_position)
     if kind == BLOW_BY:
         return -size * max(b - a - shape, 0.0)
     if kind == FLOATING_RING:
@@ -60,11 +71,11 @@ def across(kind, size, shape, a, b, state):
 
 @njit
 def memory_rate(kind, shape, bench, current, state):
-    """Rate of the hose's inner pressure [Pa/s], of throttled oil's warmth, of the ring's place in its groove."""
+    """Rate of the hose's inner pressure [Pa/s], of oil's warmth, of a ring in its groove, of a late poppet [Pa/s]."""
     if kind == HOSE:
         return (state[PRESSURE_A] - state[MEMORY]) / shape
     if kind == HOT_LEAK:
         return (abs(current) / bench.valve_nominal_current - state[MEMORY]) / shape
     if kind == FLOATING_RING:
         return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
-    return 0.0
+    return (max(state[PRESSURE_B] - shape, 0.0) - state[MEMORY]) / POPPET if kind == SLOW_RELIEF else 0.0

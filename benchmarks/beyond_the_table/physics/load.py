@@ -8,15 +8,18 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    CONICAL_SPRING,
     GRIP_MASS,
     LEAF_SPRING,
     MEMORY,
     MOUNT,
     REBOUND_DAMPER,
+    SPECIMEN_BEDS_IN,
     SPECIMEN_DAMPING,
     SPECIMEN_SOFTENS,
     SPRING_HYSTERESIS,
     STOP_SPRING,
+    WIRE_ROPE,
 )
 from benchmarks.foreign_truth.equations import CELL_RATE, POSITION, VELOCITY, rub, spring
 
@@ -25,8 +28,8 @@ WORKED = 0.1
 
 
 @njit
-def extra_load(kind, size, shape, bench, state):
-    """Force [N] that the load adds to its spring's, but for a mass of its own."""
+def extra_load(kind, size, shape, bench, time, state):
+    """Force [N] that the load adds to its spring's at a time [s], but for a mass of its own."""
     position, velocity = state[POSITION], state[VELOCITY]
     if kind == SPRING_HYSTERESIS:
         return size * state[MEMORY]
@@ -41,6 +44,12 @@ def extra_load(kind, size, shape, bench, state):
         return size * bench.spring_stiffness * stretch * math.tanh(velocity / shape)
     if kind == SPECIMEN_DAMPING:
         return size * velocity
+    if kind == CONICAL_SPRING:
+        return size * max(position - bench.spring_rest_position, 0.0) ** 2
+    if kind == SPECIMEN_BEDS_IN:
+        return -size * math.exp(-time / shape) * spring(bench, position)
+    if kind == WIRE_ROPE:
+        return size * abs(position - bench.spring_rest_position) * state[MEMORY]
     return -size * state[MEMORY] * spring(bench, position) if kind == SPECIMEN_SOFTENS else 0.0
 
 
@@ -61,9 +70,9 @@ def brake(kind, size, bench, state, seconds):
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of the spring's path, of the mount's foot [m/s], and of the specimen's warmth."""
+    """Rate of a spring's or a rope's path, of the mount's foot [m/s], and of the specimen's warmth."""
     memory, velocity = state[MEMORY], state[VELOCITY]
-    if kind == SPRING_HYSTERESIS:
+    if kind in (SPRING_HYSTERESIS, WIRE_ROPE):
         return (velocity - abs(velocity) * memory) / shape
     if kind == MOUNT:
         load = spring(bench, state[POSITION] - memory)

@@ -8,19 +8,23 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    BACKUP_RING,
     BORE_SCORE,
     COLD_START,
     CUSHION,
     DRAG,
+    FILM_SQUEEZED,
     FRICTION_LAG,
     FRICTION_POSITION,
     GLAND_PRESSURE,
     HEAT,
+    HOSE_STIFFENS,
     LIP_FILM,
     MEMORY,
     ROD_BELLOWS,
     SEAL,
     SHEAR_THINNING,
+    SWITCH_MAGNET,
 )
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
 
@@ -30,6 +34,12 @@ STRIBECK = 0.05
 """m/s at which a film has mostly formed."""
 SCORED = 0.043
 """m, middle of the scored length of the bore."""
+SWITCH = 0.036
+"""m, where the switch stands."""
+DRAWN_IN = 8e-3
+"""m of travel that draw a film in again."""
+RING_TURN = 5e-3
+"""m/s over which a backup ring's friction turns its sign round."""
 
 
 @njit
@@ -58,14 +68,25 @@ def extra_force(kind, size, shape, bench, time, state):
         return -size * (position - bench.spring_rest_position - memory)
     if kind == COLD_START:
         return -size * math.exp(-time / shape) * velocity
+    if kind == FILM_SQUEEZED:
+        return -size * memory * math.tanh(velocity / TURN)
+    if kind == HOSE_STIFFENS:
+        return -size * state[PRESSURE_B] * (position - bench.spring_rest_position)
+    if kind == BACKUP_RING:
+        return -size * max(state[PRESSURE_B] - shape, 0.0) * math.tanh(velocity / RING_TURN)
+    if kind == SWITCH_MAGNET:
+        away = (position - SWITCH) / shape
+        return -size * away * math.exp(-(away**2))
     return -size * velocity / (1.0 + abs(velocity) / shape) if kind == SHEAR_THINNING else 0.0
 
 
 @njit
 def memory_rate(kind, shape, bench, state):
-    """Rate of the travelled warmth, of the velocity that the film has followed [m/s2], of the bellows' air [m/s]."""
+    """Rate of travelled warmth, of the velocity that a film follows [m/s2], of the bellows' air [m/s], of dry lips."""
     if kind == HEAT:
         return abs(state[VELOCITY]) / shape - state[MEMORY] / 10.0
     if kind == ROD_BELLOWS:
         return (state[POSITION] - bench.spring_rest_position - state[MEMORY]) / shape
+    if kind == FILM_SQUEEZED:
+        return (1.0 - state[MEMORY]) / shape - abs(state[VELOCITY]) * state[MEMORY] / DRAWN_IN
     return (state[VELOCITY] - state[MEMORY]) / shape if kind == FRICTION_LAG else 0.0

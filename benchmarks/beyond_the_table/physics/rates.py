@@ -8,7 +8,7 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics import chambers, load, motion, sensors, valve
-from benchmarks.beyond_the_table.physics.places import GAUGE_SNUBBER, HOSE, MEMORY
+from benchmarks.beyond_the_table.physics.places import FILM_SQUEEZED, GAUGE_SNUBBER, HOSE, MEMORY
 from benchmarks.foreign_truth.equations import (
     CELL_RATE,
     POSITION,
@@ -25,6 +25,8 @@ def rested(kind, bench, start):
     """The kind's own state where chamber A has stood at a pressure [Pa] and B balances it."""
     if kind == GAUGE_SNUBBER:
         return start / bench.area_ratio
+    if kind == FILM_SQUEEZED:
+        return 1.0
     return start if kind == HOSE else 0.0
 
 
@@ -45,10 +47,10 @@ def all_rates(kind, size, shape, bench, time, current, slope, state, out):
     volume_a = bench.dead_volume_a + bench.piston_area * state[POSITION]
     volume_b = bench.dead_volume_b + bench.area_ratio * bench.piston_area * (bench.stroke - state[POSITION])
     lost_a, lost_b = chambers.lost_flows(kind, size, shape, bench, state)
-    blocked_a, blocked_b = valve.blocked_flows(kind, size, bench, time, given, state)
+    blocked_a, blocked_b = valve.blocked_flows(kind, size, shape, bench, time, given, state)
     out[PRESSURE_A] -= stiffness(bench, state[PRESSURE_A]) / volume_a * (lost_a + blocked_a)
     out[PRESSURE_B] -= stiffness(bench, state[PRESSURE_B]) / volume_b * (lost_b + blocked_b)
-    added = load.extra_load(kind, size, shape, bench, state)
+    added = load.extra_load(kind, size, shape, bench, time, state)
     out[VELOCITY] += (motion.extra_force(kind, size, shape, bench, time, state) - added) / bench.moving_mass
     carried = load.mass(kind, size)
     out[VELOCITY] *= bench.moving_mass / (bench.moving_mass + carried)

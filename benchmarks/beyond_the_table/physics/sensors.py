@@ -8,17 +8,20 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    BRIDGE_SAGS,
     CELL_BYPASS,
     CELL_CREEP,
     CELL_CURVE,
+    CELL_HYSTERESIS,
     CELL_PICKUP,
     ENCODER_PLAY,
+    GAUGE_CROSSTALK,
     GAUGE_LIMIT,
     GAUGE_SNUBBER,
     GAUGE_WARMS,
     MEMORY,
 )
-from benchmarks.foreign_truth.equations import CELL, PRESSURE_A, PRESSURE_B, VELOCITY
+from benchmarks.foreign_truth.equations import CELL, CELL_RATE, PRESSURE_A, PRESSURE_B, VELOCITY
 
 RISING = 5e-4
 """s, lag of a snubber whose check valve is open."""
@@ -49,11 +52,17 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[5] -= size * max(state[PRESSURE_B] - shape, 0.0)
     if kind == ENCODER_PLAY:
         row[6] -= size * state[MEMORY]
+    if kind == BRIDGE_SAGS:
+        row[0] -= size * abs(current) / bench.valve_nominal_current * hydraulic_force(bench, state)
+    if kind == CELL_HYSTERESIS:
+        row[2] += size * state[MEMORY]
+    if kind == GAUGE_CROSSTALK:
+        row[5] += size * state[PRESSURE_A]
 
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of what the cell has crept by [N/s], of the pressure [Pa/s] behind the snubber, of the coupling's path."""
+    """Rate of what the cell has crept by [N/s], of the pressure [Pa/s] behind the snubber, of a path."""
     if kind == CELL_CREEP:
         return (hydraulic_force(bench, state) - state[MEMORY]) / shape
     if kind == GAUGE_SNUBBER:
@@ -61,4 +70,6 @@ def memory_rate(kind, size, shape, bench, state):
         return above / (RISING if above > 0.0 else max(size, RISING))
     if kind == ENCODER_PLAY:
         return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
+    if kind == CELL_HYSTERESIS:
+        return (state[CELL_RATE] - abs(state[CELL_RATE]) * state[MEMORY]) / shape
     return 0.0

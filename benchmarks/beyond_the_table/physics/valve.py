@@ -8,6 +8,8 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    COIL_WARMS,
+    EDGE_CHOKES,
     JET_FORCE,
     LOAD_NULL,
     MEMORY,
@@ -19,8 +21,24 @@ from benchmarks.beyond_the_table.physics.places import (
     TRANSITION,
     VALVE_CURVE,
     VALVE_HYSTERESIS,
+    VALVE_RIDES,
 )
-from benchmarks.foreign_truth.equations import PRESSURE_A, PRESSURE_B, flow_gain, opening, root
+from benchmarks.foreign_truth.equations import (
+    POSITION,
+    PRESSURE_A,
+    PRESSURE_B,
+    VELOCITY,
+    flow_gain,
+    opening,
+    outside,
+    root,
+    spring,
+)
+
+WARM = 5e-3
+"""A that warm a coil by 1 in the end."""
+HELD = 1e-5
+"""m/s, below which dry friction holds the piston."""
 
 
 @njit
@@ -40,7 +58,21 @@ def drawn(kind, size, shape, bench, current, state):
         return current / (1.0 + size * (over_a + over_b))
     if kind == LOAD_NULL:
         return current - size * (state[PRESSURE_A] - state[PRESSURE_B])
+    if kind == COIL_WARMS:
+        return current * (1.0 - size * memory)
+    if kind == VALVE_RIDES:
+        return current - size * acceleration(bench, state)
     return memory if kind == SPOOL_RATE else current
+
+
+@njit
+def acceleration(bench, state):
+    """Acceleration [m/s2] of the piston under the oil, its friction and the spring alone."""
+    velocity, area = state[VELOCITY], bench.piston_area
+    force = area * (state[PRESSURE_A] - bench.area_ratio * state[PRESSURE_B])
+    force -= bench.viscous_friction * velocity + spring(bench, state[POSITION])
+    dry = outside(force, bench.coulomb) if abs(velocity) < HELD else force - math.copysign(bench.coulomb, velocity)
+    return dry / bench.moving_mass
 
 
 @njit
@@ -53,9 +85,9 @@ def drops(bench, out, state):
 
 
 @njit
-def blocked_flows(kind, size, bench, time, current, state):
+def blocked_flows(kind, size, shape, bench, time, current, state):
     """Flows [m3/s] that the edges do not pass: into chamber A and out of chamber B, as `lost_flows` counts them."""
-    if kind != TRANSITION and kind != RETURN_FILTER and kind != SILTED_EDGE:
+    if kind != TRANSITION and kind != RETURN_FILTER and kind != SILTED_EDGE and kind != EDGE_CHOKES:
         return 0.0, 0.0
     moved = flow_gain(bench) * opening(bench, time, current)
     out = moved >= 0.0
@@ -66,6 +98,10 @@ def blocked_flows(kind, size, bench, time, current, state):
         short_a = root(over_a) - over_a / math.sqrt(abs(over_a) + size)
         short_b = root(over_b) - over_b / math.sqrt(abs(over_b) + size)
         return moved * short_a, -moved * short_b
+    if kind == EDGE_CHOKES:
+        over = over_b if out else over_a
+        short = moved * (root(over) - root(over - size * max(over - shape, 0.0)))
+        return (0.0, -short) if out else (short, 0.0)
     # q = moved sqrt(over - size q^2), solved for q: only the edge to the tank has the filter behind it
     short = moved * (1.0 - 1.0 / math.sqrt(1.0 + size * moved**2))
     return (0.0, -short * root(over_b)) if out else (short * root(over_a), 0.0)
@@ -73,10 +109,12 @@ def blocked_flows(kind, size, bench, time, current, state):
 
 @njit
 def memory_rate(kind, size, shape, bench, current, slope, state):
-    """Rate of the magnetisation, the spool [A/s] or the warmth of the valve; `slope` is the current's [A/s]."""
+    """Rate of the magnetisation, the spool [A/s] or the warmth of valve or coil; `slope` is the current's [A/s]."""
     memory = state[MEMORY]
     if kind == VALVE_HYSTERESIS:
         return (slope - abs(slope) * memory) / shape
     if kind == SPOOL_RATE:
         return min(max(2.0 * math.pi * shape * (current - memory), -size), size)
+    if kind == COIL_WARMS:
+        return ((current / WARM) ** 2 - memory) / shape
     return (abs(current) / bench.valve_nominal_current - memory) / shape if kind == NULL_WARMS else 0.0

@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The kinds that have been looked at: three halves, sealed once, in the order in which they were opened."""
+
+from __future__ import annotations
+
+from benchmarks.beyond_the_table.kind import CHAMBERS, FLOW, Kind, entry
+
+OPENED: tuple[Kind, ...] = (
+    # m v' = ... - size v |v|
+    entry("drag_square", "dev", "motion", (400.0, 1500.0), "N s2/m2", 0.0, "velocity", degree=2.0),
+    # ... - size ((x - rest) / shape)^2 v: a bore that narrows away from its middle
+    entry("friction_position", "dev", "motion", (60.0, 200.0), "N s/m", 0.01, "position velocity", degree=3.0),
+    # spool = u - size w, w' = (u' - |u'| w) / shape: magnetic hysteresis of a torque motor
+    entry("valve_hysteresis", "dev", FLOW, (1.5e-4, 5e-4), "A", 3e-4, "current", memory=True),
+    # spool = u (1 - size |u| / u_n): ports that narrow as they open (widening ones make the loop swing)
+    entry("valve_curve", "dev", FLOW, (0.2, 0.5), "-", 0.05, "current", degree=2.0),
+    # q = size sqrt(p_a - p_b), signed: a worn edge between the chambers
+    entry("leak_orifice", "dev", CHAMBERS, (1.5e-10, 5e-10), "m3/s/sqrt(Pa)", 0.0, "pressure_a pressure_b",
+          degree=0.5, named="leakage_internal orifice"),
+    # hose of chamber A: q = size (p_a - w) / shape, w' = (p_a - w) / shape
+    entry("hose_memory", "dev", "pressure_a", (1.5e-14, 5e-14), "m3/Pa", 0.15, "pressure_a", memory=True),
+    # load += size w, w' = v / shape - |v| w / shape: the spring loads on one path and unloads on another
+    entry("spring_hysteresis", "dev", "load", (4.0, 15.0), "N", 2e-3, "position velocity", memory=True),
+    # hydraulic cell reads F + size w, w' = (F - w) / shape
+    entry("cell_creep", "dev", "sensor", (0.06, 0.15), "-", 1.5, "hydraulic_force", memory=True),
+    # ... - size |p_a - p_b| tanh(v / shape): a lip that the pressure presses on the rod
+    entry("seal_drop", "dev", "motion", (1.5e-6, 4e-6), "N/Pa", 2e-3, "pressure_a pressure_b velocity", degree=1.0),
+    # ... - size max(x - shape, 0) v: a throttle that closes towards the end
+    entry("cushion_damping", "dev", "motion", (2e4, 8e4), "N s/m2", 0.043, "position velocity", degree=2.0),
+    # ... - size exp(-w) v, w' = |v| / shape - w / 10 s: oil thins as it warms
+    entry("oil_heat", "dev", "motion", (80.0, 250.0), "N s/m", 0.25, "velocity", memory=True),
+    # spool' = u - spool at 300 Hz, but no faster than size
+    entry("spool_rate", "dev", FLOW, (0.2, 0.4), "A/s", 300.0, "current", memory=True),
+    # sqrt(dp) becomes dp / sqrt(|dp| + size): laminar below, turbulent above
+    entry("flow_transition", "dev", FLOW, (4e5, 2e6), "Pa", 0.0, "current pressure_a pressure_b"),
+    # q = size (p_a - p_b) while the piston moves out: a lip that opens one way
+    entry("leak_by_motion", "dev", CHAMBERS, (6e-14, 2e-13), "m3/s/Pa", 2e-3, "pressure_a pressure_b velocity",
+          degree=1.0),
+    # foot y of the spring: y' = (size load / k - y) / shape
+    entry("flexible_mount", "dev", "load", (0.02, 0.08), "-", 0.08, "position", memory=True),
+    # hydraulic cell reads F + size F^2
+    entry("cell_curve", "dev", "sensor", (3e-5, 1.2e-4), "1/N", 0.0, "hydraulic_force", degree=2.0),
+    # ... - size exp(-(w / 50 mm/s)^2) tanh(v / 2 mm/s), w' = (v - w) / shape: the film follows late
+    entry("friction_lag", "dev", "motion", (8.0, 30.0), "N", 0.02, "velocity", memory=True),
+    # ... - size exp(-((x - 43 mm) / shape)^2) tanh(v / 2 mm/s): a scored length of the bore
+    entry("bore_score", "dev", "motion", (8.0, 30.0), "N", 3e-3, "position velocity"),
+    # ... - size v / (1 + |v| / shape): oil whose long molecules align in a fast film
+    entry("shear_thinning", "dev", "motion", (100.0, 400.0), "N s/m", 0.03, "velocity"),
+    # out of A to the tank: q = size max(p_a - shape, 0): a port relief valve set too low
+    entry("port_relief", "dev", "pressure_a", (2e-13, 8e-13), "m3/s/Pa", 6.3e6, "pressure_a", degree=1.0),
+    # A to B: q = size (p_a - p_b) exp(-((x - 45 mm) / shape)^2): a barrel worn where it works most
+    entry("worn_bore", "dev", CHAMBERS, (1e-13, 4e-13), "m3/s/Pa", 4e-3, "position pressure_a pressure_b"),
+    # A to B: q = size w (p_a - p_b), w' = (|u| / u_n - w) / shape: throttled oil warms and the leak with it
+    entry("hot_leak", "dev", CHAMBERS, (2e-12, 6e-12), "m3/s/Pa", 3.0, "current pressure_a pressure_b",
+          memory=True),
+    # out of B: q = size A_b max(v, 0): a grooved rod carries oil out, the scraper takes it off on the way in
+    entry("rod_film", "dev", "pressure_b", (0.01, 0.04), "-", 0.0, "velocity", degree=1.0),
+    # spool = u - size max(u - shape, 0): a spring stop that the spool meets early on one side
+    entry("spool_stop", "dev", FLOW, (0.2, 0.6), "-", 2.5e-3, "current", degree=1.0),
+    # spool = u + size w, w' = (|u| / u_n - w) / shape: null moves as throttled oil warms the valve
+    entry("null_warms", "dev", FLOW, (1e-3, 3e-3), "A", 4.0, "current", memory=True),
+    # the edge to the tank sees p_t + size q^2: a clogged return filter
+    entry("return_filter", "dev", FLOW, (5e14, 3e15), "Pa s2/m6", 0.0, "current pressure_a pressure_b"),
+    # load += size max(x - shape, 0): a second spring, reached on the way
+    entry("stop_spring", "dev", "load", (1e3, 6e3), "N/m", 0.045, "position", degree=1.0),
+    # load += size max(v, 0)^2: a shock absorber with a check valve
+    entry("rebound_damper", "dev", "load", (400.0, 1500.0), "N s2/m2", 0.0, "velocity", degree=2.0),
+    # load += size k |x - rest| tanh(v / shape): leaves that rub the more the more they are bent
+    entry("leaf_spring", "dev", "load", (0.02, 0.08), "-", 5e-3, "position velocity", degree=1.0),
+    # hydraulic cell reads F + size u: its cable lies beside the valve's
+    entry("cell_pickup", "dev", "sensor", (1000.0, 6000.0), "N/A", 0.0, "current", degree=1.0),
+    # gauge B reads p_b + size (1 - exp(-t / shape)): its zero drifts until it is warm
+    entry("gauge_warms", "dev", "sensor", (8e4, 4e5), "Pa", 8.0, "time"),
+    # gauge B reads w, w' = (p_b - w) / (0.5 ms rising, size falling): a snubber with a check valve
+    entry("gauge_snubber", "dev", "sensor", (5e-3, 2e-2), "s", 0.0, "pressure_b", memory=True),
+    # ... - size p_b tanh(v / shape): the gland's lips, pressed on the rod by the oil that they hold
+    entry("gland_pressure", "dev", "motion", (1e-6, 3.5e-6), "N/Pa", 2e-3, "pressure_b velocity", degree=1.0),
+    # ... - size v / sqrt(|v| + shape): the film under a lip carries more the faster it is drawn, by the root
+    entry("lip_film", "dev", "motion", (30.0, 120.0), "N/sqrt(m/s)", 1e-3, "velocity", degree=0.5),
+    # ... - size (x - rest - w), w' = (x - rest - w) / shape: a bellows over the rod that breathes by a small hole
+    entry("rod_bellows", "dev", "motion", (600.0, 3000.0), "N/m", 0.2, "position", memory=True),
+    # ... - size exp(-t / shape) v: a bench that starts cold
+    entry("cold_start", "dev", "motion", (150.0, 600.0), "N s/m", 8.0, "time velocity"),
+    # out of B to the tank: q = size sqrt(p_b - p_t): a fitting that weeps
+    entry("weeping_fitting", "dev", "pressure_b", (1.5e-10, 6e-10), "m3/s/sqrt(Pa)", 0.0, "pressure_b", degree=0.5),
+    # B to A: q = size max(p_b - p_a - shape, 0): a lip that is lifted from its back
+    entry("blow_by", "dev", CHAMBERS, (2e-13, 1e-12), "m3/s/Pa", 3.8e6, "pressure_a pressure_b", degree=1.0),
+    # A to B: q = size (1 - w^2) (p_a - p_b), w' = (v - |v| w) / shape: a ring that leaves its seat at each reversal
+    entry("floating_ring", "dev", CHAMBERS, (1.2e-13, 5e-13), "m3/s/Pa", 5e-4, "pressure_a pressure_b velocity",
+          memory=True),
+    # into B while the valve drives out: q = size K_v max(u, 0) sqrt(p_b - p_t): one edge of four is silted up
+    entry("silted_edge", "dev", "pressure_b", (0.03, 0.12), "-", 0.0, "current pressure_b", degree=1.5),
+    # spool = u / (1 + size dp), dp over both open edges: the jets close the valve against its spring
+    entry("jet_force", "dev", FLOW, (3e-9, 1e-8), "1/Pa", 0.0, "current pressure_a pressure_b"),
+    # spool = u - size (p_a - p_b): the load's pressure leans on the spool
+    entry("load_null", "dev", FLOW, (1e-11, 4e-11), "A/Pa", 0.0, "pressure_a pressure_b", degree=1.0),
+    # load += size v: a specimen that damps
+    entry("specimen_damping", "dev", "load", (25.0, 120.0), "N s/m", 0.0, "velocity", degree=1.0),
+    # load += size x'': a grip beyond the cell, its mass besides the piston's
+    entry("grip_mass", "dev", "load", (0.8, 3.0), "kg", 0.0, "acceleration", degree=1.0),
+    # load -= size w k (x - rest), w' = (|v| / 0.1 m/s - w) / shape: rubber softens as it is worked warm
+    entry("specimen_softens", "dev", "load", (0.05, 0.15), "-", 4.0, "position velocity", memory=True),
+    # load cell reads f + size max(-f, 0): a joint that passes part of a pull by the cell
+    entry("cell_bypass", "dev", "sensor", (0.03, 0.1), "-", 0.0, "load_force", degree=1.0),
+    # gauge B reads p_b - size max(p_b - shape, 0): its amplifier runs into its limit
+    entry("gauge_limit", "dev", "sensor", (0.3, 1.0), "-", 1.15e7, "pressure_b", degree=1.0),
+    # encoder reads x - size w, w' = (v - |v| w) / shape: play in its coupling
+    entry("encoder_play", "dev", "sensor", (3e-5, 1e-4), "m", 3e-4, "position velocity", memory=True),
+)  # fmt: skip
