@@ -13,7 +13,7 @@ import pytest
 from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.certificate.sampled import quadratic
 from hydro_filter.controller.loop_filter import loop_parts
-from hydro_filter.metric.design import MetricDesign, decaying_range, rest_loop
+from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import metric_value
 from hydro_filter.model import force_law
@@ -119,11 +119,14 @@ def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: 
     assert np.abs(moving[:, None] - ours).min(axis=1).max() < 2e-3
 
 
-def test_with_two_milliseconds_and_this_valve_no_gain_decays(bench: Bench) -> None:
+def test_with_two_milliseconds_and_this_valve_no_gain_decays() -> None:
     """The whole bench does not, either: no metric of it exists."""
     assert min(np.abs(np.linalg.eigvals(whole_loop(having(*CASES["2 ms"]), gain))).max() for gain in (1, 10, 90)) > 1.02
-    with pytest.raises(ValueError, match=r"does not decay at K_p = 10 1/s.* dead time"):
-        decaying_range(of("2 ms"), MetricDesign())
+    require_decay(of("1 ms"))
+    with pytest.raises(
+        ValueError, match=r"2.3 ms late by its lag and 2.0 ms by its dead time, decays at no K_p"
+    ):
+        require_decay(of("2 ms"))
 
 
 @dataclass
@@ -298,3 +301,21 @@ def test_a_bench_that_follows_its_reference_is_not_displaced(case: str) -> None:
         follow(loop, memory, x, current, rate)
     typical = np.median(np.array(sizes)[300:], axis=0)
     assert typical[LOOP:].max() < 2.0 * typical[:LOOP].max() and typical[LOOP:].max() < 0.1, typical
+
+
+def test_a_hydraulic_force_behind_a_slow_cell_is_taken_without_its_lag() -> None:
+    """The same displacement as with a fast cell, which the law does not read."""
+    slow: Entry = {"id": "sensor_lag", "sensor": "hydraulic_force", "parameters": {"bandwidth": 60.0, "damping": 0.7}}
+    found = []
+    for effects in ((LAG, LEAK), (LAG, LEAK, slow)):
+        bench = having(*effects)
+        loop, v = loop_of(bench, Bench.nominal()), np.empty(LOOP)
+        seen, memory = run(bench, 60.0, samples=550), memories(loop)[0]
+        for k, x in enumerate(seen.x):
+            _, current, reference, rate, _ = seen.law[k]
+            settle(loop, memory, x, current, rate)
+            displace(loop, memory, x, reference, rate, v)
+            follow(loop, memory, x, current, rate)
+        found.append((v.copy(), x[0]))
+    np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-3)
+    assert abs(found[0][1] - found[1][1]) > 1.0

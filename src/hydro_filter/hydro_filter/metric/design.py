@@ -51,6 +51,10 @@ class MetricDesign:
     """Smallest eigenvalue of M, over its largest entry."""
 
 
+ANY_GAIN = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
+"""K_p [1/s] of `require_decay`."""
+
+
 class Table(NamedTuple):
     """Design as arrays for `network.MetricParts`."""
 
@@ -85,6 +89,20 @@ def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> Float
         raise ValueError("a metric is wanted of a loop that does not decay: the certified range of K_p is too wide")
     sped = closed / slowest**own_decay
     return np.asarray(solve_discrete_lyapunov(sped.T, np.diag(weights)))
+
+
+def require_decay(loop: Loop) -> None:
+    """Raise ValueError if the loop at rest decays at no gain: no metric of it exists, whatever its rollouts do."""
+    if any(float(np.abs(np.linalg.eigvals(_closed(loop, gain))).max()) < 1.0 for gain in ANY_GAIN):
+        return
+    late = ""
+    if isinstance(loop, BenchLoop):
+        valve, dead = 1e3 * loop.model.spool_age, 1e3 * loop.model.delay
+        late = f", whose valve is {valve:.1f} ms late by its lag and {dead:.1f} ms by its dead time,"
+    raise ValueError(
+        f"no gain has a certificate: the loop of this bench{late} decays at no K_p from {ANY_GAIN[0]:g} to "
+        f"{ANY_GAIN[-1]:g} 1/s"
+    )
 
 
 def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:

@@ -59,8 +59,12 @@ DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", 
 OVERLAP = "valve_deadband"
 """Of these, the one within which no current moves anything: B = 0."""
 
-ONE_LAG = {"the valve": "valve_lag", "the load cell": "sensor_lag sensor=load_force"} | {
-    f"the pressure sensor of {chamber}": f"sensor_lag sensor=pressure_{chamber}" for chamber in "ab"
+ONE_LAG = {
+    "the valve": "valve_lag",
+    "the load cell": "sensor_lag sensor=load_force",
+    "the load cell of f_h": "sensor_lag sensor=hydraulic_force",
+    "the pressure sensor of a": "sensor_lag sensor=pressure_a",
+    "the pressure sensor of b": "sensor_lag sensor=pressure_b",
 }
 """Labels of effects of which a bench has one at most."""
 

@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from hydro_bridge.cli.console import progress
 from hydro_bridge.settings import check
-from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, rest_loop
+from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, require_decay, rest_loop
 from hydro_filter.metric.learned import LearnedMetric, Thresholds
 from hydro_filter.model.bench_loop import without_overlap
 from hydro_filter.model.loop import Loop, driven_coordinate, loop_of
@@ -83,6 +83,7 @@ def learn(options: argparse.Namespace) -> None:
     require_match(options.model, BoxIdentity.of_file(options.bench), remedy)
     made = MadeFor(box=bench.digest, model=digest(path))  # either form of the integral: decision 31
     loop = loop_of(model, bench)
+    require_decay(loop)
     plant, clean = make_plant(options.model), make_plant(options.model, noise=0.0)
     free = free_plant(model)
     if free is not None:
