@@ -126,7 +126,7 @@ def test_the_filters_loop_decays_and_follows_its_hidden_states(label: str) -> No
 
     At the lowest gain that a filter certifies: a box that believes in a piston 5 % too large feeds back too much
     velocity, and without friction its loop does not decay from some 16 1/s on, in this linearization and in simulation.
-    A dead time has a valve without a lag: beside one of 110 Hz no gain decays from 1.3 ms on, in simulation either.
+    A dead time has a valve without a lag: beside one of 110 Hz no gain decays from 1.3 ms on.
     """
     lag = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
     bench = having(label)
