@@ -123,9 +123,7 @@ def test_with_two_milliseconds_and_this_valve_no_gain_decays() -> None:
     """The whole bench does not, either: no metric of it exists."""
     assert min(np.abs(np.linalg.eigvals(whole_loop(having(*CASES["2 ms"]), gain))).max() for gain in (1, 10, 90)) > 1.02
     require_decay(of("1 ms"))
-    with pytest.raises(
-        ValueError, match=r"2.3 ms late by its lag and 2.0 ms by its dead time, decays at no K_p"
-    ):
+    with pytest.raises(ValueError, match=r"2.3 ms late by its lag and 2.0 ms by its dead time, decays at no K_p"):
         require_decay(of("2 ms"))
 
 

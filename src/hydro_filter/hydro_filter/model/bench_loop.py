@@ -17,9 +17,7 @@ hidden states (bristles, a drooping supply) are held fixed in derivatives by x.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -31,10 +29,10 @@ from hydro_filter.model.added_coordinates import (
     pressure_observer,
 )
 from hydro_filter.model.bench_parts import BenchLoop, BenchParts, BenchStep
+from hydro_filter.model.bench_refusals import refuse
 from hydro_filter.model.bench_terms import (
     cell_dynamics,
     cell_states,
-    follows_velocity,
     hidden_state_numbers,
     load_curve,
     null_shifts,
@@ -50,7 +48,6 @@ from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
 from hydro_sim.model.effects import catalogue
-from hydro_sim.model.grammar import remembers
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
@@ -58,15 +55,6 @@ DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", 
 
 OVERLAP = "valve_deadband"
 """Of these, the one within which no current moves anything: B = 0."""
-
-ONE_LAG = {
-    "the valve": "valve_lag",
-    "the load cell": "sensor_lag sensor=load_force",
-    "the load cell of f_h": "sensor_lag sensor=hydraulic_force",
-    "the pressure sensor of a": "sensor_lag sensor=pressure_a",
-    "the pressure sensor of b": "sensor_lag sensor=pressure_b",
-}
-"""Labels of effects of which a bench has one at most."""
 
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
@@ -80,7 +68,7 @@ def bench_loop(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> B
     ValueError
         The certificate's coordinates cannot represent this bench; the message is one sentence.
     """
-    _refuse(truth)
+    refuse(truth)
     floor, scale = float((box or BoxConfig()).constants(believed)["gain_floor"][0]), loop_scale(believed)
     model, added = parts(truth, scale)
     return BenchLoop(model, believed.constants(), floor, believed.valve_current_max, np.append(scale, added))
@@ -184,23 +172,3 @@ def effects_to_compile(truth: Bench) -> str:
     if all(is_compiled(structure_of(bench, SUBSTEPS), part) for bench, part in parts_needed):
         return ""
     return ", ".join(map(catalogue.label, truth.terms)) or "no effects"
-
-
-def _refuse(truth: Bench) -> None:
-    static = [one for one in truth.closures if not remembers(one)]
-    loads: list[Mapping[str, Any]] = [{"id": "closure", **one} for one in static if one["equation"] == "load"]
-    refused: dict[str, list[Mapping[str, Any]]] = {
-        "what closures remember": [one for one in truth.closures if remembers(one)],
-        "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
-        "a load that follows the velocity": [one for one in loads if follows_velocity(truth, one)],
-    }
-    for what, closures in refused.items():
-        if closures:
-            forms = ", ".join(str(one["form"]) for one in closures)
-            raise ValueError(
-                f"the filter's certificate has no place for {what}: take {forms} out of the bench file, where it is "
-                "small"
-            )
-    for what, label in ONE_LAG.items():
-        if sum(catalogue.label(effect).startswith(label) for effect in truth.effects) > 1:
-            raise ValueError(f"the filter's certificate has a place for one lag of {what}, the bench file has more")
