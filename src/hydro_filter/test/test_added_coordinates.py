@@ -12,6 +12,7 @@ import pytest
 
 from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.certificate.sampled import quadratic
+from hydro_filter.controller import innovations
 from hydro_filter.controller.loop_filter import loop_parts
 from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
 from hydro_filter.metric.learned import LearnedMetric
@@ -136,10 +137,12 @@ class Run:
     law: FloatArray
 
 
-def run(bench: Bench, gain: float, *, pulse: float = 0.0, noise: float = 0.0, samples: int = 700) -> Run:
-    """100 N at 1 Hz; a pulse of current [A] at sample 500."""
+def run(
+    bench: Bench, gain: float, *, pulse: float = 0.0, noise: float = 0.0, samples: int = 700, amplitude: float = 100.0
+) -> Run:
+    """`amplitude` [N] at 1 Hz; a pulse of current [A] at sample 500."""
     box, plant = Box(Bench.nominal()), AnalyticPlant(bench, noise=noise)
-    reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=100.0, frequency=1.0)
+    reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=1.0)
     box.receive(Command(), 0.0)
     x = plant.reset(0)
     xs, ys, laws = [], [], []
@@ -235,6 +238,22 @@ def test_the_pressure_behind_a_slow_sensor_is_estimated(bandwidth: float) -> Non
         late = slice(100, None)
         ours, theirs = ((one - seen.y[:, :2])[late].std() for one in (found, seen.x[:, 4:6]))
         assert ours < share * theirs, (noise, ours, theirs)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.6])
+def test_the_monitor_tells_a_chamber_behind_a_slow_sensor_that_is_not_the_files(ratio: float) -> None:
+    """A valve that gives 40 % less; the pressures that are estimated are then wrong, and f_h tells it."""
+    sensors = (slow_sensor("a", 80.0), slow_sensor("b", 80.0))
+    model, gain = having(LAG, LEAK, *sensors), {"id": "valve_gain", "parameters": {"ratio": ratio}}
+    seen = run(having(LAG, LEAK, gain, *sensors), 60.0, noise=1.0, samples=2000, amplitude=250.0)
+    loop = loop_of(model, Bench.nominal())
+    memory, monitor = memories(loop), innovations.monitor_of(loop)
+    for x, (_, current, _, rate, _) in zip(seen.x, seen.law, strict=True):
+        innovations.update(loop.model, 1.0, monitor[0], x, memory[0]["hidden"])
+        settle(loop, memory[0], x, current, rate)
+        follow(loop, memory[0], x, current, rate)
+    told = innovations.sentence(monitor[0])
+    assert (told != "") == (ratio < 1.0), told
 
 
 def test_eight_coordinates_among_more_are_the_same_bit_for_bit() -> None:

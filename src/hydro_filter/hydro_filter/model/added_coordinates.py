@@ -127,7 +127,10 @@ def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64]) -> Floa
     k, rest, _ = model.begin(model.values)
     slopes = model.jacobian(k, rest, 0.0)[1]
     numbers = [number for signal, rate, pressure in lagging for number in (pressure, signal, rate)]
-    moves, noise = slopes[np.ix_(numbers, numbers)], float(Sensors().constants()[0]["pressure_noise"])
+    by_position = slopes[numbers, VELOCITY_STATE] / slopes[POSITION_STATE, VELOCITY_STATE]
+    # a wrong pressure moves the position, too, and is corrected as if by a velocity
+    moves = slopes[np.ix_(numbers, numbers)] - np.outer(by_position, slopes[POSITION_STATE, numbers])
+    noise = float(Sensors().constants()[0]["pressure_noise"])
     into = slopes[np.ix_(numbers, [pressure for _, _, pressure in lagging])]
     # units of 1 Pa and, of rates, 1 Pa a sample
     units = np.tile([1.0, 1.0, 1.0 / SAMPLE_PERIOD], count)
@@ -137,5 +140,4 @@ def pressure_observer(model: BenchModel, lagging: npt.NDArray[np.int64]) -> Floa
     spread = UNCERTAINTY**2 * into @ into.T + 1e-6 * noise**2 * np.eye(3 * count)
     known = np.asarray(solve_discrete_are(moves.T, shown.T, spread, noise**2 * np.eye(count)))
     gains = known @ shown.T @ np.linalg.inv(shown @ known @ shown.T + noise**2 * np.eye(count))
-    by_position = slopes[numbers, VELOCITY_STATE] / slopes[POSITION_STATE, VELOCITY_STATE]
     return np.vstack(((units[:, None] * gains).T, by_position))
