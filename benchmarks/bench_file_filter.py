@@ -38,6 +38,30 @@ DEADBAND = {"id": "valve_deadband", "parameters": {"half_width": 5e-4}}
 GAIN = {"id": "valve_gain", "parameters": {"ratio": 0.75}}
 
 Case = tuple[Mapping[str, Any], Mapping[str, float], tuple[Mapping[str, Any], ...]]
+
+CELL = {"sensor": "load_force", "bandwidth": 25.0, "damping": 0.55}
+"""The truth's load cell, which a list of lags takes the place of."""
+
+
+def _delayed(seconds: float) -> Case:
+    """A dead time."""
+    return (
+        {"effects": {"transport_delay": {"time": seconds}}},
+        {},
+        ({"id": "transport_delay", "parameters": {"time": seconds}},),
+    )
+
+
+def _slow_pressures(bandwidth: float) -> Case:
+    """Lagging sensors of both pressures."""
+    sensors, numbers = ("pressure_a", "pressure_b"), {"bandwidth": bandwidth, "damping": 0.7}
+    return (
+        {"effects": {"sensor_lag": [CELL, *({"sensor": one, **numbers} for one in sensors)]}},
+        {},
+        tuple({"id": "sensor_lag", "sensor": one, "parameters": numbers} for one in sensors),
+    )
+
+
 CASES: Mapping[str, Case] = {
     "as learned": ({}, {}, ()),
     **{
@@ -49,6 +73,8 @@ CASES: Mapping[str, Case] = {
         for p in (10.0, 13.0)
     },
     "valve gain -25 %": ({"effects": {"valve_gain": {"ratio": 0.75}}}, {}, (GAIN,)),
+    **{f"dead time {1e3 * t:g} ms": _delayed(t) for t in (1e-3, 2e-3)},
+    **{f"pressure sensors {f:g} Hz": _slow_pressures(f) for f in (200.0, 80.0)},
     "deadband 0.5 mA": ({"effects": {"valve_deadband": {"half_width": 5e-4}}}, {}, (DEADBAND,)),
 }
 """Of each bench: the truth's change, and the bench file's numbers and further effects."""

@@ -134,11 +134,6 @@ def test_the_filter_on_a_bench_file_as_set_up_compiles_it_compiles_nothing(tmp_p
     assert read_compilations(tmp_path / "log") == [] and done.stderr == ""
 
 
-def test_a_dead_time_is_refused_in_a_sentence(bench: Bench) -> None:
-    with pytest.raises(ValueError, match="no place for a dead time"):
-        loop_of(of(LAG, {"id": "transport_delay", "parameters": {"time": 2e-3}}), bench)
-
-
 def test_a_model_is_read_by_the_kind_of_its_file(tmp_path: Path) -> None:
     file = tmp_path / "corrected.yaml"
     entries = Bench.nominal().to_mapping() | {"spring_stiffness": 3e4}

@@ -76,7 +76,7 @@ def windows(rollouts: list[Rollout], loop: LoopModel) -> Windows:
 def asked(windows: Windows, loop: LoopModel, bench: Bench) -> tuple[LearnedMetric, Samples]:
     design = MetricDesign()
     metric = LearnedMetric.designed(loop, bench, design)
-    return metric, certificate_queries(windows, metric, *correction(loop, design), TrainingSettings().loss)
+    return metric, certificate_queries(windows, metric, correction(loop, design), TrainingSettings().loss)
 
 
 def twins(growth: float) -> tuple[StateArray, StateArray]:

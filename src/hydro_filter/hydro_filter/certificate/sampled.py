@@ -29,26 +29,33 @@ def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
 
     `known`, `asked` [A]: u_k - u_nom,k + w, and w. Writes v_1 and v_2 (du = 0).
     """
+    if len(v) == LOOP:  # a count that the compiler knows
+        return _quadratic(LOOP, step, value, v, known, asked, contraction_rate, next_v, after_v)
+    return _quadratic(len(v), step, value, v, known, asked, contraction_rate, next_v, after_v)
+
+
+@njit(cache=True, inline="always")
+def _quadratic(count, step, value, v, known, asked, contraction_rate, next_v, after_v):
     feedback = known
-    for i in range(LOOP):
+    for i in range(count):
         feedback += step.feedback[i] * v[i]
-    for i in range(LOOP):
+    for i in range(count):
         total = step.push[i] * feedback
-        for j in range(LOOP):
+        for j in range(count):
             total += step.transition[i, j] * v[j]
         next_v[i] = total
     feedback = asked
-    for i in range(LOOP):
+    for i in range(count):
         feedback += step.feedback[i] * next_v[i]
-    for i in range(LOOP):
+    for i in range(count):
         total = step.push[i] * feedback
-        for j in range(LOOP):
+        for j in range(count):
             total += step.transition[i, j] * next_v[j]
         after_v[i] = total
     size, level, slope, bent = 0.0, 0.0, 0.0, 0.0
-    for i in range(LOOP):
+    for i in range(count):
         now, then, moved = 0.0, 0.0, 0.0
-        for j in range(LOOP):
+        for j in range(count):
             weight = value.matrix[i, j]
             later = weight + SAMPLE_PERIOD * value.rate[i, j]
             now += weight * next_v[j]

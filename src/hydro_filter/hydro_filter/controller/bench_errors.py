@@ -2,7 +2,8 @@
 """Equation errors of a bench file's model: the five of `innovations`, from the model's own rates.
 
 The predicted load is the simulated state of its amplifier, driven by the measured positions. Static friction may have
-any force up to its level: below `bench_displacement.CREEP` the best-fitting one is used.
+any force up to its level: below `bench_displacement.CREEP` the best-fitting one is used. Behind a lagging sensor, a
+chamber's error is what the observer corrects of its pressure in a sample.
 """
 
 from __future__ import annotations
@@ -58,11 +59,13 @@ def errors(model, m, x, error, size):
         held_rates(p, state, 0.0, False, slopes)
         free = p.mass * (bend - slopes[3])
         error[1] = free - min(max(free, -level), level)
-    pushed = p.gain[0] * p.area * (y[0] - p.ratio * y[1])
+    pushed = p.gain[0] * (p.area * (y[0] - p.ratio * y[1]) if p.force_shown == NONE else m.hidden[p.force_shown])
     error[0] = readings[F_L] - p.gain[1] * m.cell - p.bias[1]
     error[2] = readings[F_H] - pushed - p.bias[0]
     error[3] = 0.5 * (x[PRESSURE_A] - m.last[P_A]) / p.gain[2] - SAMPLE_PERIOD * rate_a
     error[4] = 0.5 * (x[PRESSURE_B] - m.last[P_B]) / p.gain[3] - SAMPLE_PERIOD * rate_b
+    for i in range(len(p.lagging)):
+        error[3 + p.lagging[i, 2]] = y[p.lagging[i, 2]] - m.hidden[p.lagging[i, 2]]
     size[0] = abs(p.gain[1] * m.cell)
     size[1] = abs(p.area * (y[0] - p.ratio * y[1]))
     size[2] = abs(pushed)

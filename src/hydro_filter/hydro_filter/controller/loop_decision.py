@@ -28,7 +28,6 @@ from hydro_filter.metric import network
 from hydro_filter.metric.network import MetricParts, MetricValue, metric_value
 from hydro_filter.model import displacement, overlap
 from hydro_filter.model.loop import Loop, Step, displace, follow, linearize, settle, step_of
-from hydro_filter.model.loop_model import LOOP
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.model.hydraulics import input_gain, velocity_term
@@ -94,7 +93,8 @@ class Problem(NamedTuple):
 
 def workspace(parts: LoopParts) -> Workspace:
     """Allocate a workspace."""
-    return Workspace(step_of(parts.loop), metric_value(parts.metric), np.zeros(LOOP), np.zeros(LOOP), np.zeros(LOOP))
+    displacements = (np.zeros(len(parts.loop.scale)) for _ in range(3))
+    return Workspace(step_of(parts.loop), metric_value(parts.metric), *displacements)
 
 
 @njit(cache=True, inline="always")

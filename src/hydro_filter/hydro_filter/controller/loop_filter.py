@@ -32,7 +32,7 @@ from hydro_filter.controller.loop_decision import LoopParts, Problem
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model import displacement
 from hydro_filter.model.bench_loop import overlap_of
-from hydro_filter.model.loop import loop_of, memories
+from hydro_filter.model.loop import coordinates_of, loop_of, memories
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.sample import Sample
 from hydro_sim.learned.model import Learned
@@ -161,10 +161,21 @@ class LoopFilter:
 def loop_parts(
     metric: LearnedMetric, model: StructuredModel | Bench, bench: Bench, settings: LoopFilterSettings | None = None
 ) -> LoopParts:
-    """Return the inputs of `decide` for a metric, its training model, and the bench that the box is configured for."""
-    chosen, levels = settings or LoopFilterSettings(), metric.thresholds
+    """Return the inputs of `decide` for a metric, its training model, and the bench that the box is configured for.
+
+    Raises
+    ------
+    ValueError
+        The metric's coordinates are not those of the model's loop, or as `bench_loop`.
+    """
+    chosen, levels, loop = settings or LoopFilterSettings(), metric.thresholds, loop_of(model, bench)
+    if metric.coordinates != (needed := coordinates_of(loop)):
+        raise ValueError(
+            f"the metric is of the coordinates {', '.join(metric.coordinates)}, this model's loop has "
+            f"{', '.join(needed)}: make one with `ros2 run hydro_filter learn_metric --model`"
+        )
     return LoopParts(
-        loop=loop_of(model, bench),
+        loop=loop,
         metric=metric.parts,
         rate=chosen.contraction_rate,
         foreign_rate=chosen.foreign_rate,

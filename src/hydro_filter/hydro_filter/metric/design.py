@@ -18,7 +18,6 @@ from scipy.linalg import cholesky, solve_discrete_are, solve_discrete_lyapunov
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import FloatArray
-from hydro_filter.metric.network import ENTRIES
 from hydro_filter.model.bench_loop import rest_measurement
 from hydro_filter.model.bench_parts import BenchLoop
 from hydro_filter.model.loop import Loop, closing_current, linearize, memories, settle, step_of
@@ -44,10 +43,16 @@ class MetricDesign:
         1e-2, 1e-2, 1e-2, 1.0, 1e-2, 1.0, 1e-2, 1e-2,
     )  # fmt: skip
     """Of the loop coordinates' squares in the Riccati equation, each above 0; the Lyapunov equations have ones."""
+    added_weight: Annotated[float, quantity("-", 1e-9, 1e9)] = 1e-2
+    """The same of coordinates that a bench file adds."""
     effort: Annotated[float, quantity("-", 1e-4, 100.0)] = 1e-2
     """Weight of the correction's square in it, in units of 0.14 of the valve's current."""
     floor: Annotated[float, quantity("-", 1e-9, 1e-2)] = 1e-6
     """Smallest eigenvalue of M, over its largest entry."""
+
+
+ANY_GAIN = (1.0, 2.0, 5.0, *(10.0 * place for place in range(1, 21)))
+"""K_p [1/s] of `require_decay`."""
 
 
 class Table(NamedTuple):
@@ -72,7 +77,7 @@ def rest_loop(loop: Loop, proportional_gain: float) -> tuple[FloatArray, FloatAr
 
 
 def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> FloatArray:
-    """Return the Lyapunov solution P of a closed loop, shape (8, 8), for a share of its own decay rate.
+    """Return the Lyapunov solution P of a closed loop for a share of its own decay rate.
 
     Raises
     ------
@@ -84,6 +89,20 @@ def lyapunov(closed: FloatArray, weights: FloatArray, own_decay: float) -> Float
         raise ValueError("a metric is wanted of a loop that does not decay: the certified range of K_p is too wide")
     sped = closed / slowest**own_decay
     return np.asarray(solve_discrete_lyapunov(sped.T, np.diag(weights)))
+
+
+def require_decay(loop: Loop) -> None:
+    """Raise ValueError if the loop at rest decays at no gain: no metric of it exists, whatever its rollouts do."""
+    if any(float(np.abs(np.linalg.eigvals(_closed(loop, gain))).max()) < 1.0 for gain in ANY_GAIN):
+        return
+    late = ""
+    if isinstance(loop, BenchLoop):
+        valve, dead = 1e3 * loop.model.spool_age, 1e3 * loop.model.delay
+        late = f", whose valve is {valve:.1f} ms late by its lag and {dead:.1f} ms by its dead time,"
+    raise ValueError(
+        f"no gain has a certificate: the loop of this bench{late} decays at no K_p from {ANY_GAIN[0]:g} to "
+        f"{ANY_GAIN[-1]:g} 1/s"
+    )
 
 
 def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
@@ -106,7 +125,7 @@ def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     if gain == low:
         raise ValueError(
             f"the loop does not decay at K_p = {low:g} 1/s, the lower end of the certified range: the bench file "
-            "is not of this box, or its valve is too slow for it"
+            "is not of this box, or its valve's lag and dead time are too long for it"
         )
     if not share * gain > low:
         raise ValueError(
@@ -117,7 +136,7 @@ def decaying_range(loop: Loop, design: MetricDesign) -> MetricDesign:
 
 
 def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: float) -> tuple[FloatArray, FloatArray]:
-    """Return P, shape (8, 8), and the feedback [per unit of `push`], shape (8,), of the best correction."""
+    """Return P and the feedback [per unit of `push`] of the best correction."""
     column = push[:, np.newaxis]
     weight = np.asarray(solve_discrete_are(free, column, np.diag(weights), np.array([[effort]])))
     feedback = -(push @ weight @ free) / (effort + push @ weight @ push)
@@ -127,18 +146,22 @@ def riccati(free: FloatArray, push: FloatArray, weights: FloatArray, effort: flo
 def design_table(loop: Loop, design: MetricDesign) -> Table:
     """Solve all metrics of a design, each scaled to 1 along the load force (raises as `lyapunov`)."""
     gains = _gains(design)
-    rows = [lyapunov(_closed(loop, gain), np.ones(LOOP), design.own_decay) for gain in gains]
+    rows = [lyapunov(_closed(loop, gain), np.ones(len(loop.scale)), design.own_decay) for gain in gains]
     free, push, _ = rest_loop(loop, float(gains[0]))
     unit = 0.14 * loop.current_max
-    rows.append(riccati(free, unit * push, np.array(design.foreign_weights), design.effort)[0])
+    rows.append(riccati(free, unit * push, _foreign_weights(loop, design), design.effort)[0])
     return Table(gains, np.array([factor_entries(row / row[3, 3]) for row in rows]), design.floor)
 
 
 def correcting_feedback(loop: Loop, design: MetricDesign) -> FloatArray:
-    """Return K [A] of the best correction about the bench at rest, shape (8,)."""
+    """Return K [A] of the best correction about the bench at rest, of each coordinate."""
     free, push, _ = rest_loop(loop, design.gain_low)
     unit = 0.14 * loop.current_max
-    return unit * riccati(free, unit * push, np.array(design.foreign_weights), design.effort)[1]
+    return unit * riccati(free, unit * push, _foreign_weights(loop, design), design.effort)[1]
+
+
+def _foreign_weights(loop: Loop, design: MetricDesign) -> FloatArray:
+    return np.array([*design.foreign_weights, *[design.added_weight] * (len(loop.scale) - LOOP)])
 
 
 def _gains(design: MetricDesign) -> FloatArray:
@@ -154,8 +177,5 @@ def _closed(loop: Loop, proportional_gain: float) -> FloatArray:
 
 
 def factor_entries(weight: FloatArray) -> FloatArray:
-    """Return the lower Cholesky factor of a metric, row by row, shape (36,)."""
-    lower = cholesky(weight, lower=True)
-    entries = lower[np.tril_indices(LOOP)]
-    assert entries.shape == (ENTRIES,)
-    return np.asarray(entries)
+    """Return the lower Cholesky factor of a metric, row by row: of 8 coordinates, shape (36,)."""
+    return np.asarray(cholesky(weight, lower=True)[np.tril_indices(len(weight))])

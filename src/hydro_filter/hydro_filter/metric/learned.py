@@ -20,8 +20,8 @@ from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric import network
 from hydro_filter.metric.design import MetricDesign, design_table
-from hydro_filter.metric.network import ENTRIES, HIDDEN, INPUTS, MetricParts, metric_value
-from hydro_filter.model.loop import Loop
+from hydro_filter.metric.network import HIDDEN, INPUTS, MetricParts, metric_value, width_of
+from hydro_filter.model.loop import Loop, coordinates_of
 from hydro_filter.model.loop_model import LOOP_FIELDS
 from hydro_filter.model.state import STATES, state_scale
 from hydro_sim.files import weights
@@ -67,9 +67,11 @@ class LearnedMetric:
     gains: FloatArray
     """K_p [1/s] of the table."""
     table: FloatArray
-    """Cholesky factors, shape (n + 1, 36)."""
+    """Cholesky factors, shape (n + 1, 36) for eight coordinates."""
     floor: float
     thresholds: Thresholds = Thresholds()
+    coordinates: tuple[str, ...] = LOOP_FIELDS
+    """Names of the loop's coordinates."""
     training: dict[str, Any] = field(default_factory=dict)
     """Command, settings, losses reached, digest of the model that it was trained on."""
     made: MadeFor | None = None
@@ -83,11 +85,11 @@ class LearnedMetric:
         solved = design_table(loop, design)
         center = np.zeros(STATES)
         center[4:7] = rest_state(bench.constants()[0])[:3]
-        flat = mlp.initial(np.random.default_rng(seed), INPUTS, hidden, ENTRIES, last=0.0)
+        flat = mlp.initial(np.random.default_rng(seed), INPUTS, hidden, solved.table.shape[1], last=0.0)
         return cls(
             flat=flat, hidden=hidden, center=center, scale=state_scale(bench),
             low=np.full(STATES, -np.inf), high=np.full(STATES, np.inf),
-            gains=solved.gains, table=solved.table, floor=solved.floor,
+            gains=solved.gains, table=solved.table, floor=solved.floor, coordinates=coordinates_of(loop),
         )  # fmt: skip
 
     def unfit(self, name: str) -> str:
@@ -108,12 +110,12 @@ class LearnedMetric:
     @property
     def parts(self) -> MetricParts:
         """Arrays for the kernels."""
-        layers = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)
+        layers = mlp.layers(self.flat, INPUTS, self.hidden, self.table.shape[1])
         ends = self.low, self.high
         return MetricParts(layers, self.center, self.scale, *ends, self.gains, self.table, self.floor)
 
     def matrix(self, x: FloatArray, gain: float) -> FloatArray:
-        """Return M, shape (8, 8), at x (8,) [SI units] and K_p [1/s]."""
+        """Return M, of all coordinates, at x (8,) [SI units] and K_p [1/s]."""
         return self.matrix_and_rate(x, np.zeros(STATES), gain)[0]
 
     def matrix_and_rate(self, x: FloatArray, state_rate: FloatArray, gain: float) -> tuple[FloatArray, FloatArray]:
@@ -128,11 +130,11 @@ class LearnedMetric:
 
     def save(self, path: str | Path) -> None:
         """Write a weights file."""
-        views = mlp.layers(self.flat, INPUTS, self.hidden, ENTRIES)._asdict()
+        views = mlp.layers(self.flat, INPUTS, self.hidden, self.table.shape[1])._asdict()
         arrays = {name: getattr(self, name) for name in ARRAYS}
         header = {
             "structure": STRUCTURE, "hidden": list(self.hidden), "activation": "relu", "floor": self.floor,
-            "coordinates": list(LOOP_FIELDS), "thresholds": asdict(self.thresholds), "training": self.training,
+            "coordinates": list(self.coordinates), "thresholds": asdict(self.thresholds), "training": self.training,
             "normalization": "(x - center) / scale, K_p / 100 or 0, foreign 0 or 1; out: Cholesky factor by rows",
         }  # fmt: skip
         weights.save(path, {**views, **arrays}, header, self.made)
@@ -149,21 +151,24 @@ class LearnedMetric:
         try:
             hidden = (int(header["hidden"][0]), int(header["hidden"][1]))
             flat = np.concatenate([np.asarray(tensors[name], np.float64).ravel() for name in mlp.Layers._fields])
-            mlp.layers(flat, INPUTS, hidden, ENTRIES)
             arrays = {name: np.asarray(tensors[name], np.float64) for name in ARRAYS}
-            _check(arrays, float(header["floor"]), Thresholds(**header["thresholds"]))
+            coordinates = tuple(str(name) for name in header.get("coordinates", LOOP_FIELDS))
+            entries = len(coordinates) * (len(coordinates) + 1) // 2
+            width_of(entries)
+            mlp.layers(flat, INPUTS, hidden, entries)
+            _check(arrays, entries, float(header["floor"]), Thresholds(**header["thresholds"]))
             return cls(
                 flat=flat, hidden=hidden, floor=float(header["floor"]), thresholds=Thresholds(**header["thresholds"]),
-                training=header.get("training", {}), made=made_for(header), **arrays,
+                coordinates=coordinates, training=header.get("training", {}), made=made_for(header), **arrays,
             )  # fmt: skip
         except (KeyError, ValueError, IndexError, TypeError) as error:
             raise WeightsError(f"{path} does not fit its header: {' '.join(str(error).split())}") from error
 
 
-def _check(arrays: Mapping[str, FloatArray], floor: float, thresholds: Thresholds) -> None:
+def _check(arrays: Mapping[str, FloatArray], entries: int, floor: float, thresholds: Thresholds) -> None:
     """Raise ValueError if these do not form a metric."""
     gains = arrays["gains"]
-    state, table = (STATES,), (len(gains) + 1, ENTRIES)
+    state, table = (STATES,), (len(gains) + 1, entries)
     check_shapes(arrays, {"center": state, "scale": state, "low": state, "high": state, "table": table})
     check(thresholds)
     if not (arrays["scale"] > 0.0).all():

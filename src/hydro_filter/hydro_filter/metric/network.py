@@ -19,6 +19,7 @@ metric, which is the starting point and baseline of training.
 
 from __future__ import annotations
 
+from math import isqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ from hydro_sim.neural import mlp
 
 INPUTS = STATES + 2
 ENTRIES = LOOP * (LOOP + 1) // 2
-"""Of a Cholesky factor, row by row."""
+"""Of a Cholesky factor, row by row, of the eight coordinates; a bench file may add some (`added_coordinates`)."""
 HIDDEN = (64, 64)
 """Table training_metric."""
 GAIN_UNIT = 100.0
@@ -42,7 +43,7 @@ class MetricParts(NamedTuple):
     """The metric as arrays for the kernels."""
 
     layers: mlp.Layers
-    """10 inputs, 36 outputs."""
+    """10 inputs, an output for each entry of the factor: 36 for eight coordinates."""
     center: FloatArray
     """Shape (8,), SI units."""
     scale: FloatArray
@@ -63,9 +64,9 @@ class MetricValue(NamedTuple):
     """M and M' at one state, and scratch; created by `metric_value`."""
 
     matrix: FloatArray
-    """M on loop coordinates in units of their scale, shape (8, 8)."""
+    """M on loop coordinates in units of their scale, shape (8, 8); more with added coordinates."""
     rate: FloatArray
-    """M' [1/s], shape (8, 8)."""
+    """M' [1/s], of the same shape."""
     inputs: FloatArray
     nudge: FloatArray
     first: FloatArray
@@ -76,10 +77,26 @@ class MetricValue(NamedTuple):
     factor_nudge: FloatArray
 
 
+def width_of(entries: int) -> int:
+    """Return the number of coordinates of a factor with so many entries.
+
+    Raises
+    ------
+    ValueError
+        No number of coordinates has so many.
+    """
+    width = (isqrt(8 * entries + 1) - 1) // 2
+    if width * (width + 1) != 2 * entries or width < LOOP:
+        raise ValueError(f"{entries} entries are no Cholesky factor of {LOOP} coordinates or more")
+    return width
+
+
 def metric_value(parts: MetricParts) -> MetricValue:
     """Allocate a `MetricValue`."""
     h1, h2 = parts.layers.b1.shape[0], parts.layers.b2.shape[0]
-    shapes = ((LOOP, LOOP), (LOOP, LOOP), INPUTS, INPUTS, h1, h1, h2, h2, ENTRIES, ENTRIES)
+    entries = parts.table.shape[1]
+    n = width_of(entries)
+    shapes = ((n, n), (n, n), INPUTS, INPUTS, h1, h1, h2, h2, entries, entries)
     return MetricValue(*(np.zeros(shape) for shape in shapes))
 
 
@@ -115,13 +132,13 @@ def _add_table(parts, gain, outside, factor):
     rows = len(parts.gains)
     if outside or rows == 1:
         row = parts.table[rows if outside else 0]
-        for i in range(ENTRIES):
+        for i in range(len(factor)):
             factor[i] += row[i]
         return
     place = (gain - parts.gains[0]) / (parts.gains[1] - parts.gains[0])
     low = min(int(place), rows - 2)
     share = place - low
-    for i in range(ENTRIES):
+    for i in range(len(factor)):
         factor[i] += (1.0 - share) * parts.table[low, i] + share * parts.table[low + 1, i]
 
 
@@ -148,7 +165,15 @@ def _relu(y, dy):
 @njit(cache=True)
 def _square(factor, nudge, floor, matrix, rate):
     """Compute M and M' from the factor's entries and their derivatives."""
-    for i in range(LOOP):
+    if len(matrix) == LOOP:  # a count that the compiler knows
+        _square_of(LOOP, factor, nudge, floor, matrix, rate)
+    else:
+        _square_of(len(matrix), factor, nudge, floor, matrix, rate)
+
+
+@njit(cache=True, inline="always")
+def _square_of(count, factor, nudge, floor, matrix, rate):
+    for i in range(count):
         for j in range(i + 1):
             total, turned = 0.0, 0.0
             for k in range(j + 1):

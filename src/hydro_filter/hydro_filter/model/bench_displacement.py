@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Displacement of a bench file's loop from its reference trajectory, compiled: see `displacement`.
 
-The spool's coordinate is the force rate that the open edges drive, overlap and all.
+The spool's coordinate is the force rate that the open edges drive, overlap and all. So is that of a current on its way;
+its reference is the spool's at the time at which it will have moved the spool. What a lagging sensor shows is displaced
+by its pressure's share of f_h, and by what it is behind that pressure beyond the lag of the reference.
 """
 
 from __future__ import annotations
@@ -11,6 +13,8 @@ import math
 import numpy as np
 from numba import njit
 
+from hydro_bridge.signals import SAMPLE_PERIOD
+from hydro_filter.model.bench_parts import NONE
 from hydro_filter.model.bench_states import held_rates, hydraulic_slopes, model_state
 from hydro_filter.model.displacement import second_derivative
 from hydro_filter.model.loop_model import (
@@ -52,14 +56,14 @@ def load_at(p, position):
 
 @njit(cache=True)
 def displace(loop, memory, x, reference, reference_rate, v):
-    """Write v, shape (8,), of a sample x, shape (8,), at f_r [N] and f_r' [N/s]: see `displacement`."""
+    """Write v, of each coordinate, of a sample x, shape (8,), at f_r [N] and f_r' [N/s]: see `displacement`."""
     p, n, bent = loop.model, len(loop.model.rest), second_derivative(memory, reference_rate)
     y, state, slopes = np.empty(n), np.empty(len(p.from_whole)), np.empty(p.slopes)
     opening = memory.hidden[n]
     model_state(p, memory.hidden, x, y, True)
     for i in range(len(state)):
         state[i] = y[p.from_whole[i]]
-    gain, loss, still, _, _ = hydraulic_slopes(p, state, opening)
+    gain, loss, still, soft_a, soft_b = hydraulic_slopes(p, state, opening)
     spring = (reference - p.bias[1] + p.lag * reference_rate + p.inertia * bent) / p.gain[1]
     spring_rate, spring_bend = (reference_rate + p.lag * bent) / p.gain[1], bent / p.gain[1]
     position, stiffness = position_at(p, spring)
@@ -70,15 +74,43 @@ def displace(loop, memory, x, reference, reference_rate, v):
     state[3] = velocity
     held_rates(p, state, 0.0, False, slopes)
     hydraulic = spring + p.mass * spring_bend / stiffness + pushing - p.mass * slopes[3] + dry
+    wanted, wanted_rate = spring_rate + loss * velocity - still, (1.0 + loss / stiffness) * spring_bend
     v[Q_HYDRAULIC] = x[HYDRAULIC_FORCE] - p.bias[0] - p.gain[0] * hydraulic
-    v[Q_SPOOL] = driven - (spring_rate + loss * velocity - still)
-    v[Q_SPOOL_RATE] = gain * memory.hidden[n + 1] - (1.0 + loss / stiffness) * spring_bend
+    if p.force_shown != NONE:
+        v[Q_HYDRAULIC] += p.gain[0] * (p.area * (y[0] - p.ratio * y[1]) - y[p.force_shown])
+    v[Q_SPOOL] = driven - wanted
+    v[Q_SPOOL_RATE] = gain * memory.hidden[n + 1] - wanted_rate
     v[Q_LOAD] = x[LOAD_FORCE] - reference
     v[Q_LOAD_RATE] = x[LOAD_FORCE_RATE] - reference_rate
     v[Q_POSITION] = y[2] - position
     v[Q_VELOCITY] = v[Q_BOX_VELOCITY] = y[3] - velocity
-    for i in range(LOOP):
+    if len(p.kept) > 0:
+        _displace_shown(p, y, v, soft_a, soft_b, spring_rate)
+        _displace_commands(p, memory, y, v, still - loss * y[3], wanted, wanted_rate, slopes)
+    for i in range(len(loop.scale)):
         v[i] /= loop.scale[i]
+
+
+@njit(cache=True)
+def _displace_shown(p, y, v, soft_a, soft_b, force_rate):
+    """What lagging pressure sensors show, and its rate; `force_rate`: f_h' [N/s] of the reference, of its spring."""
+    total = p.area * (soft_a + p.ratio * soft_b)
+    for i in range(len(p.lagging)):
+        signal, rate, chamber = p.lagging[i]
+        share = soft_a / total if chamber == 0 else -soft_b / total
+        behind = y[signal] - y[chamber] + p.sensor_ages[i] * share * force_rate
+        v[LOOP + 2 * i] = share * v[Q_HYDRAULIC] / p.gain[0] + behind
+        v[LOOP + 2 * i + 1] = y[rate] - share * force_rate
+
+
+@njit(cache=True)
+def _displace_commands(p, memory, y, v, closed, wanted, wanted_rate, slopes):
+    """Currents on their way; `closed`: f_h' [N/s] of the closed valve, `wanted`: the reference's, and its rate."""
+    first, begin = len(v) - p.on_their_way, len(y) - p.past
+    for i in range(p.on_their_way):
+        driven = held_rates(p, y, memory.hidden[begin + i] + p.before + p.after, True, slopes) - closed
+        ahead = p.delay - (i + 0.5) * SAMPLE_PERIOD + p.spool_age
+        v[first + i] = driven - wanted - ahead * wanted_rate
 
 
 @njit(cache=True)

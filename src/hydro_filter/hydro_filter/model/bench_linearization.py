@@ -60,13 +60,17 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
     _embed(p, scale, share_a, share_b, gain, step.embedded)
     step.moved[:] = 0.0
     for j in range(n + 1):
-        for c in range(LOOP):
+        for c in range(len(scale)):
             nudge = step.embedded[j, c]
             if nudge != 0.0:
                 for i in range(n):
                     step.moved[i, c] += step.by_state[i, j] * nudge
     _read(p, scale, gain, later, step)
-    law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, share_a, share_b, step)
+    felt_a, felt_b = p.direct[0] * share_a, p.direct[1] * share_b
+    law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, felt_a, felt_b, step)
+    for i in range(len(p.lagging)):  # the law reads what the sensor shows
+        chamber, column = p.lagging[i, 2], LOOP + 2 * i
+        step.feedback[column] = step.law[PRESSURE_A + chamber] * p.gain[2 + chamber] * scale[column]
 
 
 @njit(cache=True)
@@ -76,8 +80,13 @@ def _advance(p, step, opening, side, current):
     if p.loop_spool != NONE:
         if abs(opening) < CLOSED:
             step.after[p.loop_spool] = side * CLOSED - p.after
-    elif abs(current + p.before + p.after) < CLOSED:
-        current = side * CLOSED - p.before - p.after
+    else:
+        closed = side * CLOSED - p.before - p.after
+        for i in range(len(step.after) - p.past, len(step.after)):
+            if abs(step.after[i] + p.before + p.after) < CLOSED:
+                step.after[i] = closed
+        if abs(current + p.before + p.after) < CLOSED:
+            current = closed
     machine_code.jacobian(
         p.loop_jacobian_at, p.loop_k, step.after, current, step.reading, step.by_state, step.by_reading
     )
@@ -85,7 +94,7 @@ def _advance(p, step, opening, side, current):
 
 @njit(cache=True)
 def _embed(p, scale, share_a, share_b, gain, embedded):
-    """Tangents of the loop's states for the first seven coordinates, and of the current in the last column."""
+    """Tangents of the loop's states for the coordinates; of the current in the box's column, `INPUT`."""
     embedded[:] = 0.0
     embedded[0, Q_HYDRAULIC], embedded[1, Q_HYDRAULIC] = scale[Q_HYDRAULIC] * share_a, scale[Q_HYDRAULIC] * share_b
     if p.loop_spool != NONE:
@@ -96,6 +105,9 @@ def _embed(p, scale, share_a, share_b, gain, embedded):
         embedded[p.loop_cell, Q_LOAD] = scale[Q_LOAD] / p.gain[1]
         embedded[p.loop_cell_rate, Q_LOAD_RATE] = scale[Q_LOAD_RATE] / p.gain[1]
     embedded[2, Q_POSITION], embedded[3, Q_VELOCITY] = scale[Q_POSITION], scale[Q_VELOCITY]
+    for i in range(len(p.kept)):
+        unit = scale[LOOP + i]
+        embedded[p.kept[i], LOOP + i] = unit / gain if i >= len(p.kept) - p.on_their_way else unit
     embedded[len(embedded) - 1, INPUT] = 1.0
 
 
@@ -104,12 +116,13 @@ def _read(p, scale, gain, later, step):
     """F and G from the tangents a sample later; `gain`, `later`: g before and after the sample."""
     moved, embedded, F, n = step.moved, step.embedded, step.transition, len(step.before)
     area, memory = p.gain[0] * p.area / scale[Q_HYDRAULIC], p.memories[1]
-    for c in range(LOOP):
+    for c in range(len(scale)):
         F[Q_HYDRAULIC, c] = area * (moved[0, c] - p.ratio * moved[1, c])
         if p.loop_spool != NONE:
             spool, before = moved[p.loop_spool, c], embedded[p.loop_spool, c]
         else:
-            spool, before = embedded[n, c], scale[Q_SPOOL] / gain if c == Q_SPOOL else 0.0
+            spool = embedded[n, c] if p.past == 0 else moved[n - p.past + p.at_valve, c]
+            before = scale[Q_SPOOL] / gain if c == Q_SPOOL else 0.0
         turned = moved[p.loop_spool_rate, c] if p.loop_spool_rate != NONE else (spool - before) / SAMPLE_PERIOD
         F[Q_SPOOL, c], F[Q_SPOOL_RATE, c] = later / scale[Q_SPOOL] * spool, later / scale[Q_SPOOL_RATE] * turned
         F[Q_LOAD, c] = p.gain[1] / scale[Q_LOAD] * moved[p.loop_cell, c]
@@ -120,8 +133,11 @@ def _read(p, scale, gain, later, step):
         else:  # an ideal cell shows the load itself, and its rate
             stiffness = step.by_state[p.loop_cell, 2] / step.by_state[2, 2]
             F[Q_LOAD_RATE, c] = p.gain[1] / scale[Q_LOAD_RATE] * stiffness * moved[3, c]
+        for i in range(len(p.kept)):
+            unit = later if i >= len(p.kept) - p.on_their_way else 1.0
+            F[LOOP + i, c] = unit / scale[LOOP + i] * moved[p.kept[i], c]
         F[Q_BOX_VELOCITY, c] = (1.0 - memory) / SAMPLE_PERIOD * (moved[2, c] - embedded[2, c]) / scale[Q_BOX_VELOCITY]
-    for i in range(LOOP):
+    for i in range(len(scale)):
         step.push[i], F[i, INPUT] = F[i, INPUT], 0.0
     F[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = memory  # the differentiator's
 
@@ -134,6 +150,9 @@ def _state_rate(p, x, step):
     rate[HYDRAULIC_FORCE] = p.gain[0] * p.area * (change_a - p.ratio * change_b) / SAMPLE_PERIOD
     rate[LOAD_FORCE] = p.gain[1] * (after[p.loop_cell] - before[p.loop_cell]) / SAMPLE_PERIOD
     rate[PRESSURE_A], rate[PRESSURE_B] = p.gain[2] * change_a / SAMPLE_PERIOD, p.gain[3] * change_b / SAMPLE_PERIOD
+    for i in range(len(p.lagging)):
+        chamber, shown = p.lagging[i, 2], p.kept[2 * i]
+        rate[PRESSURE_A + chamber] = p.gain[2 + chamber] * (after[shown] - before[shown]) / SAMPLE_PERIOD
     rate[POSITION] = p.gain[4] * (after[2] - before[2]) / SAMPLE_PERIOD
     share, lighter = (1.0 - p.memories[0]) / SAMPLE_PERIOD, (1.0 - p.memories[1]) / SAMPLE_PERIOD
     rate[HYDRAULIC_FORCE_RATE] = share * (rate[HYDRAULIC_FORCE] - x[HYDRAULIC_FORCE_RATE])

@@ -10,32 +10,37 @@ Dry friction, overlap and gaps are bounded disturbances to the metric, as dry fr
 within them nothing moves, and a derivative there does not describe the loop. The certificate counts what of the current
 passes an overlap (`overlap`).
 
-The certificate has eight coordinates. Effects without a place among them are refused: dead times, a second lag of the
-valve, a second lag on the load's force. Other hidden states (bristles, a drooping supply) are held fixed in
-derivatives by x.
+The certificate has eight coordinates, and further ones for dead times and lagging pressure sensors
+(`added_coordinates`). Effects without a place among them are refused: a second lag of the valve or of one sensor. Other
+hidden states (bristles, a drooping supply) are held fixed in derivatives by x.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
 from hydro_bridge.signals import FloatArray
+from hydro_filter.model.added_coordinates import (
+    added_coordinates,
+    current_at_valve,
+    currents_on_their_way,
+    pressure_observer,
+)
 from hydro_filter.model.bench_parts import BenchLoop, BenchParts, BenchStep
+from hydro_filter.model.bench_refusals import refuse
 from hydro_filter.model.bench_terms import (
     cell_dynamics,
     cell_states,
-    follows_velocity,
     hidden_state_numbers,
     load_curve,
     null_shifts,
     sensor_scales,
     state_number,
+    valve_age,
 )
-from hydro_filter.model.loop_model import LOOP, least_gain, loop_scale
+from hydro_filter.model.loop_model import least_gain, loop_scale
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES
 from hydro_sim.box.box import BoxConfig
@@ -43,7 +48,6 @@ from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
 from hydro_sim.model.effects import catalogue
-from hydro_sim.model.grammar import remembers
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
@@ -55,8 +59,6 @@ OVERLAP = "valve_deadband"
 SUBSTEPS = 4
 """Integration steps per sample: 250 us, a 44th of a period of the 90 Hz mass-on-oil mode."""
 
-TEXTBOOK_PRESSURES = {"sensor_lag sensor=pressure_a": 0, "sensor_lag sensor=pressure_b": 1}
-
 
 def bench_loop(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> BenchLoop:
     """Return the loop of the bench file `truth` under a box configured for `believed`.
@@ -64,19 +66,20 @@ def bench_loop(truth: Bench, believed: Bench, box: BoxConfig | None = None) -> B
     Raises
     ------
     ValueError
-        The certificate's eight coordinates cannot represent this bench; the message is one sentence.
+        The certificate's coordinates cannot represent this bench; the message is one sentence.
     """
-    _refuse(truth)
-    floor = float((box or BoxConfig()).constants(believed)["gain_floor"][0])
-    return BenchLoop(parts(truth), believed.constants(), floor, believed.valve_current_max, loop_scale(believed))
+    refuse(truth)
+    floor, scale = float((box or BoxConfig()).constants(believed)["gain_floor"][0]), loop_scale(believed)
+    model, added = parts(truth, scale)
+    return BenchLoop(model, believed.constants(), floor, believed.valve_current_max, np.append(scale, added))
 
 
 def bench_step(loop: BenchLoop) -> BenchStep:
     """Allocate the workspace of one caller."""
-    whole, n = len(loop.model.rest), len(loop.model.from_whole)
+    whole, n, width = len(loop.model.rest), len(loop.model.from_whole), len(loop.scale)
     shapes = (
-        (LOOP, LOOP), LOOP, LOOP, STATES, STATES, whole, n, n, len(RAW_FIELDS),
-        (n, n + 1), (len(RAW_FIELDS), n + 1), (n + 1, LOOP), (n, LOOP),
+        (width, width), width, width, STATES, STATES, whole, n, n, len(RAW_FIELDS),
+        (n, n + 1), (len(RAW_FIELDS), n + 1), (n + 1, width), (n, width),
     )  # fmt: skip
     return BenchStep(*(np.zeros(shape) for shape in shapes))
 
@@ -90,8 +93,8 @@ def rest_measurement(model: BenchParts) -> FloatArray:
     return x
 
 
-def parts(truth: Bench) -> BenchParts:
-    """Compute the `BenchParts` of a bench file."""
+def parts(truth: Bench, scale: FloatArray) -> tuple[BenchParts, FloatArray]:
+    """Compute the `BenchParts` of a bench file, and the scales of its added coordinates; `scale`: of the eight."""
     loop_bench = without_disturbances(truth)
     whole, loop = BenchModel(truth, substeps=SUBSTEPS), BenchModel(loop_bench, substeps=SUBSTEPS)
     k, rest, _ = whole.begin(whole.values)
@@ -99,13 +102,13 @@ def parts(truth: Bench) -> BenchParts:
     places, loop_places = hidden_state_numbers(truth), hidden_state_numbers(loop_bench)
     numbers = truth.constants()[0]
     chosen = [effect for effect in truth.terms if effect["id"] not in DISTURBANCES]
-    from_whole = [*range(TEXTBOOK), *(places[name] for name in loop_places)]
+    past = whole.structure.past
+    from_whole = [*range(TEXTBOOK), *(places[name] for name in loop_places), *range(len(rest) - past, len(rest))]
     before, after = null_shifts(truth)
     lag, inertia = cell_dynamics(truth)
-    lagging = [
-        (place, TEXTBOOK_PRESSURES[label])
-        for (label, _, state), place in places.items() if label in TEXTBOOK_PRESSURES and state == "signal"
-    ]  # fmt: skip
+    added = added_coordinates(truth, places, loop_places, scale)
+    sensors = np.column_stack((added.kept[: 2 * len(added.lagging)].reshape(-1, 2), added.lagging[:, 2:]))
+    direct = np.array([float(chamber not in added.lagging[:, 2]) for chamber in range(2)])
     positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
     forces = load_curve(numbers, chosen, positions)
     if not (np.diff(forces) > 0.0).all():
@@ -118,7 +121,7 @@ def parts(truth: Bench) -> BenchParts:
     stiffness_a = hydraulics.stiffnesses(numbers, float(rest[2]))[0]
     least = least_gain(area, stiffness_a, float(numbers["valve_gain"]), float(numbers["supply_pressure"]))
     cell, loop_cell = cell_states(truth, places), cell_states(loop_bench, loop_places)
-    return BenchParts(
+    model = BenchParts(
         sample_at=whole.address, rates_at=whole.address_of("bench_rates"), k=k,
         loop_rates_at=loop.address_of("bench_rates"), loop_jacobian_at=loop.address_of("bench_jacobian"),
         loop_k=loop_k, from_whole=np.array(from_whole, np.int64), rest=rest,
@@ -126,12 +129,17 @@ def parts(truth: Bench) -> BenchParts:
         loop_spool=state_number(loop_places, "valve_lag", "spool"),
         loop_spool_rate=state_number(loop_places, "valve_lag", "rate"), before=before, after=after,
         cell=cell[0], cell_rate=cell[1], loop_cell=loop_cell[0], loop_cell_rate=loop_cell[1],
-        lagging=np.array(lagging, np.int64).reshape(-1, 2), lag=lag, inertia=inertia, gain=gain, bias=bias,
+        lagging=added.lagging, observer=pressure_observer(loop, sensors), sensor_ages=added.ages, direct=direct,
+        kept=added.kept, on_their_way=currents_on_their_way(truth), past=past, at_valve=current_at_valve(truth),
+        delay=catalogue.delay(truth.effects), spool_age=valve_age(truth),
+        force_shown=state_number(places, "sensor_lag sensor=hydraulic_force", "signal"),
+        lag=lag, inertia=inertia, gain=gain, bias=bias,
         area=area, ratio=ratio, mass=float(numbers["moving_mass"]), positions=positions, forces=forces,
         holds=dry and not bristles, least_gain=least, least_opening=0.1 * float(numbers["valve_current_max"]),
         memories=np.array([record["force_memory"], record["velocity_memory"]]),
         slopes=TEXTBOOK + max(len(rest), len(loop_rest)),
     )  # fmt: skip
+    return model, added.scale
 
 
 def without_disturbances(truth: Bench) -> Bench:
@@ -164,30 +172,3 @@ def effects_to_compile(truth: Bench) -> str:
     if all(is_compiled(structure_of(bench, SUBSTEPS), part) for bench, part in parts_needed):
         return ""
     return ", ".join(map(catalogue.label, truth.terms)) or "no effects"
-
-
-def _refuse(truth: Bench) -> None:
-    if catalogue.delay(truth.effects) > 0.0:
-        raise ValueError(
-            "the filter's certificate has no place for a dead time: take transport_delay out of the bench file, where "
-            "it is small beside the valve's lag"
-        )
-    static = [one for one in truth.closures if not remembers(one)]
-    loads: list[Mapping[str, Any]] = [{"id": "closure", **one} for one in static if one["equation"] == "load"]
-    refused: dict[str, list[Mapping[str, Any]]] = {
-        "what closures remember": [one for one in truth.closures if remembers(one)],
-        "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
-        "a load that follows the velocity": [one for one in loads if follows_velocity(truth, one)],
-    }
-    for what, closures in refused.items():
-        if closures:
-            forms = ", ".join(str(one["form"]) for one in closures)
-            raise ValueError(
-                f"the filter's certificate has no place for {what}: take {forms} out of the bench file, where it is "
-                "small"
-            )
-    lags = sum(effect["id"] == "valve_lag" for effect in truth.effects)
-    cells = sum(catalogue.label(effect) == "sensor_lag sensor=load_force" for effect in truth.effects)
-    if lags > 1 or cells > 1:
-        what = "the valve" if lags > 1 else "the load cell"
-        raise ValueError(f"the filter's certificate has a place for one lag of {what}, the bench file has more")

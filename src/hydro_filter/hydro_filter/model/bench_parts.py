@@ -53,7 +53,27 @@ class BenchParts(NamedTuple):
     loop_cell: int
     loop_cell_rate: int
     lagging: npt.NDArray[np.int64]
-    """Rows: a lagging pressure sensor's signal, the pressure."""
+    """Rows, one of each lagging pressure sensor: what it shows, its rate, the pressure (0 or 1); whole model."""
+    observer: FloatArray
+    """`added_coordinates.pressure_observer`."""
+    sensor_ages: FloatArray
+    """s, 2 d/w of each lagging pressure sensor."""
+    direct: FloatArray
+    """Shape (2,): 1 where a pressure's reading is the pressure, 0 where its sensor lags."""
+    kept: npt.NDArray[np.int64]
+    """Numbers in the loop's model of the coordinates beside the eight (`added_coordinates`)."""
+    on_their_way: int
+    """Of these, the last are this many currents."""
+    past: int
+    """Past currents at the end of either model's states."""
+    at_valve: int
+    """Of the past currents, the one that is at the valve as a sample ends."""
+    delay: float
+    """s, dead time."""
+    spool_age: float
+    """s, 2 d/w of the valve's lag, by which its spool is behind."""
+    force_shown: int
+    """What a lagging load cell of f_h shows; `NONE`: the force itself."""
     lag: float
     """s, s^2: of the load cell, 2 d/w and 1/w^2."""
     inertia: float
@@ -87,6 +107,7 @@ class BenchLoop(NamedTuple):
     gain_floor: float
     current_max: float
     scale: FloatArray
+    """Shape (n,): of the eight coordinates and of those added."""
 
 
 class BenchStep(NamedTuple):

@@ -4,9 +4,12 @@
     measured    p_a  p_b  x_p  x_p'  f_l  f_l'    from the readings
     simulated   all other states of the model     open loop, from the measured ones and the current that the valve got;
                                                   they forget their initial values as fast as their effects do
+    observed    p_a or p_b behind a lagging       by the model's step, corrected by the position and what its
+                sensor, and that sensor           sensor shows (`added_coordinates.pressure_observer`)
 
 The valve is read from the model's rates: g is the slope of f_h' from the closed valve to where the spool is. A valve
-without a lag has the last current for its spool.
+without a lag has the last current for its spool, or the one whose dead time ends. Currents within their dead time are
+states of the model, and known.
 """
 
 from __future__ import annotations
@@ -35,14 +38,18 @@ PROBE = 0.1
 
 @njit(cache=True)
 def model_state(p, hidden, x, y, cell):
-    """Write the full model's state y from simulated states and a measurement; `cell`: also f_l and its rate."""
+    """Write the full model's state y from simulated states and a measurement; `cell`: also f_l and its rate.
+
+    `y` may be `hidden`.
+    """
+    predicted = hidden[0], hidden[1], hidden[2]
     for i in range(len(y)):
         y[i] = hidden[i]
     y[0] = (x[PRESSURE_A] - p.bias[2]) / p.gain[2]
     y[1] = (x[PRESSURE_B] - p.bias[3]) / p.gain[3]
     y[2], y[3] = (x[POSITION] - p.bias[4]) / p.gain[4], x[VELOCITY] / p.gain[4]
-    for i in range(len(p.lagging)):
-        y[p.lagging[i, 0]] = y[p.lagging[i, 1]]
+    if len(p.lagging) > 0:
+        observe(p, predicted, y)
     if cell:
         y[p.cell] = (x[LOAD_FORCE] - p.bias[1]) / p.gain[1]
         if p.cell_rate != NONE:
@@ -50,8 +57,33 @@ def model_state(p, hidden, x, y, cell):
 
 
 @njit(cache=True)
+def observe(p, predicted, y):
+    """Correct the pressures behind lagging sensors, and these sensors; y holds readings, `predicted`: p_a, p_b, x_p."""
+    count, shown = len(p.lagging), (y[0], y[1])
+    for i in range(count):
+        y[p.lagging[i, 2]] = predicted[p.lagging[i, 2]]
+    _correct(p, y, count, y[2] - predicted[2])
+    errors = np.empty(count)
+    for i in range(count):
+        errors[i] = shown[p.lagging[i, 2]] - y[p.lagging[i, 0]]
+    for i in range(count):
+        _correct(p, y, i, errors[i])
+
+
+@njit(cache=True)
+def _correct(p, y, row, error):
+    """Add a row of the observer's gains times an error."""
+    for j in range(len(p.lagging)):
+        y[p.lagging[j, 2]] += p.observer[row, 3 * j] * error
+        y[p.lagging[j, 0]] += p.observer[row, 3 * j + 1] * error
+        y[p.lagging[j, 1]] += p.observer[row, 3 * j + 2] * error
+
+
+@njit(cache=True)
 def set_opening(p, y, spool, spool_rate, opening):
-    """Set a state's spool to the opening [A]; returns the current that holds it."""
+    """Set a state's spool, and the currents on their way to it, to the opening [A]; returns the current for it."""
+    for i in range(len(y) - p.past, len(y)):
+        y[i] = opening - p.after - p.before
     if spool == NONE:
         return opening - p.after - p.before
     y[spool] = opening - p.after
@@ -101,6 +133,10 @@ def settle(loop, memory, x, current, reference_rate):
         p, n = loop.model, len(loop.model.rest)
         memory.hidden[:] = 0.0
         copies.vector(memory.hidden, p.rest)
+        for i in range(len(p.lagging)):
+            chamber = p.lagging[i, 2]
+            shown = (x[PRESSURE_A + chamber] - p.bias[2 + chamber]) / p.gain[2 + chamber]
+            memory.hidden[chamber] = memory.hidden[p.lagging[i, 0]] = shown
         model_state(p, memory.hidden, x, memory.hidden[:n], True)
         memory.hidden[n] = current + p.before + p.after
         set_opening(p, memory.hidden, p.spool, p.spool_rate, memory.hidden[n])
@@ -114,7 +150,8 @@ def follow(loop, memory, x, current, reference_rate):
     opening = memory.hidden[n]
     model_state(p, memory.hidden, x, memory.hidden[:n], False)
     machine_code.sample(p.sample_at, p.k, memory.hidden, current, z)
-    memory.hidden[n] = (current + p.before if p.spool == NONE else memory.hidden[p.spool]) + p.after
+    arrived = current if p.past == 0 else memory.hidden[n - p.past + p.at_valve]
+    memory.hidden[n] = (arrived + p.before if p.spool == NONE else memory.hidden[p.spool]) + p.after
     own_rate = p.spool != NONE and p.spool_rate != NONE
     memory.hidden[n + 1] = memory.hidden[p.spool_rate] if own_rate else (memory.hidden[n] - opening) / SAMPLE_PERIOD
     memory.reference_rate, memory.current = reference_rate, current

@@ -104,3 +104,12 @@ def cell_dynamics(truth: Bench) -> tuple[float, float]:
             return 2.0 * damping / (2.0 * pi * bandwidth), (2.0 * pi * bandwidth) ** -2
     omega = float(truth.constants()["load_cell_omega"][0]) or inf
     return 2.0 * LOAD_CELL_DAMPING / omega, 1.0 / omega**2
+
+
+def valve_age(truth: Bench) -> float:
+    """Time [s] by which the valve's lag puts its spool behind a slow command: 2 d/w, of the first order 1/w."""
+    for effect in truth.effects:
+        if effect["id"] == "valve_lag":
+            bandwidth, *damping = catalogue.kind_of(effect)[1]
+            return (2.0 * damping[0] if damping else 1.0) / (2.0 * pi * bandwidth)
+    return 0.0

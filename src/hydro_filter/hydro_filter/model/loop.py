@@ -47,6 +47,21 @@ def memories(loop: Loop, count: int = 1) -> npt.NDArray[np.void]:
     return np.zeros(count, BENCH_MEMORY_DTYPE if isinstance(loop, BenchLoop) else MEMORY_DTYPE)
 
 
+def coordinates_of(loop: Loop) -> tuple[str, ...]:
+    """Return the names of the certificate's coordinates: `LOOP_FIELDS`, and those that a bench file adds."""
+    if not isinstance(loop, BenchLoop):
+        return loop_model.LOOP_FIELDS
+    shown = [f"p_{'ab'[chamber]}_shown{ending}" for chamber in loop.model.lagging[:, 2] for ending in ("", "_rate")]
+    return (*loop_model.LOOP_FIELDS, *shown, *(f"current_{i + 1}" for i in range(loop.model.on_their_way)))
+
+
+def driven_coordinate(loop: Loop) -> int:
+    """Return the coordinate whose entry of G follows g everywhere: the spool's rate, or the newest current."""
+    if isinstance(loop, BenchLoop) and loop.model.on_their_way:
+        return len(loop.scale) - loop.model.on_their_way
+    return loop_model.Q_SPOOL_RATE
+
+
 def is_bench_file_loop(kind: Any) -> bool:
     """Whether a type of compiled code is a bench file's loop, or its model."""
     return isinstance(kind, types.BaseNamedTuple) and kind.instance_class in (BenchLoop, BenchParts)
@@ -118,7 +133,7 @@ def follow(loop, memory, x, current, reference_rate):
 
 @njit(cache=True, inline="always")
 def displace(loop, memory, x, reference, reference_rate, v):
-    """Write v, shape (8,), of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
+    """Write v, of each coordinate, of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
     _displace(loop, memory, x, reference, reference_rate, v)
 
 

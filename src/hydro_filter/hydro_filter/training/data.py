@@ -29,7 +29,6 @@ from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
 from hydro_filter.model.bench_parts import BenchLoop
 from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
-from hydro_filter.model.loop_model import LOOP
 from hydro_filter.model.state import STATES
 from hydro_sim.excitation import drawn
 from hydro_sim.model.bench import Bench
@@ -82,7 +81,7 @@ class Rollout:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Windows:
-    """n windows of H samples; loop coordinates in units of their scale."""
+    """n windows of H samples; loop coordinates in units of their scale, eight or more."""
 
     x: FloatArray
     """Shape (n, H, 8), SI units, with noise."""
@@ -166,10 +165,10 @@ def windows_of(rollout: Rollout, loop: Loop, settings: DataSettings, seed: int) 
     starts = starts[_between_stops(rollout.states["piston_position"], starts, span, _stroke(loop))]
     if not len(starts):
         return None
-    shape = (len(starts), span)
+    shape, width = (len(starts), span), len(loop.scale)
     made = Windows(
-        x=np.empty((*shape, STATES)), state_rate=np.empty((*shape, STATES)), v=np.empty((*shape, LOOP)),
-        transition=np.empty((*shape, LOOP, LOOP)), push=np.empty((*shape, LOOP)), feedback=np.empty((*shape, LOOP)),
+        x=np.empty((*shape, STATES)), state_rate=np.empty((*shape, STATES)), v=np.empty((*shape, width)),
+        transition=np.empty((*shape, width, width)), push=np.empty((*shape, width)), feedback=np.empty((*shape, width)),
         gain=np.full(len(starts), rollout.gains[0]), label=np.full(len(starts), rollout.label),
     )  # fmt: skip
     _follow(

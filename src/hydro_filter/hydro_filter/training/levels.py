@@ -16,7 +16,6 @@ from hydro_bridge.signals import PLANT_FIELDS, FloatArray, ReferenceSignal, Stat
 from hydro_filter.controller.loop_decision import integral_term
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.model.loop import Loop, closing_current, displace, follow, linearize, memories, settle, step_of
-from hydro_filter.model.loop_model import LOOP
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -27,9 +26,9 @@ QUANTILE = 0.99
 
 
 def displacements(loop: Loop, plant: Plant, gain: float, seed: int) -> FloatArray:
-    """v_1 of a still bench, its valve closed, shape (samples, 8)."""
+    """v_1 of a still bench, its valve closed, shape (samples, coordinates)."""
     x, memory, step, closing = plant.reset(seed), memories(loop), step_of(loop), closing_current(loop)
-    out = np.empty((SAMPLES, LOOP))
+    out = np.empty((SAMPLES, len(loop.scale)))
     for k in range(SAMPLES):
         settle(loop, memory[0], x, closing, 0.0)
         linearize(loop, memory[0]["hidden"], x, 1e-9, closing, gain, step)

@@ -17,7 +17,7 @@ import torch
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.design import factor_entries
 from hydro_filter.metric.learned import LearnedMetric
-from hydro_filter.model.loop_model import LOOP, Q_LOAD
+from hydro_filter.model.loop_model import Q_LOAD
 from hydro_filter.training.data import STABLE, Windows
 
 SAMPLES = 120
@@ -48,10 +48,11 @@ def refined_rows(
 
 def refine(entries: FloatArray, closed: FloatArray, rate: float) -> FloatArray:
     """The factor's entries, shape (36,), after descent on samples F + G K, shape (n, 8, 8); scaled as they came."""
-    lower = np.zeros((LOOP, LOOP))
-    lower[np.tril_indices(LOOP)] = entries
-    start, moved, eye = torch.from_numpy(lower), torch.from_numpy(closed), torch.eye(LOOP, dtype=torch.float64)
-    change = torch.zeros((LOOP, LOOP), dtype=torch.float64, requires_grad=True)
+    width = closed.shape[-1]
+    lower = np.zeros((width, width))
+    lower[np.tril_indices(width)] = entries
+    start, moved, eye = torch.from_numpy(lower), torch.from_numpy(closed), torch.eye(width, dtype=torch.float64)
+    change = torch.zeros((width, width), dtype=torch.float64, requires_grad=True)
     optimizer = torch.optim.Adam([change], lr=STEP)
     limit, kept = float(np.exp(-2.0 * rate * SAMPLE_PERIOD)), len(closed) - int(LEFT_OUT * len(closed))
     best, found = np.inf, lower

@@ -27,10 +27,7 @@ import torch
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import SAMPLE_PERIOD
-from hydro_filter.metric.network import ENTRIES
-from hydro_filter.model.loop_model import LOOP
-
-_ROWS, _COLUMNS = torch.tril_indices(LOOP, LOOP)
+from hydro_filter.metric.network import ENTRIES, width_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +59,7 @@ class LossSettings:
 
 
 class Samples(NamedTuple):
-    """A batch of b samples; torch, float64."""
+    """A batch of b samples; torch, float64. Shapes for eight coordinates; a bench file may add some."""
 
     inputs: torch.Tensor
     """Of the network, shape (b, 10)."""
@@ -83,9 +80,9 @@ class Samples(NamedTuple):
 class Network(torch.nn.Module):
     """`metric_network` in torch, with its derivative along a direction."""
 
-    def __init__(self, inputs: int, hidden: tuple[int, int]) -> None:
+    def __init__(self, inputs: int, hidden: tuple[int, int], entries: int = ENTRIES) -> None:
         super().__init__()
-        sizes = ((inputs, hidden[0]), (hidden[0],), hidden, (hidden[1],), (hidden[1], ENTRIES), (ENTRIES,))
+        sizes = ((inputs, hidden[0]), (hidden[0],), hidden, (hidden[1],), (hidden[1], entries), (entries,))
         self.weights = torch.nn.ParameterList(torch.zeros(size, dtype=torch.float64) for size in sizes)
 
     def forward(self, x: torch.Tensor, nudge: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -105,13 +102,15 @@ def matrices(network: Network, samples: Samples, floor: float) -> tuple[torch.Te
     entries, turned = network(samples.inputs, samples.nudge)
     lower, change = _lower(entries + samples.base), _lower(turned)
     product = change @ lower.transpose(1, 2)
-    eye = torch.eye(LOOP, dtype=entries.dtype)
+    eye = torch.eye(lower.shape[-1], dtype=entries.dtype)
     return lower @ lower.transpose(1, 2) + floor * eye, product + product.transpose(1, 2)
 
 
 def _lower(entries: torch.Tensor) -> torch.Tensor:
-    lower = entries.new_zeros((len(entries), LOOP, LOOP))
-    lower[:, _ROWS, _COLUMNS] = entries
+    width = width_of(entries.shape[1])
+    lower = entries.new_zeros((len(entries), width, width))
+    rows, columns = torch.tril_indices(width, width)
+    lower[:, rows, columns] = entries
     return lower
 
 
@@ -145,7 +144,7 @@ def loss(network: Network, samples: Samples, floor: float, settings: LossSetting
     if settings.unstable_weight > 0.0:
         caught = settings.unstable_weight * _bent(torch.relu(-along(metric, rate, samples)), settings.knee)
         contraction = torch.where(samples.kind > 0, contraction, caught)
-    eye = torch.eye(LOOP, dtype=metric.dtype)
+    eye = torch.eye(metric.shape[-1], dtype=metric.dtype)
     size = settings.frobenius * torch.linalg.matrix_norm(metric)
     size = size + settings.trace * metric.diagonal(dim1=1, dim2=2).sum(1)
     size = size - settings.log_det * torch.logdet(metric + settings.epsilon * eye)

@@ -18,12 +18,10 @@ from tqdm import tqdm
 
 from hydro_bridge.cli.console import progress
 from hydro_bridge.settings import check
-from hydro_bridge.signals import FloatArray
-from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, rest_loop
+from hydro_filter.metric.design import MetricDesign, correcting_feedback, decaying_range, require_decay, rest_loop
 from hydro_filter.metric.learned import LearnedMetric, Thresholds
 from hydro_filter.model.bench_loop import without_overlap
-from hydro_filter.model.loop import Loop, loop_of
-from hydro_filter.model.loop_model import Q_SPOOL_RATE
+from hydro_filter.model.loop import Loop, driven_coordinate, loop_of
 from hydro_filter.training.certificate import certificate_table, where_violated
 from hydro_filter.training.curves import draw_metric_curves
 from hydro_filter.training.data import (
@@ -41,7 +39,14 @@ from hydro_filter.training.levels import integral_allowance, noise_sizes
 from hydro_filter.training.lmi_refinement import refined_rows
 from hydro_filter.training.loss import LossSettings, Samples
 from hydro_filter.training.options import fixed_options
-from hydro_filter.training.training import Progress, TrainingSettings, certificate_queries, correcting_gains, train
+from hydro_filter.training.training import (
+    Correction,
+    Progress,
+    TrainingSettings,
+    certificate_queries,
+    correcting_gains,
+    train,
+)
 from hydro_sim.files import weights
 from hydro_sim.files.pairing import BoxIdentity, MadeFor
 from hydro_sim.learned.any_model import digest, load_model, make_plant, require_match
@@ -78,6 +83,7 @@ def learn(options: argparse.Namespace) -> None:
     require_match(options.model, BoxIdentity.of_file(options.bench), remedy)
     made = MadeFor(box=bench.digest, model=digest(path))  # either form of the integral: decision 31
     loop = loop_of(model, bench)
+    require_decay(loop)
     plant, clean = make_plant(options.model), make_plant(options.model, noise=0.0)
     free = free_plant(model)
     if free is not None:
@@ -88,17 +94,17 @@ def learn(options: argparse.Namespace) -> None:
     require_held_out(material.held_out, design)
     _say(f"{_told(material.rollouts)}; certified range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s")
     metric = _polished(LearnedMetric.designed(loop, bench, design, seed=options.seed), material, loop, design, settings)
-    correcting, push = correction(loop, design)
+    best_correction = correction(loop, design)
     how = settings.loss
-    samples = certificate_queries(material.training, metric, correcting, push, how)
-    held_out = certificate_queries(material.held_out, metric, correcting, push, how)
+    samples = certificate_queries(material.training, metric, best_correction, how)
+    held_out = certificate_queries(material.held_out, metric, best_correction, how)
     last, best = _train(metric, samples, held_out, data.horizon, settings, options)
     sizes = noise_sizes(best, loop, plant, clean)
     allowance = integral_allowance(loop, plant, bench)
     still = LearnedMetric.designed(loop, bench, design)
     stages = {"still": still, "solved": metric, "learned": best}
     table = certificate_table(
-        stages, lambda one: certificate_queries(material.held_out, one, correcting, push, how), how
+        stages, lambda one: certificate_queries(material.held_out, one, best_correction, how), how
     )
     violated, foreign = (row["violated"] for row in table.rows[-2:])
     facts = {
@@ -153,9 +159,10 @@ def collect_rollouts(
     return TrainingData(training=concatenated(kept), held_out=concatenated(held_out), rollouts=rollouts)
 
 
-def correction(loop: Loop, design: MetricDesign) -> tuple[FloatArray, float]:
-    """K [A] of the best correction about the still bench, and G's entry of the spool's rate there."""
-    return correcting_feedback(loop, design), float(rest_loop(loop, design.gain_low)[1][Q_SPOOL_RATE])
+def correction(loop: Loop, design: MetricDesign) -> Correction:
+    """The best correction about the still bench."""
+    driven, push = driven_coordinate(loop), rest_loop(loop, design.gain_low)[1]
+    return Correction(correcting_feedback(loop, design), driven, float(push[driven]))
 
 
 def _polished(
@@ -163,7 +170,7 @@ def _polished(
 ) -> LearnedMetric:
     """The table made to hold on samples of the rollouts, and the range of states that they show."""
     windows, how = material.training, settings.loss
-    best = correcting_gains(windows, *correction(loop, design))
+    best = correcting_gains(windows, correction(loop, design))
     foreign = windows.transition + windows.push[..., np.newaxis] * best[..., np.newaxis, :]
     seen = {"low": windows.x.min(axis=(0, 1)), "high": windows.x.max(axis=(0, 1))}
     rates = how.rate + 2.0 * how.margin, how.foreign_rate + 2.0 * how.margin

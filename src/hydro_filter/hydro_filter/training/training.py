@@ -23,7 +23,6 @@ from hydro_bridge.settings import quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.metric.learned import LearnedMetric
 from hydro_filter.metric.network import GAIN_UNIT, INPUTS
-from hydro_filter.model.loop_model import LOOP, Q_SPOOL_RATE
 from hydro_filter.model.state import STATES
 from hydro_filter.training import loss as metric_loss
 from hydro_filter.training.data import STABLE, UNSTABLE, Windows
@@ -72,34 +71,42 @@ class Progress:
     """Rows: epoch, training loss, and `Quality`."""
 
 
-def certificate_queries(
-    windows: Windows, metric: LearnedMetric, correcting: FloatArray, push: float, how: LossSettings
-) -> Samples:
+class Correction(NamedTuple):
+    """The best correction about the still bench."""
+
+    feedback: FloatArray
+    """K [A], of each coordinate."""
+    driven: int
+    """Coordinate whose entry of G follows g everywhere."""
+    push: float
+    """G's entry of it about the still bench."""
+
+
+def certificate_queries(windows: Windows, metric: LearnedMetric, correction: Correction, how: LossSettings) -> Samples:
     """Return the certificate queries of windows: n H samples for up to three queries, along axis 0 as (query, n, H).
 
-    `correcting`, `push`: K [A] of the best correction about the still bench, and G's entry of the spool's rate there;
-    the correction is scaled by that entry, as the force law scales its own by g.
+    The correction is scaled by G's entry of its `driven` coordinate, as the force law scales its own by g.
     """
     low, high = metric.gains[0], metric.gains[-1]
     inside = (windows.gain >= low) & (windows.gain <= high)
     wanted = windows.part(inside & (windows.label == STABLE))
     unstable = windows.part(~inside & (windows.label == UNSTABLE))
     own = _samples(wanted, metric, wanted.feedback, how.rate + how.margin, STABLE, outside=False)
-    best = correcting_gains(windows, correcting, push)
+    best = correcting_gains(windows, correction)
     foreign = _samples(windows, metric, best, how.foreign_rate + how.margin, STABLE, outside=True)
     caught = _samples(unstable, metric, unstable.feedback, how.foreign_rate, UNSTABLE, outside=True)
     return Samples(*(torch.cat(parts) for parts in zip(own, foreign, caught, strict=True)))
 
 
-def correcting_gains(windows: Windows, correcting: FloatArray, push: float) -> FloatArray:
+def correcting_gains(windows: Windows, correction: Correction) -> FloatArray:
     """K [A] of the best correction at every sample, shape (n, H, 8): scaled as the force law scales its own by g."""
-    return (push / windows.push[..., Q_SPOOL_RATE])[..., np.newaxis] * correcting
+    return (correction.push / windows.push[..., correction.driven])[..., np.newaxis] * correction.feedback
 
 
 def _samples(
     windows: Windows, metric: LearnedMetric, feedback: FloatArray, rate: float, kind: int, *, outside: bool
 ) -> Samples:
-    count, span = windows.x.shape[:2]
+    (count, span), width = windows.x.shape[:2], windows.v.shape[-1]
     inputs, nudge = np.zeros((count, span, INPUTS)), np.zeros((count, span, INPUTS))
     seen = np.clip(windows.x, metric.low, metric.high)
     inputs[..., :STATES] = (seen - metric.center) / metric.scale
@@ -108,9 +115,9 @@ def _samples(
     inputs[..., STATES + 1] = float(outside)
     base = np.repeat(table_rows(metric, windows.gain, outside=outside), span, axis=0)
     closed = windows.transition + windows.push[..., np.newaxis] * feedback[..., np.newaxis, :]
-    flat = (inputs.reshape(-1, INPUTS), nudge.reshape(-1, INPUTS), base, closed.reshape(-1, LOOP, LOOP))
+    flat = (inputs.reshape(-1, INPUTS), nudge.reshape(-1, INPUTS), base, closed.reshape(-1, width, width))
     decay = np.full(count * span, np.exp(-2.0 * rate * SAMPLE_PERIOD))
-    arrays = (*flat, decay, windows.v.reshape(-1, LOOP), np.full(count * span, kind))
+    arrays = (*flat, decay, windows.v.reshape(-1, width), np.full(count * span, kind))
     return Samples(*(torch.from_numpy(np.ascontiguousarray(array)) for array in arrays))
 
 
@@ -124,7 +131,7 @@ def table_rows(metric: LearnedMetric, gains: FloatArray, *, outside: bool) -> Fl
 
 def network_of(metric: LearnedMetric) -> Network:
     """Return the metric's network in torch."""
-    network = Network(INPUTS, metric.hidden)
+    network = Network(INPUTS, metric.hidden, metric.table.shape[1])
     for parameter, values in zip(network.weights, metric.parts.layers, strict=True):
         parameter.data = torch.from_numpy(np.array(values))
     return network

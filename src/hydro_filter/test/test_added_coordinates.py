@@ -1,0 +1,338 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Dead time and lagging pressure sensors in the filter's loop, against the whole bench's own loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydro_bridge.signals import SAMPLE_PERIOD, Command, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_filter.certificate.sampled import quadratic
+from hydro_filter.controller import innovations
+from hydro_filter.controller.loop_filter import loop_parts
+from hydro_filter.metric.design import MetricDesign, require_decay, rest_loop
+from hydro_filter.metric.learned import LearnedMetric
+from hydro_filter.metric.network import metric_value
+from hydro_filter.model import force_law
+from hydro_filter.model.bench_loop import SUBSTEPS, rest_measurement
+from hydro_filter.model.bench_parts import NONE, BenchLoop
+from hydro_filter.model.bench_states import hydraulic_slopes, model_state
+from hydro_filter.model.loop import (
+    coordinates_of,
+    displace,
+    follow,
+    linearize,
+    loop_of,
+    memories,
+    settle,
+    step_of,
+)
+from hydro_filter.model.loop_model import CLOSED, LOOP, LOOP_FIELDS
+from hydro_filter.model.state import STATES
+from hydro_sim.box.box import Box
+from hydro_sim.model.bench import Bench
+from hydro_sim.model.bench_model import BenchModel
+from hydro_sim.model.plant import AnalyticPlant
+
+Entry = dict[str, Any]
+LAG: Entry = {"id": "valve_lag", "parameters": {"bandwidth": 110.0, "damping": 0.8}}
+LEAK: Entry = {"id": "leakage_internal", "parameters": {"coefficient": 1e-13}}
+
+
+def dead_time(seconds: float) -> Entry:
+    return {"id": "transport_delay", "parameters": {"time": seconds}}
+
+
+def slow_sensor(chamber: str, bandwidth: float) -> Entry:
+    sizes = {"bandwidth": bandwidth, "damping": 0.7}
+    return {"id": "sensor_lag", "sensor": f"pressure_{chamber}", "parameters": sizes}
+
+
+CASES: dict[str, tuple[Entry, ...]] = {
+    "1 ms": (dead_time(1e-3), LAG, LEAK),
+    "2 ms": (dead_time(2e-3), LAG, LEAK),
+    "1.3 ms, no lag of the valve": (dead_time(1.3e-3), LEAK),
+    "both sensors 200 Hz": (LAG, LEAK, slow_sensor("a", 200.0), slow_sensor("b", 200.0)),
+    "a sensor 80 Hz": (LAG, LEAK, slow_sensor("a", 80.0)),
+    "all of it": (dead_time(1e-3), LAG, LEAK, slow_sensor("a", 80.0), slow_sensor("b", 200.0)),
+}
+
+
+def having(*effects: Entry) -> Bench:
+    return replace(Bench.nominal(), effects=effects)
+
+
+def of(case: str) -> BenchLoop:
+    loop = loop_of(having(*CASES[case]), Bench.nominal())
+    assert isinstance(loop, BenchLoop)
+    return loop
+
+
+def test_the_coordinates_that_an_effect_adds_are_named() -> None:
+    assert coordinates_of(of("1 ms"))[LOOP:] == ("current_1",)
+    assert coordinates_of(of("1.3 ms, no lag of the valve"))[LOOP:] == ("current_1", "current_2")
+    shown = ("p_a_shown", "p_a_shown_rate")
+    assert coordinates_of(of("a sensor 80 Hz"))[LOOP:] == shown
+    assert coordinates_of(of("all of it"))[LOOP:] == (*shown, "p_b_shown", "p_b_shown_rate", "current_1")
+    plain = loop_of(having(LAG, LEAK), Bench.nominal())
+    assert coordinates_of(plain) == LOOP_FIELDS and len(plain.scale) == LOOP
+
+
+def whole_loop(bench: Bench, gain: float) -> FloatArray:
+    """One sample of bench and force law about rest, all states and the box's velocity, without an integral."""
+    model, loop = BenchModel(bench, substeps=SUBSTEPS), loop_of(bench, Bench.nominal())
+    assert isinstance(loop, BenchLoop)
+    p, n = loop.model, len(model.states)
+    k, y, _ = model.begin(model.values)
+    y[n - p.past :] = CLOSED  # the edges' slopes differ on both sides of zero
+    if p.spool != NONE:
+        y[p.spool] = CLOSED
+    _, slopes, _ = model.jacobian(k, y, CLOSED)
+    law, memory = np.empty(STATES), p.memories[1]
+    force_law.gradient(loop.bench, rest_measurement(p), 1e-9, gain, loop.gain_floor, law)
+    shown = {chamber: signal for signal, _, chamber in p.lagging}
+    closed, feedback = np.zeros((n + 1, n + 1)), np.zeros(n + 1)
+    feedback[[p.cell, 2, n]] = law[[2, 6, 7]]
+    for chamber in range(2):
+        feedback[shown.get(chamber, chamber)] += law[4 + chamber]
+    closed[:n, :n] = slopes[:, :n]
+    closed[:n] += np.outer(slopes[:, n], feedback)
+    closed[n] = (1.0 - memory) / SAMPLE_PERIOD * (closed[2] - np.eye(n + 1)[2])
+    closed[n, n] += memory
+    return closed
+
+
+@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("gain", [10.0, 60.0, 120.0])
+def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: str, gain: float) -> None:
+    """But for the sum of the pressures, which no force moves, and what the coordinates leave out of it."""
+    free, push, feedback = rest_loop(of(case), gain)
+    ours, theirs = (
+        np.linalg.eigvals(one) for one in (free + np.outer(push, feedback), whole_loop(having(*CASES[case]), gain))
+    )
+    slow = ours[np.abs(ours) > 0.05]
+    assert np.abs(slow[:, None] - theirs).min(axis=1).max() < 2e-3
+    moving = theirs[np.abs(theirs.imag) > 1e-2]
+    assert np.abs(moving[:, None] - ours).min(axis=1).max() < 2e-3
+
+
+def test_with_two_milliseconds_and_this_valve_no_gain_decays() -> None:
+    """The whole bench does not, either: no metric of it exists."""
+    assert min(np.abs(np.linalg.eigvals(whole_loop(having(*CASES["2 ms"]), gain))).max() for gain in (1, 10, 90)) > 1.02
+    require_decay(of("1 ms"))
+    with pytest.raises(ValueError, match=r"2.3 ms late by its lag and 2.0 ms by its dead time, decays at no K_p"):
+        require_decay(of("2 ms"))
+
+
+@dataclass
+class Run:
+    """A run without noise: x, shape (n, 8), states y, and what the law says."""
+
+    x: FloatArray
+    y: FloatArray
+    law: FloatArray
+
+
+def run(
+    bench: Bench, gain: float, *, pulse: float = 0.0, noise: float = 0.0, samples: int = 700, amplitude: float = 100.0
+) -> Run:
+    """`amplitude` [N] at 1 Hz; a pulse of current [A] at sample 500."""
+    box, plant = Box(Bench.nominal()), AnalyticPlant(bench, noise=noise)
+    reference = ReferenceSignal(waveform=Waveform.SINE, amplitude=amplitude, frequency=1.0)
+    box.receive(Command(), 0.0)
+    x = plant.reset(0)
+    xs, ys, laws = [], [], []
+    for k in range(samples):
+        asked: dict[str, Any] = {"delta_kp": gain - box.config.base_kp, "delta_ki": -box.config.base_ki}
+        delta = pulse if 500 <= k < 505 else 0.0
+        box.receive(
+            Command(arm=True, **asked, delta_u=delta, filter_fresh=True, reference=reference), k * SAMPLE_PERIOD
+        )
+        ys.append(plant.state[0]["y"].copy())
+        xs.append(x.copy())
+        record = box.tick(x, k * SAMPLE_PERIOD)
+        assert not int(record["flags"]) & Flag.TRIPPED
+        laws.append([float(record[name]) for name in LAW])
+        x = plant.step(float(record["valve_current"]))
+    return Run(np.array(xs), np.array(ys), np.array(laws))
+
+
+LAW = ("nominal_valve_current", "valve_current", "reference_force", "reference_force_rate", "proportional_gain")
+
+
+def nudge(loop: BenchLoop, slopes: tuple[float, ...], first: Run, second: Run, k: int) -> FloatArray:
+    """Difference of two runs at a sample in the loop's coordinates; `slopes`: see `slopes_of`."""
+    p, dy, dx = loop.model, second.y[k] - first.y[k], second.x[k] - first.x[k]
+    n, q, (gain, *shares) = len(p.rest), np.zeros(len(loop.scale)), slopes
+    q[0] = p.area * (dy[0] - p.ratio * dy[1])
+    q[1], q[2] = gain * dy[p.spool], gain * dy[p.spool_rate]
+    q[3], q[4], q[5], q[6], q[7] = dy[p.cell], dy[p.cell_rate], dy[2], dy[3], dx[7]
+    for i, (signal, rate, chamber) in enumerate(p.lagging):
+        q[LOOP + 2 * i], q[LOOP + 2 * i + 1] = shares[chamber] * q[0] + dy[signal] - dy[chamber], dy[rate]
+    first_current = LOOP + 2 * len(p.lagging)
+    q[first_current:] = gain * dy[n - p.past : n - p.past + p.on_their_way]
+    return np.asarray(q / loop.scale)
+
+
+def slopes_of(loop: BenchLoop, memory: Any, x: FloatArray) -> tuple[float, ...]:
+    """g [N/s/A] at a sample, and the change of either pressure [Pa] for 1 N of f_h."""
+    p = loop.model
+    y = np.empty(len(p.rest))
+    model_state(p, memory["hidden"], x, y, True)
+    gain, _, _, soft_a, soft_b = hydraulic_slopes(p, y[p.from_whole], float(memory["hidden"][len(p.rest)]))
+    total = p.area * (soft_a + p.ratio * soft_b)
+    return gain, soft_a / total, -soft_b / total
+
+
+@pytest.mark.parametrize("case", ["1 ms", "both sensors 200 Hz", "a sensor 80 Hz", "all of it"])
+def test_the_certificate_foretells_how_twin_runs_of_the_whole_bench_part(case: str) -> None:
+    """Same sign of M_c, and the same next difference, as the simulated bench under the box's law has.
+
+    What a lagging sensor shows is 2 to 4 % of the difference off: it sees the sum of the pressures move, too.
+    """
+    bench, loop, gain = having(*CASES[case]), of(case), 60.0
+    metric = LearnedMetric.designed(loop, Bench.nominal(), MetricDesign(gain_low=40.0, gain_high=80.0))
+    first, second = run(bench, gain), run(bench, gain, pulse=2e-5)
+    step, memory = step_of(loop), memories(loop)[0]
+    told, found, errors = [], [], []
+    for k in range(650):
+        nominal, current, _, rate, _ = first.law[k]
+        settle(loop, memory, first.x[k], current, rate)
+        if k >= 510:
+            linearize(loop, memory["hidden"], first.x[k], nominal, current, gain, step)
+            matrix = metric.matrix(first.x[k], gain)
+            slopes = slopes_of(loop, memory, first.x[k])
+            now, then = (nudge(loop, slopes, first, second, at) for at in (k, k + 1))
+            moved = (step.transition + np.outer(step.push, step.feedback)) @ now
+            size = now @ matrix @ now
+            told.append((moved @ matrix @ moved - size) / size)
+            found.append((then @ matrix @ then - size) / size)
+            errors.append(np.abs(then - moved) / np.linalg.norm(now))
+        follow(loop, memory, first.x[k], current, rate)
+    told_, found_ = np.array(told), np.array(found)
+    clear = np.abs(told_) > 2e-3
+    off, shown = np.median(errors, axis=0), slice(LOOP, LOOP + 2 * len(loop.model.lagging))
+    assert np.delete(off, shown).max() < 0.002 and off[shown].max(initial=0.0) < 0.05
+    assert clear.mean() > 0.5 and (np.sign(told_[clear]) == np.sign(found_[clear])).mean() > 0.95
+
+
+@pytest.mark.parametrize("bandwidth", [200.0, 80.0])
+def test_the_pressure_behind_a_slow_sensor_is_estimated(bandwidth: float) -> None:
+    """Without noise nearly without an error; with it, better than the reading."""
+    bench = having(LAG, LEAK, slow_sensor("a", bandwidth), slow_sensor("b", bandwidth))
+    loop = loop_of(bench, Bench.nominal())
+    assert isinstance(loop, BenchLoop)
+    for noise, share in ((0.0, 0.01), (1.0, 0.5)):
+        seen, memory = run(bench, 60.0, noise=noise), memories(loop)[0]
+        found = np.empty((len(seen.x), 2))
+        for k, x in enumerate(seen.x):
+            settle(loop, memory, x, seen.law[k, 1], 0.0)
+            y = np.empty(len(loop.model.rest))
+            model_state(loop.model, memory["hidden"], x, y, True)
+            found[k] = y[:2]
+            follow(loop, memory, x, seen.law[k, 1], 0.0)
+        late = slice(100, None)
+        ours, theirs = ((one - seen.y[:, :2])[late].std() for one in (found, seen.x[:, 4:6]))
+        assert ours < share * theirs, (noise, ours, theirs)
+
+
+@pytest.mark.parametrize("ratio", [1.0, 0.6])
+def test_the_monitor_tells_a_chamber_behind_a_slow_sensor_that_is_not_the_files(ratio: float) -> None:
+    """A valve that gives 40 % less; the pressures that are estimated are then wrong, and f_h tells it."""
+    sensors = (slow_sensor("a", 80.0), slow_sensor("b", 80.0))
+    model, gain = having(LAG, LEAK, *sensors), {"id": "valve_gain", "parameters": {"ratio": ratio}}
+    seen = run(having(LAG, LEAK, gain, *sensors), 60.0, noise=1.0, samples=2000, amplitude=250.0)
+    loop = loop_of(model, Bench.nominal())
+    memory, monitor = memories(loop), innovations.monitor_of(loop)
+    for x, (_, current, _, rate, _) in zip(seen.x, seen.law, strict=True):
+        innovations.update(loop.model, 1.0, monitor[0], x, memory[0]["hidden"])
+        settle(loop, memory[0], x, current, rate)
+        follow(loop, memory[0], x, current, rate)
+    told = innovations.sentence(monitor[0])
+    assert (told != "") == (ratio < 1.0), told
+
+
+def test_eight_coordinates_among_more_are_the_same_bit_for_bit() -> None:
+    """The shipped metric and a loop of eight, and both with a ninth coordinate that nothing moves."""
+    metric = LearnedMetric.load()
+    table = np.hstack((metric.table, np.tile([0.0] * 8 + [1.0], (len(metric.table), 1))))
+    more = replace(metric, table=table, coordinates=(*LOOP_FIELDS, "still"), flat=wider(metric, table.shape[1]))
+    rng = np.random.default_rng(0)
+    eight, nine = step_of(of("1 ms")), step_of(of("1 ms"))
+    eight = eight._replace(transition=np.zeros((8, 8)), push=np.zeros(8), feedback=np.zeros(8))
+    for _ in range(50):
+        x, rate, gain = rng.standard_normal(8), rng.standard_normal(8), float(rng.uniform(-40.0, 300.0))
+        values = []
+        for one in (metric, more):
+            value = metric_value(one.parts)
+            value.matrix[:], value.rate[:] = one.matrix_and_rate(x, rate, gain)
+            values.append(value)
+        np.testing.assert_array_equal(values[0].matrix, values[1].matrix[:8, :8])
+        nine.transition[:] = nine.push[:] = nine.feedback[:] = 0.0
+        eight.transition[:], eight.push[:] = rng.standard_normal((8, 8)), rng.standard_normal(8)
+        eight.feedback[:] = rng.standard_normal(8)
+        nine.transition[:8, :8], nine.push[:8], nine.feedback[:8] = eight.transition, eight.push, eight.feedback
+        v = np.append(rng.standard_normal(8), 0.0)
+        small = quadratic(eight, values[0], v[:8].copy(), 0.1, 0.2, 0.1, np.zeros(8), np.zeros(8))
+        large = quadratic(nine, values[1], v, 0.1, 0.2, 0.1, np.zeros(9), np.zeros(9))
+        assert small == large
+
+
+def wider(metric: LearnedMetric, entries: int) -> FloatArray:
+    """Weights of the same network with more outputs, all of them zero."""
+    layers = metric.parts.layers
+    return np.concatenate([*(one.ravel() for one in layers[:4]), np.zeros((len(layers.w3) + 1) * entries)])
+
+
+def test_a_metric_of_other_coordinates_is_refused_in_a_sentence(tmp_path: Path, bench: Bench) -> None:
+    with pytest.raises(ValueError, match=r"this model's loop has .*current_1: make one with"):
+        loop_parts(LearnedMetric.load(), having(*CASES["1 ms"]), bench)
+    made = LearnedMetric.designed(of("all of it"), bench, MetricDesign(gain_low=40.0, gain_high=60.0))
+    made.save(tmp_path / "wide.safetensors")
+    read = LearnedMetric.load(tmp_path / "wide.safetensors")
+    assert read.coordinates == coordinates_of(of("all of it"))
+    np.testing.assert_array_equal(read.table, made.table)
+    loop_parts(read, having(*CASES["all of it"]), bench)
+
+
+def test_a_second_lag_of_a_pressure_sensor_is_refused_in_a_sentence(bench: Bench) -> None:
+    with pytest.raises(ValueError, match="a place for one lag of the pressure sensor of a, the bench file has more"):
+        loop_of(having(slow_sensor("a", 80.0), slow_sensor("a", 200.0)), bench)
+
+
+@pytest.mark.parametrize("case", ["1 ms", "both sensors 200 Hz"])
+def test_a_bench_that_follows_its_reference_is_not_displaced(case: str) -> None:
+    """Without noise, at a gain that follows well: no added coordinate stands out."""
+    bench, loop = having(*CASES[case]), of(case)
+    seen, memory, v = run(bench, 80.0), memories(loop)[0], np.empty(len(loop.scale))
+    sizes = []
+    for k, x in enumerate(seen.x):
+        _, current, reference, rate, _ = seen.law[k]
+        settle(loop, memory, x, current, rate)
+        displace(loop, memory, x, reference, rate, v)
+        sizes.append(np.abs(v))
+        follow(loop, memory, x, current, rate)
+    typical = np.median(np.array(sizes)[300:], axis=0)
+    assert typical[LOOP:].max() < 2.0 * typical[:LOOP].max() and typical[LOOP:].max() < 0.1, typical
+
+
+def test_a_hydraulic_force_behind_a_slow_cell_is_taken_without_its_lag() -> None:
+    """The same displacement as with a fast cell, which the law does not read."""
+    slow: Entry = {"id": "sensor_lag", "sensor": "hydraulic_force", "parameters": {"bandwidth": 60.0, "damping": 0.7}}
+    found = []
+    for effects in ((LAG, LEAK), (LAG, LEAK, slow)):
+        bench = having(*effects)
+        loop, v = loop_of(bench, Bench.nominal()), np.empty(LOOP)
+        seen, memory = run(bench, 60.0, samples=550), memories(loop)[0]
+        for k, x in enumerate(seen.x):
+            _, current, reference, rate, _ = seen.law[k]
+            settle(loop, memory, x, current, rate)
+            displace(loop, memory, x, reference, rate, v)
+            follow(loop, memory, x, current, rate)
+        found.append((v.copy(), x[0]))
+    np.testing.assert_allclose(found[0][0], found[1][0], atol=1e-3)
+    assert abs(found[0][1] - found[1][1]) > 1.0
