@@ -17,12 +17,14 @@ from scipy.signal import lfilter
 from hydro_diagnosis.closure.gauge_responses import GaugeWays
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import (
+    AcrossClosure,
     Closure,
     EdgeClosure,
     FlowClosure,
     GaugeClosure,
     LoadClosure,
     MotionClosure,
+    PlaceClosure,
     SnubberClosure,
     ValveClosure,
 )
@@ -32,6 +34,7 @@ from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -43,6 +46,7 @@ class Responses:
     """Ways of one segment, under the names that stand."""
 
     def __init__(self, problem: Problem, model: SegmentModel, claims: Sequence[Claim]) -> None:
+        model = model.placed(claims)
         self.problem, self.model, self.claims = problem, model, claims
         self.bench = model.bench(claims)
         self.memory = RecordMemory(model.step, model.beside)
@@ -67,10 +71,12 @@ class Responses:
         if isinstance(effect, ValveClosure):
             shift = self._each(terms, self._commanding) * self.bench.valve_gain
             return self._filled(shift * self.roots[0], -shift * self.roots[1])
-        if isinstance(effect, FlowClosure | EdgeClosure):
+        if isinstance(effect, FlowClosure | EdgeClosure | AcrossClosure):
             still = np.zeros_like(self.model.time), np.zeros_like(self.model.time)
             flows = [one.effect.inflows(still, self.oil, self.memory, one.values) for one in terms]
             return self._filled(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
+        if isinstance(effect, PlaceClosure):
+            return self._displaced(terms)
         if isinstance(effect, GaugeClosure):
             return self._present(self.gauges.of(terms, effect.law.where))
         return self._read(terms, effect.law.where)
@@ -145,6 +151,34 @@ class Responses:
             return self._present({"load": -self._smooth(read(force))})
         raw = read(channels[channel])
         return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
+
+    def _displaced(self, terms: Sequence[Claim]) -> Shown:
+        """Of an error of the position: what it moves in all equations, but friction near standstill and the oil."""
+        model, bench, recorded = self.model, self.bench, self.model.channels["piston_position"]
+        x, v, a, shown, swept = [], [], [], [], []
+        for one in terms:
+            error = one.effect.unmeasure("piston_position", recorded, self.memory, one.values) - recorded
+            moved = kinematics(error, model.step, model.spacing)
+            x.append(moved[0]), v.append(moved[1]), a.append(moved[2])
+            shown.append(bench.spring_stiffness * error)
+            swept.append(np.diff(error, append=error[-1]) / model.step)
+        force = (
+            bench.moving_mass * np.stack(a)
+            + bench.viscous_friction * np.stack(v)
+            + bench.spring_stiffness * np.stack(x)
+        )
+        found = self._present({"motion": -self._finish(force)})
+        if "load" in self.problem.blocks:
+            seen = np.stack(shown)
+            if bench.load_cell_bandwidth is not None:
+                seen = np.stack(
+                    [self.memory.low_pass("", one, bench.load_cell_bandwidth, LOAD_CELL_DAMPING) for one in seen]
+                )
+            found |= {"load": -self._smooth(seen)}
+        if "pressure" in self.problem.blocks:
+            speed = np.stack(swept) * bench.piston_area
+            found |= self._filled(-speed, bench.area_ratio * speed)
+        return found
 
     def _means(self, signals: FloatArray) -> FloatArray:
         return np.stack([self.model.means(one) for one in signals])

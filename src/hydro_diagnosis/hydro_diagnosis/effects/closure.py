@@ -28,7 +28,7 @@ from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_diagnosis.effects.splines import splined
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import TURN, Element, Law, Number, Signals, edge_losses, sensed
+from hydro_sim.model.laws import TURN, Element, Law, Number, Signals, edge_losses, sensed, shifted
 from hydro_sim.model.tables import SETTLING, Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
@@ -39,6 +39,10 @@ _INVERSIONS = 6
 """Iterations that find a signal from its reading: each leaves the part of the error that is not a straight line."""
 _FOUND = 1e-6
 """Pa: what is left of an error that is as good as nothing."""
+_CURVE = 2000
+"""Places over the range of a reading at which a curve is inverted."""
+_BEYOND = 0.5
+"""Share of its range by which a signal may lie outside what its curved reading spans."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,14 @@ class Closure(Effect):
         if self.law.equation == "sensor":
             flows = self.law.where.startswith("pressure")
         return "closure of flows" if flows else "closure of forces"
+
+    @property
+    def instant(self) -> bool:
+        return self.element is None or self.element.kind in ("path", "slow")
+
+    @property
+    def shaken(self) -> bool:
+        return "acceleration" in self.law.uses
 
     @property
     def element(self) -> Element | None:
@@ -174,6 +186,11 @@ class FlowClosure(Closure):
 
     adds = True
 
+    def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
+        """Flows are computed in the middle of each sample."""
+        if self.element is not None and self.element.kind == "path":
+            self._remembering(Signals(motion.position, motion.velocity), memory, values)
+
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         at = Signals(oil.position, oil.velocity, *oil.pressures, oil.spool.mean(axis=-1))
@@ -197,6 +214,17 @@ class EdgeClosure(Closure):
         return flows[0] - lost[0], flows[1] - lost[1]
 
 
+class AcrossClosure(Closure):
+    """A shift of the spool at the edges, by the pressures across the valve and what moves it."""
+
+    def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
+                values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+        spool = oil.spool.mean(axis=-1)
+        at = Signals(oil.position, oil.velocity, *oil.pressures, spool)
+        lost = shifted(self.numbers, spool, self.given(at, values), oil.pressures)
+        return flows[0] - lost[0], flows[1] - lost[1]
+
+
 class LoadClosure(Closure):
     """A force of the load."""
 
@@ -205,6 +233,18 @@ class LoadClosure(Closure):
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         at = Signals(motion.position, motion.velocity)
         return force + self.given(self._remembering(at, memory, values), values, bench)
+
+
+class DraggedClosure(LoadClosure):
+    """A mass that the load drags along."""
+
+    def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
+        if motion.acceleration is None:  # it is being computed: see `inertia`
+            return force
+        return force + motion.acceleration * self.inertia(motion, bench, values)
+
+    def inertia(self, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
+        return self.given(Signals(motion.position, motion.velocity, acceleration=1.0), values, bench)
 
 
 class SensorClosure(Closure):
@@ -231,14 +271,53 @@ class GaugeClosure(SensorClosure):
 
     @property
     def curves(self) -> str:
-        return self.law.where if self.law.where in (self.law.uses or self.law.where) else ""
+        along = self.element is not None and self.element.kind in ("path", "lag")
+        return self.law.where if self.law.where in (self.law.uses or self.law.where) and not along else ""
+
+    @property
+    def _recalls(self) -> bool:
+        """Whether its own signal's past counts."""
+        return self.element is not None and self.element.signal == self.law.where
 
     def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        if channel == self.law.where and self.element is None and self.curves and self.law.uses <= {channel}:
+            return self._straightened(reading, values)
         signal = reading
         for _ in range(_INVERSIONS if channel == self.law.where else 0):
             at, before = sensed(channel, signal, memory.beside), signal
             signal = reading - self.given(self._remembering(at, memory, values), values)
-            if not self.curves or float(np.max(np.abs(signal - before))) < _FOUND:
+            if not (self.curves or self._recalls) or float(np.max(np.abs(signal - before))) < _FOUND:
+                break
+        return signal
+
+    def _straightened(self, reading: FloatArray, values: Values) -> FloatArray:
+        """The signal under a curve of it alone; where a reading stays, the least that shows it."""
+        low, high = float(np.min(reading)), float(np.max(reading))
+        beyond = _BEYOND * max(high - low, 1.0)
+        signal = np.linspace(low - beyond, high + beyond, _CURVE)
+        shown = signal + self.given(sensed(self.law.where, signal), values)
+        rising = np.maximum.accumulate(shown)
+        risen = np.concatenate([[True], np.diff(rising) > 0.0])
+        return np.asarray(np.interp(reading, rising[risen], signal[risen]))
+
+
+class PlaceClosure(SensorClosure):
+    """What the position sensor shows more than the position, on which all equations depend."""
+
+    @property
+    def bends(self) -> bool:
+        return True
+
+    @property
+    def places(self) -> bool:
+        return True
+
+    def unmeasure(self, channel: str, reading: FloatArray, memory: Memory, values: Values) -> FloatArray:
+        signal = reading
+        for _ in range(_INVERSIONS if channel == self.law.where else 0):
+            at = sensed(channel, signal, memory.beside)
+            signal = reading - self.given(self._remembering(at, memory, values), values)
+            if "position" not in self.law.uses:
                 break
         return signal
 
@@ -296,8 +375,10 @@ def closure(
     `limits`: of a table's variable or of a law's threshold, SI unit; `probes`: start values of that threshold.
     """
     acting = {"motion": MotionClosure, "load": LoadClosure, "actuation": ValveClosure, "sensor": SensorClosure}
-    kind = EdgeClosure if law.where == "edges" else acting.get(law.equation, FlowClosure)
+    placed = {"edges": EdgeClosure, "across": AcrossClosure, "piston_position": PlaceClosure}
+    kind = placed.get(law.where) or acting.get(law.equation, FlowClosure)
     kind = GaugeClosure if law.where.startswith("pressure") else kind
+    kind = DraggedClosure if kind is LoadClosure and "acceleration" in law.uses else kind
     kind = SnubberClosure if law.element is not None and law.element.kind == "turn" else kind
     options = {"equation": law.equation, "form": law.form}
     return kind(options, law=law, limits=limits, probes=probes, numbers=bench)

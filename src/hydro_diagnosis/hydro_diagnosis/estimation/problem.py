@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.addition import Parts, amplitudes, between, responses, shapes, summed, written
 from hydro_diagnosis.estimation.columns import Columns
 from hydro_diagnosis.estimation.direct_response import direct_response
@@ -80,6 +80,8 @@ class Problem:
         self.bench = bench
         self.estimated = tuple(estimated)
         self.baseline = tuple(baseline)
+        self.ruled_out: tuple[Effect, ...] = ()
+        """Causes that the user says it cannot be."""
         likes = like.models if like else [None] * len(segments)
         self.models: list[SegmentModel] = [
             SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)
@@ -255,7 +257,7 @@ class Problem:
     def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
         acting = tuple(claim for claim in claims if block in claim.effect.touches)
         key = (block, *((claim.effect.label, *claim.values.values()) for claim in acting))
-        found = self._cache.pop(key, None) or [compute(model, acting) for model in self.models]
+        found = self._cache.pop(key, None) or [compute(model.placed(acting), acting) for model in self.models]
         if len(self._cache) > _CACHE:
             self._cache.pop(next(iter(self._cache)))
         self._cache[key] = found  # the one that was asked for longest ago goes first

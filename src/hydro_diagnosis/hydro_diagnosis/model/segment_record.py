@@ -4,19 +4,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
+from typing import Any, Self
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.preprocessing.box_clock import Rows, judged
-from hydro_diagnosis.preprocessing.smoothing import STRIDE, finish, finish_at, kinematics, smooth, smooth_at
+from hydro_diagnosis.preprocessing.smoothing import STRIDE, bend, finish, finish_at, kinematics, smooth, smooth_at
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
 BLOCK = 0.1
 """Averaging time [s] of the hydraulic balance."""
+PLACES = 4
+"""Corrected positions that a segment keeps."""
 TAIL = 20
 """Recorded rows at a segment's end that are not judged, and `MARGIN` before and after one that is missing."""
 MARGIN = 6
@@ -32,6 +36,7 @@ class SegmentRecord:
 
     def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
         self.segment = segment
+        self._places: dict[tuple[Any, ...], Self] = {}
         self.base = bench
         """The bench as believed, no claim written into it."""
         self.step = segment.step
@@ -49,8 +54,9 @@ class SegmentRecord:
         if self.has_position:
             self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
             pressures = (channels["pressure_a"], channels["pressure_b"]) if self.has_pressures else None
-            self.kinematics = Kinematics(self.time, self.x, self.v, pressures)
-            self.recorded = Kinematics(self.time, channels["piston_position"], self.v)
+            self.kinematics = Kinematics(self.time, self.x, self.v, pressures, self.a)
+            bent = bend(channels["piston_position"], self.step)
+            self.recorded = Kinematics(self.time, channels["piston_position"], self.v, None, bent)
         self.beside = self._beside()
         """What stands beside a sensor that is read, shape (n,) each."""
         self.memory = RecordMemory(segment.step, self.beside)
@@ -59,7 +65,7 @@ class SegmentRecord:
         """A reading is taken under the current that was held until then."""
         found = {name: self.channels[name] for name in ("pressure_a", "pressure_b") if name in self.channels}
         if self.has_position:
-            found |= {"position": self.channels["piston_position"], "velocity": self.v}
+            found |= {"position": self.channels["piston_position"], "velocity": self.v, "acceleration": self.a}
         if "valve_current" in self.channels:
             current = self.channels["valve_current"]
             found["current"] = np.concatenate([current[:1], current[:-1]])
@@ -71,6 +77,19 @@ class SegmentRecord:
         for claim in claims:
             bench = claim.effect.bench(bench, claim.values)
         return bench
+
+    def placed(self, claims: Sequence[Claim]) -> Self:
+        """The same segment with the position that is the piston's under these claims; itself, if it is the recorded."""
+        moving = [claim for claim in claims if claim.effect.places]
+        if not moving or not self.has_position:
+            return self
+        key = tuple((claim.effect.label, *claim.values.values()) for claim in moving)
+        if key not in self._places:
+            channels = {**self.channels, "piston_position": self.true_signal("piston_position", moving)}
+            while len(self._places) >= PLACES:
+                self._places.pop(next(iter(self._places)))
+            self._places[key] = type(self)(replace(self.segment, channels=channels), self.base, self)
+        return self._places[key]
 
     def true_signal(self, channel: str, claims: Sequence[Claim]) -> FloatArray:
         """A channel with the sensors' gains and biases taken out."""
@@ -89,7 +108,8 @@ class SegmentRecord:
 
     @cached_property
     def _smooth_beside(self) -> dict[str, FloatArray]:
-        return {name: self.smooth(signal) for name, signal in self.beside.items()}
+        smoothed = {name: self.smooth(signal) for name, signal in self.beside.items() if name != "acceleration"}
+        return smoothed | ({"acceleration": self.finish(self.a)} if self.has_position else {})
 
     def kept(self, signal: FloatArray) -> FloatArray:
         """Return the judged part of a signal, shape (n,): settled, and every fifth recorded row."""

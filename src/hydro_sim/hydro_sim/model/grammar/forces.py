@@ -46,6 +46,10 @@ LAWS: tuple[Law, ...] = (
     Law("load", "creeping spring", "N/m", "(x - w), w' = (x - w) / time",
         "Load that relaxes where it is held: typical of rubber or plastic in the load's way.",
         1e3, lambda at, n: at.position - at.memory, creep("position"), LAG),
+    Law("motion", "creeping stiffness", "N/m", "(x - w), w' = (x - w) / time",
+        "Force against motion that relaxes where the piston is held: typical of a bellows that breathes by a small "
+        "hole, or rubber along the rod.",
+        1e3, lambda at, n: at.position - at.memory, creep("position"), LAG),
     Law("motion", "drag outwards", "N s2/m2", "max(v, 0)^2",
         "Force against outward motion that grows with the square of speed: typical of a throttle with a check valve.",
         100.0, lambda at, n: np.fmax(at.velocity, 0.0) * np.fmax(at.velocity, 0.0)),
