@@ -122,10 +122,7 @@ class Responses:
         return self._present({"motion": -self._finish(force)})
 
     def _loaded(self, force: FloatArray) -> Shown:
-        seen, bandwidth = force, self.bench.load_cell_bandwidth
-        if bandwidth is not None:
-            seen = np.stack([self.memory.low_pass("", one, bandwidth, LOAD_CELL_DAMPING) for one in force])
-        return {**self._moved(force), **self._present({"load": -self._smooth(seen)})}
+        return {**self._moved(force), **self._present({"load": -self._smooth(self._in_cell(force))})}
 
     def _filled(self, into_a: FloatArray, into_b: FloatArray) -> Shown:
         shown: dict[str, FloatArray | None] = {}
@@ -155,30 +152,25 @@ class Responses:
     def _displaced(self, terms: Sequence[Claim]) -> Shown:
         """Of an error of the position: what it moves in all equations, but friction near standstill and the oil."""
         model, bench, recorded = self.model, self.bench, self.model.channels["piston_position"]
-        x, v, a, shown, swept = [], [], [], [], []
-        for one in terms:
-            error = one.effect.unmeasure("piston_position", recorded, self.memory, one.values) - recorded
-            moved = kinematics(error, model.step, model.spacing)
-            x.append(moved[0]), v.append(moved[1]), a.append(moved[2])
-            shown.append(bench.spring_stiffness * error)
-            swept.append(np.diff(error, append=error[-1]) / model.step)
-        force = (
-            bench.moving_mass * np.stack(a)
-            + bench.viscous_friction * np.stack(v)
-            + bench.spring_stiffness * np.stack(x)
-        )
+        errors = np.stack([one.effect.unmeasure("piston_position", recorded, self.memory, one.values) - recorded
+                           for one in terms])  # fmt: skip
+        moved = [kinematics(one, model.step, model.spacing) for one in errors]
+        x, v, a = (np.stack([one[k] for one in moved]) for k in range(3))
+        force = bench.moving_mass * a + bench.viscous_friction * v + bench.spring_stiffness * x
         found = self._present({"motion": -self._finish(force)})
         if "load" in self.problem.blocks:
-            seen = np.stack(shown)
-            if bench.load_cell_bandwidth is not None:
-                seen = np.stack(
-                    [self.memory.low_pass("", one, bench.load_cell_bandwidth, LOAD_CELL_DAMPING) for one in seen]
-                )
-            found |= {"load": -self._smooth(seen)}
+            found |= self._present({"load": -self._smooth(self._in_cell(bench.spring_stiffness * errors))})
         if "pressure" in self.problem.blocks:
-            speed = np.stack(swept) * bench.piston_area
-            found |= self._filled(-speed, bench.area_ratio * speed)
+            swept = bench.piston_area * np.diff(errors, axis=1, append=errors[:, -1:]) / model.step
+            found |= self._filled(-swept, bench.area_ratio * swept)
         return found
+
+    def _in_cell(self, force: FloatArray) -> FloatArray:
+        """Forces [N] behind the load cell's amplifier."""
+        bandwidth = self.bench.load_cell_bandwidth
+        if bandwidth is None:
+            return force
+        return np.stack([self.memory.low_pass("", one, bandwidth, LOAD_CELL_DAMPING) for one in force])
 
     def _means(self, signals: FloatArray) -> FloatArray:
         return np.stack([self.model.means(one) for one in signals])

@@ -4,9 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from functools import cached_property
-from typing import Any, Self
 
 import numpy as np
 
@@ -19,8 +17,6 @@ from hydro_sim.model.bench import Bench
 
 BLOCK = 0.1
 """Averaging time [s] of the hydraulic balance."""
-PLACES = 4
-"""Corrected positions that a segment keeps."""
 TAIL = 20
 """Recorded rows at a segment's end that are not judged, and `MARGIN` before and after one that is missing."""
 MARGIN = 6
@@ -36,7 +32,6 @@ class SegmentRecord:
 
     def __init__(self, segment: Segment, bench: Bench, like: SegmentRecord | None = None) -> None:
         self.segment = segment
-        self._places: dict[tuple[Any, ...], Self] = {}
         self.base = bench
         """The bench as believed, no claim written into it."""
         self.step = segment.step
@@ -77,19 +72,6 @@ class SegmentRecord:
         for claim in claims:
             bench = claim.effect.bench(bench, claim.values)
         return bench
-
-    def placed(self, claims: Sequence[Claim]) -> Self:
-        """The same segment with the position that is the piston's under these claims; itself, if it is the recorded."""
-        moving = [claim for claim in claims if claim.effect.places]
-        if not moving or not self.has_position:
-            return self
-        key = tuple((claim.effect.label, *claim.values.values()) for claim in moving)
-        if key not in self._places:
-            channels = {**self.channels, "piston_position": self.true_signal("piston_position", moving)}
-            while len(self._places) >= PLACES:
-                self._places.pop(next(iter(self._places)))
-            self._places[key] = type(self)(replace(self.segment, channels=channels), self.base, self)
-        return self._places[key]
 
     def true_signal(self, channel: str, claims: Sequence[Claim]) -> FloatArray:
         """A channel with the sensors' gains and biases taken out."""

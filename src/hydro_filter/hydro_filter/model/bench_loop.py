@@ -43,7 +43,7 @@ from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
 from hydro_sim.model.effects import catalogue
-from hydro_sim.model.grammar import remembers
+from hydro_sim.model.grammar import remembers, uses
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
@@ -177,6 +177,7 @@ def _refuse(truth: Bench) -> None:
     refused: dict[str, list[Mapping[str, Any]]] = {
         "what closures remember": [one for one in truth.closures if remembers(one)],
         "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
+        "a mass that the load drags along": [one for one in loads if "acceleration" in uses(one)],
         "a load that follows the velocity": [one for one in loads if follows_velocity(truth, one)],
     }
     for what, closures in refused.items():

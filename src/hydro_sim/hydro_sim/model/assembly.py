@@ -294,7 +294,7 @@ class Assembly:
                 effect.at.velocity = end[3]
             late[4] = rates.load(self.numbers, self.effects, end[2])
             if any(effect.acts_in("inertia") for effect in self.effects):
-                late[4] = late[4] + rates.inertia(self.effects, end[2]) * self._acceleration(vertcat(*end[:6]))
+                late[4] = late[4] + rates.inertia(self.effects, end[2]) * self._acceleration(SX(vertcat(*end[:6])))
             self._bind(hidden)
         signals = dict(zip(READINGS, zip(self._truth(early), self._truth(late), strict=True), strict=True))
         for effect in self.effects:

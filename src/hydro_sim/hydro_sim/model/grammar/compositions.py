@@ -8,6 +8,7 @@ from collections.abc import Iterable, Sequence
 from hydro_sim.model.grammar import carriers as c
 from hydro_sim.model.grammar import modulations as m
 from hydro_sim.model.grammar import pasts as p
+from hydro_sim.model.grammar import sensor_carriers as s
 from hydro_sim.model.grammar.parts import Carrier, Modulation, composed
 from hydro_sim.model.laws import Law
 
@@ -28,7 +29,8 @@ _READINGS = {
        for cell, symbol in (("hydraulic_force", "f_h"), ("load_force", "f_l"))},
     **{gauge: p.of_reading(gauge, gauge, f"p_{gauge[-1]}", "Pa", (3e4, 1e5, 3e5, 1e6), _LEVELS_PA)
        for gauge in ("pressure_a", "pressure_b")},
-    "piston_position": p.of_reading("piston_position", "position", "x", "m", (1e-4, 3e-4, 1e-3, 3e-3), ())[:1],
+    "piston_position": (*p.of_reading("piston_position", "position", "x", "m", (1e-4, 3e-4, 1e-3, 3e-3), ())[:1],
+                        *p.BENT),
 }  # fmt: skip
 
 
@@ -53,9 +55,10 @@ EVERY: tuple[Law, ...] = (
     *_product((c.GAIN, c.CURVE), _SPOOL),
     *_product((c.THROTTLE, c.NARROWED, c.JETS), _EDGES),
     *_product(c.PRESSED, (m.ALWAYS,)),
-    *_product(c.PICKED, (m.ALWAYS,)),
-    *_product(c.DRIFTING, _DRIFTS),
-    *(composed(c.READ[channel], one) for channel, own in _READINGS.items() for one in own),
+    *_product(s.PICKED, (m.ALWAYS,)),
+    *_product(s.DRIFTING, _DRIFTS),
+    *_product((one for one in s.DRIFTING if one.uses and not one.where.endswith("force")), (m.ALWAYS,)),
+    *(composed(s.READ[channel], one) for channel, own in _READINGS.items() for one in own),
 )
 """All compositions, named laws among them."""
 

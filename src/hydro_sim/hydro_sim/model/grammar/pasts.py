@@ -7,7 +7,7 @@ import numpy as np
 
 from hydro_sim.model.grammar.modulations import TIMES
 from hydro_sim.model.grammar.parts import Modulation
-from hydro_sim.model.grammar.words import LAG, above, path, threshold
+from hydro_sim.model.grammar.words import LAG, above, middle, path, threshold
 from hydro_sim.model.laws import Element, Number
 
 FADING = Modulation(
@@ -25,6 +25,16 @@ SEATED = Modulation(
     name="beyond a reversal", text="{} w^2, w' = (v - |v| w) / path", uses="velocity",
     phrase=", but while the piston turns round: typical of a ring that seals again once it is dragged along",
     factor=lambda at, n: at.memory * at.memory, element=Element("path", "position"), numbers=_PATH,
+)  # fmt: skip
+
+
+BENT = tuple(
+    Modulation(name=name, text=f"{{}} {text}", uses="position", degree=degree, scale=0.1,
+               phrase=", by a curve along the stroke: typical of a transducer that is not straight",
+               factor=factor)
+    for name, text, degree, factor in (
+        ("along a curve", "(x/L - 1/2)^2", 2.0, lambda at, n: middle(at, n) * middle(at, n)),
+        ("along an odd curve", "(x/L - 1/2)^3", 3.0, lambda at, n: middle(at, n) * middle(at, n) * middle(at, n)))
 )  # fmt: skip
 
 
