@@ -51,6 +51,7 @@ TEXTS = {
     "w, w' = (u' - |u'| w) / path": _form("current", 1.0, memory=True),
     "w, w' = (v - |v| w) / path": _form("position velocity", 1.0, memory=True),
     "(x - w), w' = (x - w) / time": _form("position", 1.0, memory=True),
+    "(w - x_rest), w' = (x - w) / time": _form("position", 1.0, memory=True),
     "w, w' = (f_h - w) / time": _form("hydraulic_force", 1.0, memory=True),
     "max(v, 0)^2": _form("velocity", 2.0),
     "-max(-v, 0)^2": _form("velocity", 2.0),

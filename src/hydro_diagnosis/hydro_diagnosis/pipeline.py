@@ -117,6 +117,8 @@ def diagnose(
             believed = starting_bench(fitted, given, baseline_claims, estimate)
     candidates = [effect.adapted(believed) for effect in unruled if acts(effect, believed)]
     problem = Problem(fitted, believed, baseline_claims, estimated=standing(believed, estimate))
+    ruled_out = [effect for effect in CANDIDATES if effect not in unruled and effect.named]
+    problem.ruled_out = tuple(effect.adapted(believed) for effect in ruled_out if acts(effect, believed))
     if not problem.blocks:
         raise InputError("the recordings hold no channels that any equation connects")
     search = Search(problem, candidates, settings or NAMES, progress)

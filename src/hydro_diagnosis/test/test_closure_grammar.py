@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_diagnosis.closure.disguise import in_disguise
 from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
 from hydro_diagnosis.closure.selection import closures
-from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.effects.path_memory import limited
 from hydro_diagnosis.estimation.fit import fit
@@ -25,7 +26,7 @@ from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses
+from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
 
 BENCH = Bench.nominal()
 
@@ -97,6 +98,46 @@ def test_a_law_reverses_over_a_millimetre_a_second_or_over_its_own_number() -> N
     np.testing.assert_allclose(there, 8.0 * np.exp(-1.0) * np.tanh(at.velocity / 5e-3))
 
 
+def test_what_a_reversal_opens_is_open_again_after_a_path_of_ln_2_over_2() -> None:
+    """From w = -1, w = 1 - 2 exp(-s / path): 1 - w^2 is 0 at a reversal, 1 after path ln 2, and fades then."""
+    effect = closure(law("pressure", "leak, since a reversal"), BENCH)
+    path, travelled = 5e-4, 1e-6 * np.arange(4000)
+    values, there = {"coefficient": 1.0, "path": path}, 0.03 - travelled
+    position = np.concatenate([there, there[-1] + travelled])
+    at = Signals(position=position, pressure_a=1.0 + 0.0 * position)
+    open_ = effect.given(effect._remembering(at, RecordMemory(1e-3), values), values)[4000:]
+    w = 1.0 - 2.0 * np.exp(-travelled / path)
+    np.testing.assert_allclose(open_, 1.0 - w * w, atol=2e-3)
+    assert travelled[np.argmax(open_)] == pytest.approx(path * np.log(2.0), abs=2e-6)
+
+
+def test_a_spool_that_is_shifted_changes_the_flow_by_its_gain_even_across_null() -> None:
+    p_a, p_b, gain = 5e6, 6e6, BENCH.constants()[0]["valve_gain"]
+    lost_a, lost_b = shifted(BENCH, np.array([2e-3, 1e-4]), np.array([1e-4, -3e-4]), (p_a, p_b))
+    out, back = np.sqrt(BENCH.supply_pressure - p_a), np.sqrt(p_a - BENCH.tank_pressure)
+    np.testing.assert_allclose(lost_a, [-gain * 1e-4 * out, gain * (1e-4 * out + 2e-4 * back)], rtol=1e-3)
+    assert lost_b[0] > 0.0 > lost_b[1]
+
+
+def test_a_gauge_that_saturates_is_undone_though_little_of_its_slope_is_left() -> None:
+    effect, pressure = (
+        closure(law("sensor", "reading of pressure_b, above a limit"), BENCH),
+        np.linspace(1e5, 1.5e7, 50),
+    )
+    values, memory = {"coefficient": -0.95, "threshold": 1e7}, RecordMemory(1e-3)
+    reading = effect.measure("pressure_b", pressure, memory, values)
+    np.testing.assert_allclose(effect.unmeasure("pressure_b", reading, memory, values), pressure, atol=2e4)
+
+
+def test_a_position_with_play_is_undone() -> None:
+    effect = closure(law("sensor", "reading of piston_position, with hysteresis"), BENCH)
+    position = 0.04 + 5e-3 * np.sin(np.arange(3000) / 200.0)
+    values = {"coefficient": -8e-5, "path": 3e-4}
+    reading = effect.measure("piston_position", position, RecordMemory(1e-3), values)
+    found = effect.unmeasure("piston_position", reading, RecordMemory(1e-3), values)
+    assert np.max(np.abs(found - position)) < 1e-6 < 5e-5 < np.max(np.abs(reading - position))
+
+
 @pytest.mark.parametrize("one", [*grammar.LAWS, *grammar.COMPOSITIONS], ids=lambda one: f"{one.equation} {one.form}")
 def test_what_says_that_it_reverses_does(one: Law) -> None:
     """Either direction, each side of any threshold."""
@@ -138,6 +179,15 @@ def test_a_curved_gauge_is_undone() -> None:
         ("load", "rubbing by deflection", {"coefficient": 500.0}, 0.05),
         ("load", "rubbing by deflection, reversing over turn", {"coefficient": 570.0, "turn": 5e-3}, 0.1),
         ("motion", "friction by pressure difference, reversing over turn", {"coefficient": 4e-6, "turn": 5e-3}, 0.2),
+        ("motion", "creeping stiffness", {"coefficient": 2000.0, "time": 0.2}, 0.05),
+        ("motion", "drag, fading from the start", {"coefficient": 300.0, "time": 4.0}, 0.05),
+        ("load", "inertia", {"coefficient": 1.5}, 0.03),
+        ("pressure", "leak, since a reversal", {"coefficient": 3e-13, "path": 5e-4}, 0.05),
+        ("pressure_b", "flow of the tank's edge", {"coefficient": 0.1}, 0.03),
+        ("actuation", "null by pressure difference", {"coefficient": -3e-11}, 0.05),
+        ("sensor", "reading of load_force, in pull", {"coefficient": -0.08}, 0.03),
+        ("sensor", "reading of piston_position, with hysteresis", {"coefficient": -8e-5, "path": 3e-4}, 0.05),
+        ("sensor", "gain of pressure_b", {"coefficient": 0.02}, 0.05),
     ],
 )
 def test_a_law_is_found_with_all_of_its_numbers(
@@ -175,3 +225,14 @@ def test_a_law_that_is_a_name_in_disguise_is_not_definite(record: Callable[..., 
     coulomb = next(effect for effect in LIBRARY if effect.label == "friction_coulomb").adapted(BENCH)
     named = fit(problem, [Claim(coulomb, {"force": 8.0})])
     assert definite(problem, named, named.claims[0])
+
+
+def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause(record: Callable[..., StateArray]) -> None:
+    """Drag in one direction alone is friction that depends on the direction; a leak is another thing."""
+    entry = {"equation": "motion", "form": "drag, outwards", "parameters": {"coefficient": 150.0}}
+    problem = problem_of(record(replace(BENCH, closures=(entry,)), 3))
+    found = fit(problem, [Claim(closure(law("motion", "drag, outwards"), BENCH), {"coefficient": 150.0})])
+    causes = {effect.label: effect.adapted(BENCH) for effect in CANDIDATES}
+    for ruled_out, refused in ((), False), (("friction_viscous:directional",), True), (("leakage_internal",), False):
+        problem.ruled_out = tuple(causes[label] for label in ruled_out)
+        assert in_disguise(problem, found, found.claims[0]) == refused

@@ -84,8 +84,9 @@ def claimed(law: Law | Table) -> Claim:
     sizes = {one.name: share * one.probes[0] * (-0.5) ** (k % 2) for k, one in enumerate(amplitudes)}
     starts = effect.nothing() * 2
     placed = isinstance(law, Law) and any(number.over for number in law.numbers)
-    start = starts[-2 if "below a pressure" in law.form else 1 if placed else -2]  # a threshold that this motion passes
-    passed = {"threshold": 9.5e6} if law.form.endswith("a pressure of B") else {}
+    below = "below a pressure" in law.form or law.form.endswith("below a limit")
+    start = starts[-2 if below else 1 if placed else -2]  # a threshold that this motion passes
+    passed = {"threshold": 9.5e6} if law.form.endswith(("a pressure of B", "of pressure_b, below a limit")) else {}
     return Claim(effect, {**start, **passed, **sizes})
 
 

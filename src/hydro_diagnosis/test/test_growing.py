@@ -221,3 +221,19 @@ def test_a_grown_effect_that_cannot_be_read_ends_in_one_sentence(tmp_path: Path,
     assert str(broken) in sentence
     assert why in sentence
     assert sentence.endswith("mend the file or remove it")
+
+
+@pytest.mark.parametrize(
+    "module", ["hydro_sim.nodes.sim", "hydro_sim.identification.learn", "hydro_filter.nodes.filter"]
+)
+def test_every_command_says_which_grown_effect_cannot_be_read(tmp_path: Path, module: str) -> None:
+    (tmp_path / "broken.py").write_text("EFFECT = 1\n")
+    started = f"import sys\nfrom hydro_bridge.process.start import main_of\nsys.exit(main_of.{module}())"
+    environment = {**os.environ, "HYDRO_EFFECTS": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", started], capture_output=True, text=True, env=environment, timeout=240, check=False
+    )
+    assert done.returncode == 2
+    (sentence,) = done.stderr.strip().splitlines()
+    assert str(tmp_path / "broken.py") in sentence
+    assert sentence.endswith("mend the file or remove it")

@@ -88,6 +88,13 @@ def test_a_sensor_that_is_not_straight_is_refused_in_a_sentence() -> None:
         loop_of(replace(Bench.nominal(), closures=(_entry(law),)), Bench.nominal())
 
 
+def test_a_mass_that_the_load_drags_along_is_refused_in_a_sentence() -> None:
+    law = ALL["load", "inertia"]
+    assert isinstance(law, Law)
+    with pytest.raises(ValueError, match="no place for a mass that the load drags along: take inertia out"):
+        loop_of(replace(Bench.nominal(), closures=(_entry(law),)), Bench.nominal())
+
+
 @pytest.mark.parametrize("form", ["rubbing", "quadratic damping"])
 def test_a_load_that_follows_the_velocity_is_refused_in_a_sentence(form: str) -> None:
     law = ALL["load", form]

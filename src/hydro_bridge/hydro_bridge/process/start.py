@@ -9,6 +9,7 @@ from __future__ import annotations
 import signal
 from importlib import import_module
 
+from hydro_bridge.errors import UserError
 from hydro_bridge.process import endings, middleware
 
 
@@ -29,7 +30,11 @@ class MainOf:
         if trouble := middleware.missing_middleware():
             endings.complain(trouble)
             return 2
-        main = import_module(self._module).main
+        try:
+            main = import_module(self._module).main
+        except UserError as error:  # a file of the user's that is read with the module, such as a grown effect
+            endings.complain(str(error))
+            return 2
         try:
             status: int | None = main()
         finally:

@@ -82,18 +82,23 @@ def _over(problem: Problem, table: Table) -> FloatArray:
     return np.concatenate(passed)
 
 
-_CHANNELS = {"current": "valve_current", "position": "piston_position", "velocity": "piston_position"}
+_CHANNELS = {
+    "current": "valve_current",
+    "position": "piston_position",
+    "velocity": "piston_position",
+    "acceleration": "piston_position",
+}
 """Channels that signals are recorded in, if they are none themselves."""
 
 
 def _visible(effect: Closure, problem: Problem) -> bool:
     have = set.intersection(*(set(model.channels) for model in problem.models))
-    law = effect.law
+    law, elsewhere = effect.law, {"", "edges", "across"}
     if isinstance(law, Table) or law.uses:
         needed = {_CHANNELS.get(one, one) for one in law.uses} - {"time"}
-        return bool(effect.touches & set(problem.blocks)) and needed | ({law.where} - {"", "edges"}) <= have
+        return bool(effect.touches & set(problem.blocks)) and needed | ({law.where} - elsewhere) <= have
     pressures = {"pressure_a", "pressure_b"} if "p_" in law.text and law.where != "load_force" else set()
-    return bool(effect.touches & set(problem.blocks)) and pressures | ({law.where} - {"", "edges"}) <= have
+    return bool(effect.touches & set(problem.blocks)) and pressures | ({law.where} - elsewhere) <= have
 
 
 def _nothing(effect: Closure) -> list[Claim]:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 
+from hydro_diagnosis.closure.disguise import in_disguise
 from hydro_diagnosis.closure.evidence import definite
 from hydro_diagnosis.closure.rounding import newest_turned, plain, turned
 from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
@@ -114,6 +115,8 @@ def _laws_fitted(problem: Problem, current: Fit, screen: Screen, tried: set[str]
             continue
         if not definite(problem, better, better.claims[-1]):
             disguised = max(disguised, one.gain)  # what gains less would stand in for the name or law that it is
+        elif in_disguise(problem, better, better.claims[-1]):
+            continue
         elif held_out_gain(problem, current, better) >= toll:
             fits.append(better)
             clean = clean or not noticeable(problem, better.residual)

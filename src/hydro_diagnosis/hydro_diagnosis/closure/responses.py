@@ -17,12 +17,14 @@ from scipy.signal import lfilter
 from hydro_diagnosis.closure.gauge_responses import GaugeWays
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import (
+    AcrossClosure,
     Closure,
     EdgeClosure,
     FlowClosure,
     GaugeClosure,
     LoadClosure,
     MotionClosure,
+    PlaceClosure,
     SnubberClosure,
     ValveClosure,
 )
@@ -33,6 +35,7 @@ from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.preprocessing.smoothing import kinematics
 from hydro_sim.model import equations as eq
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
@@ -44,6 +47,7 @@ class Responses:
     """Ways of one segment, under the names that stand."""
 
     def __init__(self, problem: Problem, model: SegmentModel, claims: Sequence[Claim]) -> None:
+        model = model.placed(claims)
         self.problem, self.model, self.claims = problem, model, claims
         self.bench = model.bench(claims)
         self.memory = RecordMemory(model.step, model.beside)
@@ -68,10 +72,12 @@ class Responses:
         if isinstance(effect, ValveClosure):
             shift = self._each(terms, self._commanding) * self.bench.valve_gain
             return self._filled(shift * self.roots[0], -shift * self.roots[1])
-        if isinstance(effect, FlowClosure | EdgeClosure):
+        if isinstance(effect, FlowClosure | EdgeClosure | AcrossClosure):
             still = np.zeros_like(self.model.time), np.zeros_like(self.model.time)
             flows = [one.effect.inflows(still, self.oil, self.memory, one.values) for one in terms]
             return self._filled(np.stack([one[0] for one in flows]), np.stack([one[1] for one in flows]))
+        if isinstance(effect, PlaceClosure):
+            return self._displaced(terms)
         if isinstance(effect, GaugeClosure):
             return self._present(self.gauges.of(terms, effect.law.where))
         return self._read(terms, effect.law.where)
@@ -117,10 +123,7 @@ class Responses:
         return self._present({"motion": -self._finish(force)})
 
     def _loaded(self, force: FloatArray) -> Shown:
-        seen, bandwidth = force, self.bench.load_cell_bandwidth
-        if bandwidth is not None:
-            seen = np.stack([self.memory.low_pass("", one, bandwidth, LOAD_CELL_DAMPING) for one in force])
-        return {**self._moved(force), **self._present({"load": -self._smooth(seen)})}
+        return {**self._moved(force), **self._present({"load": -self._smooth(self._in_cell(force))})}
 
     def _filled(self, into_a: FloatArray, into_b: FloatArray) -> Shown:
         shown: dict[str, FloatArray | None] = {}
@@ -146,6 +149,29 @@ class Responses:
             return self._present({"load": -self._smooth(read(force))})
         raw = read(channels[channel])
         return self._present({"motion": -self._kept(read(self.force, True)), "hydraulic": -self._means(raw)})
+
+    def _displaced(self, terms: Sequence[Claim]) -> Shown:
+        """Of an error of the position: what it moves in all equations, but friction near standstill and the oil."""
+        model, bench, recorded = self.model, self.bench, self.model.channels["piston_position"]
+        errors = np.stack([one.effect.unmeasure("piston_position", recorded, self.memory, one.values) - recorded
+                           for one in terms])  # fmt: skip
+        moved = [kinematics(one, model.step, model.spacing) for one in errors]
+        x, v, a = (np.stack([one[k] for one in moved]) for k in range(3))
+        force = bench.moving_mass * a + bench.viscous_friction * v + bench.spring_stiffness * x
+        found = self._present({"motion": -self._finish(force)})
+        if "load" in self.problem.blocks:
+            found |= self._present({"load": -self._smooth(self._in_cell(bench.spring_stiffness * errors))})
+        if "pressure" in self.problem.blocks:
+            swept = bench.piston_area * np.diff(errors, axis=1, append=errors[:, -1:]) / model.step
+            found |= self._filled(-swept, bench.area_ratio * swept)
+        return found
+
+    def _in_cell(self, force: FloatArray) -> FloatArray:
+        """Forces [N] behind the load cell's amplifier."""
+        bandwidth = self.bench.load_cell_bandwidth
+        if bandwidth is None:
+            return force
+        return np.stack([self.memory.low_pass("", one, bandwidth, LOAD_CELL_DAMPING) for one in force])
 
     def _means(self, signals: FloatArray) -> FloatArray:
         return np.stack([self.model.means(one) for one in signals])

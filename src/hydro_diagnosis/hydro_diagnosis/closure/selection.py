@@ -14,6 +14,7 @@ from copy import copy
 import numpy as np
 
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
+from hydro_diagnosis.closure.disguise import in_disguise
 from hydro_diagnosis.closure.growth import CONDENSED, LEAST, TERMS, Closed, count_terms, grown_by_law
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
@@ -102,6 +103,8 @@ def _grown_by_table(problem: Problem, base: Fit, tried: Candidates) -> Fit:
         tried = tried.without(start.effect.label)
         better = fit(problem, (*current.claims, start))
         if score(problem, current) - score(problem, better) < THRESHOLD or mimics(problem, current, better):
+            continue
+        if in_disguise(problem, better, better.claims[-1]):
             continue
         taken += 1
         current = better

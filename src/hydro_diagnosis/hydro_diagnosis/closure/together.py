@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hydro_diagnosis.closure.disguise import in_disguise
 from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
@@ -62,7 +63,9 @@ def _pays(problem: Problem, without: Fit, found: Fit, claim: Claim) -> bool:
         return False
     if not isinstance(claim.effect, Closure):
         return True
-    return definite(problem, found, claim) and held_out_gain(problem, without, found) >= THRESHOLD
+    if not definite(problem, found, claim) or in_disguise(problem, found, claim):
+        return False
+    return held_out_gain(problem, without, found) >= THRESHOLD
 
 
 def held_out_gain(problem: Problem, before: Fit, after: Fit) -> float:

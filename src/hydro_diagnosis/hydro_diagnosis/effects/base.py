@@ -117,6 +117,8 @@ class Kinematics:
     velocity: FloatArray
     pressures: tuple[FloatArray, FloatArray] | None = None
     """Pa, of chambers A and B; None where they are not known."""
+    acceleration: FloatArray | None = None
+    """m/s2; None where it is not known."""
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,21 @@ class Effect:
     def bends(self) -> bool:
         """Whether what others do to a residual does not just add up behind it."""
         return self.rounds.startswith("pressure")
+
+    @property
+    def instant(self) -> bool:
+        """Whether a reading depends on the instant, on a path or on slow states alone: it may be curved then."""
+        return False
+
+    @property
+    def shaken(self) -> bool:
+        """Whether it depends on the acceleration."""
+        return False
+
+    @property
+    def places(self) -> bool:
+        """Whether the recorded position is not the piston's by this effect."""
+        return False
 
     @property
     def curves(self) -> str:
@@ -232,6 +249,13 @@ class Effect:
     def load(self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: Values) -> FloatArray:
         """Force [N] of the load."""
         return force
+
+    def trace(self, motion: Kinematics, memory: Memory, values: Values) -> None:
+        """Leave in a record's memory the states in which simulations begin at its samples, where hooks pass others."""
+
+    def inertia(self, motion: Kinematics, bench: Bench, values: Values) -> FloatArray:
+        """Mass [kg] that the load drags along, where the acceleration is not known yet; `load` has its force, too."""
+        return np.zeros_like(motion.position)
 
     def measure(self, channel: str, signal: FloatArray, memory: Memory, values: Values) -> FloatArray:
         """Reading of a sensor for its true signal."""

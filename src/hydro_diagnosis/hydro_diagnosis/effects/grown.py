@@ -21,7 +21,7 @@ SMALLEST = 0.01
 SYSTEMATIC = 0.01
 """Relative error of a law's further number that the residuals' own discretisation may cause."""
 _FAMILIES = {"motion": "friction", "load": "spring", "actuation": "valve", "sensor": ""}
-_HOOKS = ("command", "inflows", "resistance", "load", "measure", "unmeasure")
+_HOOKS = ("command", "inflows", "resistance", "load", "inertia", "trace", "measure", "unmeasure")
 
 
 @dataclass(frozen=True)
@@ -47,6 +47,18 @@ class Grown(Effect):
     @property
     def curves(self) -> str:
         return self.term.curves
+
+    @property
+    def places(self) -> bool:
+        return self.term.places
+
+    @property
+    def instant(self) -> bool:
+        return self.term.instant
+
+    @property
+    def shaken(self) -> bool:
+        return self.term.shaken
 
     @property
     def bends(self) -> bool:

@@ -24,6 +24,7 @@ TOUCHES = {
     "load_force": frozenset({LOAD}),
     "pressure_a": frozenset({PRESSURE, HYDRAULIC}),
     "pressure_b": frozenset({PRESSURE, HYDRAULIC}),
+    "piston_position": frozenset({PRESSURE, MOTION, LOAD}),
 }
 """Blocks of residuals in which a sensor shows, by its channel."""
 _WORDS = {

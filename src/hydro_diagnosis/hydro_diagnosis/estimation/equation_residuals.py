@@ -96,7 +96,7 @@ class EquationResiduals:
     def _block(self, block: str, claims: Sequence[Claim], compute: Any) -> list[Any]:
         acting = tuple(claim for claim in claims if block in claim.effect.touches)
         key = (block, *((claim.effect.label, *claim.values.values()) for claim in acting))
-        found = self._cache.pop(key, None) or [compute(model, acting) for model in self._models]
+        found = self._cache.pop(key, None) or [compute(model.placed(acting), acting) for model in self._models]
         if len(self._cache) > _CACHE:
             self._cache.pop(next(iter(self._cache)))
         self._cache[key] = found  # the one that was asked for longest ago goes first

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, FloatArray
+from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.addition import Parts
 from hydro_diagnosis.estimation.equation_residuals import EquationResiduals
 from hydro_diagnosis.estimation.layout import Layout
@@ -39,6 +39,8 @@ class Problem:
         self.bench = bench
         self.estimated = tuple(estimated)
         self.baseline = tuple(baseline)
+        self.ruled_out: tuple[Effect, ...] = ()
+        """Causes that the user says it cannot be."""
         likes = like.models if like else [None] * len(segments)
         self.models: list[SegmentModel] = [
             SegmentModel(segment, bench, one) for segment, one in zip(segments, likes, strict=True)

@@ -13,7 +13,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 from scipy.ndimage import correlate1d
 
@@ -23,9 +25,29 @@ from hydro_diagnosis.model.forces import ForceBalance
 from hydro_diagnosis.model.observer import ChamberObserver
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
+PLACES = 4
+"""Corrected positions that a segment keeps."""
+
 
 class SegmentModel(ChamberObserver, ForceBalance):
     """A segment and its residuals under some claims, in physical units."""
+
+    def placed(self, claims: Sequence[Claim]) -> SegmentModel:
+        """The same segment with the position that is the piston's under these claims; itself, if it is the recorded."""
+        moving = [claim for claim in claims if claim.effect.places]
+        if not moving or not self.has_position:
+            return self
+        key = tuple((claim.effect.label, *claim.values.values()) for claim in moving)
+        if key not in self._placed:
+            channels = {**self.channels, "piston_position": self.true_signal("piston_position", moving)}
+            while len(self._placed) >= PLACES:
+                self._placed.pop(next(iter(self._placed)))
+            self._placed[key] = SegmentModel(replace(self.segment, channels=channels), self.base, self)
+        return self._placed[key]
+
+    @cached_property
+    def _placed(self) -> dict[tuple[Any, ...], SegmentModel]:
+        return {}
 
     def pressure_residuals(self, run: ChamberRun) -> tuple[FloatArray, FloatArray]:
         """Pa, decimated."""

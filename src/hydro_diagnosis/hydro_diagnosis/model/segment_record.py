@@ -11,7 +11,7 @@ import numpy as np
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.preprocessing.box_clock import Rows, judged
-from hydro_diagnosis.preprocessing.smoothing import STRIDE, finish, finish_at, kinematics, smooth, smooth_at
+from hydro_diagnosis.preprocessing.smoothing import STRIDE, bend, finish, finish_at, kinematics, smooth, smooth_at
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model.bench import Bench
 
@@ -49,8 +49,9 @@ class SegmentRecord:
         if self.has_position:
             self.x, self.v, self.a = kinematics(channels["piston_position"], self.step, self.spacing)
             pressures = (channels["pressure_a"], channels["pressure_b"]) if self.has_pressures else None
-            self.kinematics = Kinematics(self.time, self.x, self.v, pressures)
-            self.recorded = Kinematics(self.time, channels["piston_position"], self.v)
+            self.kinematics = Kinematics(self.time, self.x, self.v, pressures, self.a)
+            bent = bend(channels["piston_position"], self.step)
+            self.recorded = Kinematics(self.time, channels["piston_position"], self.v, None, bent)
         self.beside = self._beside()
         """What stands beside a sensor that is read, shape (n,) each."""
         self.memory = RecordMemory(segment.step, self.beside)
@@ -59,7 +60,7 @@ class SegmentRecord:
         """A reading is taken under the current that was held until then."""
         found = {name: self.channels[name] for name in ("pressure_a", "pressure_b") if name in self.channels}
         if self.has_position:
-            found |= {"position": self.channels["piston_position"], "velocity": self.v}
+            found |= {"position": self.channels["piston_position"], "velocity": self.v, "acceleration": self.a}
         if "valve_current" in self.channels:
             current = self.channels["valve_current"]
             found["current"] = np.concatenate([current[:1], current[:-1]])
@@ -89,7 +90,8 @@ class SegmentRecord:
 
     @cached_property
     def _smooth_beside(self) -> dict[str, FloatArray]:
-        return {name: self.smooth(signal) for name, signal in self.beside.items()}
+        smoothed = {name: self.smooth(signal) for name, signal in self.beside.items() if name != "acceleration"}
+        return smoothed | ({"acceleration": self.finish(self.a)} if self.has_position else {})
 
     def kept(self, signal: FloatArray) -> FloatArray:
         """Return the judged part of a signal, shape (n,): settled, and every fifth recorded row."""

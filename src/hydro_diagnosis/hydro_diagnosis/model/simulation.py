@@ -7,7 +7,7 @@ elements with memory (droop, bristles, play) start in the states that the record
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -58,17 +58,25 @@ class Plant:
     """A, shape (n, substeps)."""
     traces: dict[str, FloatArray]
     """Elements with memory, along the recording."""
+    channels: Mapping[str, FloatArray]
+    """As recorded; the position of `model` is the piston's under the claims."""
 
     @classmethod
     def of(cls, model: SegmentModel, claims: Sequence[Claim]) -> Plant:
         """Prepare a recording."""
         substeps = SUBSTEPS_STICKING if _sticks(claims) else SUBSTEPS
+        channels, model = model.channels, model.placed(claims)
+        claims = [claim for claim in claims if not claim.effect.places]
         current = np.repeat(model.channels["valve_current"][:, None], substeps, axis=1)
         spool = chambers.spool_position(current, model.step / substeps, claims)
         memory = model.memory = RecordMemory(model.step, model.beside)
         model.chamber_run(claims)
         model.required_force(claims)
-        return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces))
+        for claim in claims:
+            claim.effect.trace(model.kinematics, memory, claim.values)
+        if "load_force" in model.channels:
+            model.spring_force(model.bench(claims), claims, model.recorded)
+        return cls(model, tuple(claims), model.bench(claims), spool, dict(memory.traces), channels)
 
     def rates(
         self, state: FloatArray, time: FloatArray, spool: FloatArray, memory: StepMemory, grip: Grip | None = None
@@ -89,7 +97,19 @@ class Plant:
             load = claim.effect.load(load, motion, bench, memory, claim.values)
         rates = np.empty_like(state)
         kernels.derivatives(rates, self._numbers, state, into_a, into_b, stiff_a, stiff_b, against, load)
+        if self._dragging_along:
+            rates[1] *= bench.moving_mass / self._mass(motion)
         return rates
+
+    @cached_property
+    def _dragging_along(self) -> tuple[Claim, ...]:
+        return self._changing("inertia")
+
+    def _mass(self, motion: Kinematics) -> FloatArray | float:
+        """Mass [kg] that the piston moves."""
+        return self.bench.moving_mass + sum(
+            claim.effect.inertia(motion, self.bench, claim.values) for claim in self._dragging_along
+        )
 
     @cached_property
     def _resisting(self) -> tuple[Claim, ...]:
@@ -178,7 +198,7 @@ class Plant:
         if self.sticks:
             grip = self._grip(state, first, time, step)
             dry = self._dry(Kinematics(time, state[0], state[1]), grip)
-            first[1] -= dry / self.bench.moving_mass
+            first[1] -= dry / self._mass(Kinematics(time, state[0], state[1]))
         second = self.rates(state + 0.5 * step * first, time, spool, memory, grip)
         third = self.rates(state + 0.5 * step * second, time, spool, memory, grip)
         fourth = self.rates(state + step * third, time, spool, memory, grip)
@@ -191,7 +211,7 @@ class Plant:
 
     def _grip(self, state: FloatArray, free: FloatArray, time: FloatArray, step: float) -> Grip:
         """Dry friction brings the mass to rest within a step, as far as it reaches; `free`: rates without it."""
-        holding = self.bench.moving_mass * (state[1] / step + free[1])
+        holding = np.asarray(self._mass(Kinematics(time, state[0], state[1])) * (state[1] / step + free[1]))
         grip = Grip(holding, np.sign(holding), np.zeros(holding.shape, dtype=np.bool_))
         level = self._level(grip.toward(Kinematics(time, state[0], state[1])))
         return Grip(holding, grip.direction, np.abs(holding) <= level)
@@ -202,28 +222,44 @@ class Plant:
         samples = np.tile(begins, lanes // len(begins))
         at = samples[None, :] + np.arange(length)[:, None]
         x, v, p_a, p_b = states.transpose(1, 0, 2)
-        bench = self.bench
+        bench, shaken = self.bench, self._accelerations(states, samples)
         true = {
             "piston_position": x,
             "pressure_a": p_a,
             "pressure_b": p_b,
             "hydraulic_force": eq.hydraulic_force(bench, p_a, p_b),
-            "load_force": self._load(at * self.model.step, x, v, samples),
+            "load_force": self._load(Kinematics(at * self.model.step, x, v, None, shaken), samples),
         }
-        simulated = {"position": x, "velocity": v, "pressure_a": p_a, "pressure_b": p_b}
+        simulated = {"position": x, "velocity": v, "pressure_a": p_a, "pressure_b": p_b, "acceleration": shaken}
         beside = self.model.beside
         aside = {name: simulated[name] - beside[name][at] for name in simulated if name in beside}
         return {
             name: self._shown(name, signal, at, aside) for name, signal in true.items() if name in self.model.channels
         }
 
-    def _load(self, time: FloatArray, position: FloatArray, velocity: FloatArray, samples: Indices) -> FloatArray:
+    def _accelerations(self, states: FloatArray, samples: Indices) -> FloatArray:
+        """Acceleration [m/s2] along windows, shape (length, windows), if any claim depends on it; else 0."""
+        found = np.zeros_like(states[:, 1])
+        memory = StepMemory(self.model.step)
+        memory.begin({key: trace[samples] for key, trace in self.traces.items()})
+        for k in range(len(states) if any(claim.effect.shaken for claim in self.claims) else 0):
+            time = np.asarray(self.model.segment.start + (samples + k) * self.model.step)
+            spool = self.spool[np.minimum(samples + k, len(self.spool) - 1), 0][:, None]
+            motion = Kinematics(time, states[k, 0], states[k, 1])
+            dry = 0.0 if not self.sticks else np.sign(motion.velocity) * self._level(motion) / self._mass(motion)
+            found[k] = self.rates(states[k], time, spool, memory)[1] - dry
+            memory.tick()
+        return found
+
+    def _load(self, motions: Kinematics, samples: Indices) -> FloatArray:
+        position, shaken = motions.position, motions.acceleration
         force: FloatArray = eq.spring_force(self.bench, position)
         acting = self._loading
         memory = StepMemory(self.model.step)
         memory.begin({key: trace[samples] for key, trace in self.traces.items()})
         for k in range(len(position) if acting else 0):
-            motion = Kinematics(time[k], position[k], velocity[k])
+            now = None if shaken is None else shaken[k]
+            motion = Kinematics(motions.time[k], position[k], motions.velocity[k], None, now)
             for claim in acting:
                 force[k] = claim.effect.load(force[k], motion, self.bench, memory, claim.values)
             memory.tick()
@@ -232,15 +268,36 @@ class Plant:
     def _shown(self, name: str, signal: FloatArray, at: Indices, aside: dict[str, FloatArray]) -> FloatArray:
         """The sensor's response to the recording's own signal plus its response to the difference from it.
 
+        A reading that depends on the instant alone, or on a path, is taken where the signal is: it may be curved.
+
         `aside`: that difference of what stands beside the sensor.
         """
-        proxy = self._proxy(name)
+        proxy, record = self._proxy(name), self.model.memory
         apart = signal - proxy[at]
-        shown = self._sensor(name, proxy, self.model.memory)[at]
         nothing = np.zeros_like(apart)
         still = _ColumnMemory(self.model.step, dict.fromkeys(aside, nothing))
         memory = _ColumnMemory(self.model.step, aside)
-        return shown + self._sensor(name, apart, memory) - self._sensor(name, nothing, still)
+        if name == "load_force" and self.bench.load_cell_bandwidth is not None:
+            cell = self.bench.load_cell_bandwidth, LOAD_CELL_DAMPING
+            proxy, apart = record.low_pass(name, proxy, *cell), memory.low_pass(name, apart, *cell)
+        for claim in self.claims:
+            shown = claim.effect.measure(name, proxy, record, claim.values)
+            if shown is proxy:
+                continue
+            if claim.effect.instant:
+                both = {key: self.model.beside[key][at] + aside.get(key, 0.0) for key in self.model.beside}
+                there = _WindowMemory(self.model.step, both, record.traces, at)
+                apart = claim.effect.measure(name, proxy[at] + apart, there, claim.values) - shown[at]
+            else:
+                with_it, without = (
+                    claim.effect.measure(name, one, past, claim.values)
+                    for one, past in ((apart, memory), (nothing, still))
+                )
+                apart = with_it - without
+            proxy = shown
+        if name == "piston_position":
+            apart = apart + (self.channels[name] - self.model.channels[name])[at]
+        return proxy[at] + apart
 
     def _proxy(self, name: str) -> FloatArray:
         if name == "piston_position":
@@ -252,13 +309,6 @@ class Plant:
             force: FloatArray = eq.hydraulic_force(self.bench, p_a, p_b)
             return force
         return p_a if name == "pressure_a" else p_b
-
-    def _sensor(self, name: str, signal: FloatArray, memory: RecordMemory) -> FloatArray:
-        if name == "load_force" and self.bench.load_cell_bandwidth is not None:
-            signal = memory.low_pass(name, signal, self.bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
-        for claim in self.claims:
-            signal = claim.effect.measure(name, signal, memory, claim.values)
-        return signal
 
 
 def _sticks(claims: Sequence[Claim]) -> bool:
@@ -284,3 +334,25 @@ class _ColumnMemory(RecordMemory):
         return np.apply_along_axis(
             lambda column: super(_ColumnMemory, self).turning(column, rising, falling), 0, signal
         )
+
+
+class _WindowMemory(_ColumnMemory):
+    """The same of windows that begin along a record, in the states in which it left what remembers."""
+
+    def __init__(self, step: float, beside: Mapping[str, FloatArray], traces: dict[str, FloatArray],
+                 at: Indices) -> None:  # fmt: skip
+        super().__init__(step, beside)
+        self._along, self._at = traces, at
+
+    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
+        """A slow state is the record's."""
+        return self._along[key][self._at]
+
+    def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
+        force, where = (self._along[name][self._at[0]] for name in (key, key + ".x"))
+        course = np.empty_like(position)
+        for k, now in enumerate(position):
+            moved, where = now - where, now
+            goal = np.sign(moved) * limit[k]
+            course[k] = force = goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit[k], 1e-6))
+        return course

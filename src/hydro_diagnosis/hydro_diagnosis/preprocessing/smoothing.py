@@ -63,6 +63,12 @@ def kinematics(position: FloatArray, step: float, spacing: int = 1) -> tuple[Flo
     return x, v / step, a / step**2
 
 
+def bend(position: FloatArray, step: float) -> FloatArray:
+    """Acceleration [m/s2] of a position as it was recorded, of fourth order in the `step` [s]; to be smoothed."""
+    weights = (-1.0 / 12.0, 4.0 / 3.0, -5.0 / 2.0, 4.0 / 3.0, -1.0 / 12.0)
+    return np.asarray(correlate1d(position, np.array(weights) / step**2, mode="nearest"))
+
+
 def finish(signal: FloatArray, spacing: int = 1) -> FloatArray:
     """Smooth a result of `kinematics` to the total width."""
     return _through(signal, _REST_WIDTH * spacing)

@@ -77,7 +77,7 @@ def begun(plant: Plant, begins: Indices, length: int, noise: dict[str, float], *
 def _apart(plant: Plant, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
     lanes = np.tile(begins, states.shape[2] // len(begins))
     at = lanes[None, :] + np.arange(states.shape[0])[:, None]
-    apart = {name: shown - plant.model.channels[name][at] for name, shown in plant.readings(states, begins).items()}
+    apart = {name: shown - plant.channels[name][at] for name, shown in plant.readings(states, begins).items()}
     return {name: one[:: plant.model.spacing] for name, one in apart.items()}
 
 

@@ -210,13 +210,22 @@ class Assembly:
     def _read(self, y: SX) -> SX:
         self._bind(casadi.vertsplit(y[len(TEXTBOOK) : y.numel() - self.past]) if self.hidden else [])
         signals = dict(zip(READINGS, self._truth(y), strict=True))
+        acceleration = self._acceleration(y)
         for effect in self.effects:
             effect.at.position, effect.at.velocity, effect.at.pressures = y[2], y[3], (y[0], y[1])
+            effect.at.load_force, effect.at.acceleration = y[4], acceleration
             if effect.acts_in("follow"):
                 signals[effect.sensor] = effect.signal
         for effect in self.effects:
             signals = {channel: effect.show(channel, signal) for channel, signal in signals.items()}
         return vertcat(*signals.values())
+
+    def _acceleration(self, y: SX) -> Symbol:
+        """x'' [m/s2] in a state, if an effect shows it: that of the forces, which the valve does not change at once."""
+        if not any(effect.shaken for effect in self.effects):
+            return 0.0
+        dry = self._sliding if self._holds() else _nothing
+        return rates.textbook(self.numbers, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), dry)[0][3]
 
     # --- an integration step -----------------------------------------------------------------------------------------
 
@@ -265,9 +274,11 @@ class Assembly:
         first = self._rates(start, edges, _nothing)
         if not self._holds():
             return first, (_nothing, lambda velocity: velocity)
-        mass = self.numbers.moving_mass
+        dragged = rates.inertia(self.effects, start[2])
+        mass = self.numbers.moving_mass + dragged
         friction = stick_event(lambda v: rates.dry_level(self.effects, v), mass, start[3], first[3], self.step)
-        first[3] = first[3] - friction.force(start[3]) * self.numbers.mobility
+        mobility = self.numbers.mobility if isinstance(dragged, float) else 1.0 / mass
+        first[3] = first[3] - friction.force(start[3]) * mobility
         return first, (friction.force, friction.end)
 
     def _remembered(self, start: list[Symbol], end: list[Symbol]) -> SX:
@@ -282,6 +293,8 @@ class Assembly:
             for effect in self.effects:
                 effect.at.velocity = end[3]
             late[4] = rates.load(self.numbers, self.effects, end[2])
+            if any(effect.acts_in("inertia") for effect in self.effects):
+                late[4] = late[4] + rates.inertia(self.effects, end[2]) * self._acceleration(SX(vertcat(*end[:6])))
             self._bind(hidden)
         signals = dict(zip(READINGS, zip(self._truth(early), self._truth(late), strict=True), strict=True))
         for effect in self.effects:

@@ -7,9 +7,10 @@ Terms are linear in their amplitudes. What one gives acts in its equation::
     pressure    flow [m3/s] out of chamber A into chamber B
     pressure_a  flow [m3/s] out of chamber A to the tank; pressure_b likewise
     actuation   spool position [A] that the edges see more than the current says;
-                of the edges: share of their flow that does not pass [-]
+                of the edges: share of their flow that does not pass [-]; `across`: by the pressures across
+                the valve and what moves it, at the edges alone [A]
     load        force [N] of the load
-    sensor      what a sensor shows more than its signal [N or Pa]
+    sensor      what a sensor shows more than its signal [N, Pa or m]
 
 None depends on time but by what settles: another would grow for ever. Beside its amplitude a law may have further
 numbers: where a threshold lies, or over what a state `w` follows a signal `s`; a piston at rest or a still current
@@ -53,6 +54,8 @@ class Signals:
     """f_h."""
     drop: Symbol = 0.0
     """Pressure drop [Pa] across an edge of the valve."""
+    both: Symbol = 0.0
+    """Pressure drop [Pa] across that edge and the other that is open with it."""
     opened: Symbol = 0.0
     """Conductance [m3/s/sqrt(Pa)] of that edge."""
     feeds: Symbol = 0.0
@@ -63,6 +66,8 @@ class Signals:
     """First of the law's further numbers, such as its threshold."""
     second: Symbol = 0.0
     """Second of them."""
+    acceleration: Symbol = 0.0
+    """x''."""
     turn: Symbol = SIGN_VELOCITY
     """Velocity [m/s] over which the direction of motion reverses."""
 
@@ -134,6 +139,7 @@ _UNITS = {
     "force": "N",
     "speed": "m/s",
     "velocity": "m/s",
+    "acceleration": "m/s2",
     "opening": "A",
     "heating": "A2",
     "time": "-",
@@ -229,14 +235,31 @@ def edge_losses(
     drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, *pressures)
     side = Signals(pressure_a=pressures[0], pressure_b=pressures[1], current=out - back)
 
-    def lost(supplied: Symbol, drained: Symbol, above: Symbol, below: Symbol) -> Symbol:
-        fed = share(replace(side, drop=above, opened=supplied, feeds=1.0)) * orifice(supplied, above)
-        return fed - share(replace(side, drop=below, opened=drained)) * orifice(drained, below)
+    over_out, over_back = drops_out[0] + drops_out[1], drops_back[0] + drops_back[1]
 
-    return lost(out, back, drops_out[0], drops_back[0]), lost(back, out, drops_back[1], drops_out[1])
+    def fed(opened: Symbol, drop: Symbol, both: Symbol) -> Symbol:
+        return share(replace(side, drop=drop, both=both, opened=opened, feeds=1.0)) * orifice(opened, drop)
+
+    def drained(opened: Symbol, drop: Symbol, both: Symbol) -> Symbol:
+        return share(replace(side, drop=drop, both=both, opened=opened)) * orifice(opened, drop)
+
+    lost_a = fed(out, drops_out[0], over_out) - drained(back, drops_back[0], over_back)
+    return lost_a, fed(back, drops_back[1], over_back) - drained(out, drops_out[1], over_out)
+
+
+def shifted(n: Any, spool: Symbol, shift: Symbol, pressures: tuple[Symbol, Symbol]) -> tuple[Symbol, Symbol]:
+    """Flows [m3/s] that chambers A and B lack where the edges see a spool [A] that is shifted [A]."""
+    p_a, p_b = pressures
+    drops_out, drops_back = edge_drops(n.supply_pressure, n.tank_pressure, p_a, p_b)
+    to_a, to_b = 0.0, 0.0
+    for sign, position in ((1.0, spool), (-1.0, spool + shift)):
+        out, back = n.valve_gain * np.fmax(position, 0.0), n.valve_gain * np.fmax(-position, 0.0)
+        to_a = to_a + sign * (orifice(out, drops_out[0]) - orifice(back, drops_back[0]))
+        to_b = to_b + sign * (orifice(back, drops_back[1]) - orifice(out, drops_out[1]))
+    return to_a, to_b
 
 
 def sensed(channel: str, signal: Symbol, beside: Mapping[str, Symbol] | None = None) -> Signals:
     """Signals of a sensor's law: the one that it measures, and what stands beside it."""
-    own = "force" if channel.endswith("force") else channel
+    own = {"hydraulic_force": "force", "load_force": "force", "piston_position": "position"}.get(channel, channel)
     return Signals(**{**(beside or {}), own: signal})

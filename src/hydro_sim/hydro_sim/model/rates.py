@@ -30,6 +30,12 @@ def load(n: Any, effects: Sequence[Effect], position: Symbol) -> Symbol:
     return force
 
 
+def inertia(effects: Sequence[Effect], position: Symbol) -> Symbol:
+    """Mass [kg] that the load drags along, at a piston position [m]; the number 0 where no effect has any."""
+    dragging = [effect for effect in effects if effect.acts_in("inertia")]
+    return sum(effect.inertia(position) for effect in dragging) if dragging else 0.0
+
+
 def flows(n: Any, effects: Sequence[Effect], p_a: Symbol, p_b: Symbol, edges: Edges) -> tuple[Symbol, Symbol, Symbol]:
     """Through the valve into chamber A, into chamber B, and out of the supply [m3/s], at pressures [Pa]."""
     out, back = edges
@@ -67,11 +73,15 @@ def textbook(
     p_a, p_b, position, velocity, shown, shown_rate = y[:6]
     for effect in effects:
         effect.at.position, effect.at.velocity, effect.at.pressures = position, velocity, (p_a, p_b)
+        effect.at.load_force = shown
     rate_a, rate_b, drawn = pressures(n, effects, y, edges)
     force = load(n, effects, position)
     against = n.viscous_friction * velocity + eq.stop_force(n, position, velocity) + dry(velocity)
     for effect in effects:
         against = against + effect.opposing_force(position, velocity)
-    acceleration = (eq.hydraulic_force(n, p_a, p_b) - against - force) * n.mobility
+    dragged = inertia(effects, position)
+    driving = eq.hydraulic_force(n, p_a, p_b) - against - force
+    acceleration = driving * n.mobility if isinstance(dragged, float) else driving / (n.moving_mass + dragged)
+    force = force + dragged * acceleration
     cell = eq.amplifier(n.load_cell_omega, force, shown, shown_rate) if n.load_cell_omega is not None else 0.0
     return [rate_a, rate_b, velocity, acceleration, shown_rate, cell], drawn

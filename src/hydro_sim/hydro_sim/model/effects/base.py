@@ -101,6 +101,10 @@ class Surroundings:
     """m/s, at that instant."""
     pressures: tuple[Symbol, Symbol] = (0.0, 0.0)
     """p_a, p_b [Pa] at that instant."""
+    load_force: Symbol = 0.0
+    """N, that the load cell's amplifier shows at that instant."""
+    acceleration: Symbol = 0.0
+    """x'' [m/s2] where sensors are read."""
     spool: Symbol = 0.0
     """Mean position of the spool [A] over the step."""
     current: Symbol = 0.0
@@ -117,6 +121,8 @@ class Effect:
     """Whether a bench can have only one."""
     late: ClassVar[bool] = False
     """Whether its `command` comes after all others: edges open where the spool is, whatever the order of the file."""
+    shaken: ClassVar[bool] = False
+    """Whether it shows or drags the acceleration."""
     all_edges: ClassVar[bool] = False
     """Whether both edges of a chamber may be open at a time."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
@@ -189,6 +195,10 @@ class Effect:
     def load(self, force: Symbol, position: Symbol) -> Symbol:
         """Force [N] of the load on the piston."""
         return force
+
+    def inertia(self, position: Symbol) -> Symbol:
+        """Mass [kg] that the load drags along: its force is shown by the load's cell."""
+        return 0.0
 
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
         """Rates of the integrated hidden states, per second. `drawn` [m3/s]: what leaves the supply."""

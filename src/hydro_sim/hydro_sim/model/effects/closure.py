@@ -18,7 +18,7 @@ from hydro_sim.model.tables import Table
 
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
-_SCALES = {"m": 1e-2, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "A2": 1e-6, "-": 1.0}
+_SCALES = {"m": 1e-2, "m/s2": 5.0, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "A2": 1e-6, "-": 1.0}
 
 
 class Closure(Effect):
@@ -71,6 +71,24 @@ class EdgeClosure(Closure):
         return laws.edge_losses(n, openings, (pressure_a, pressure_b), self._value)
 
 
+class AcrossClosure(Closure):
+    """A shift of the spool at the edges, by the pressures across the valve and what moves it."""
+
+    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
+        n, spool = self.at.numbers, self.at.spool
+        at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, spool)
+        return laws.shifted(n, spool, self._value(at), (pressure_a, pressure_b))
+
+
+class DraggedClosure(Closure):
+    """A mass that the load drags along."""
+
+    shaken = True
+
+    def inertia(self, position: Symbol) -> Symbol:
+        return self._value(Signals(position, self.at.velocity, acceleration=1.0))
+
+
 class LoadClosure(Closure):
     """A force of the load."""
 
@@ -86,7 +104,7 @@ class SensorClosure(Closure):
             return signal
         pressure_a, pressure_b = self.at.pressures
         beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
-                  "pressure_b": pressure_b, "current": self._held()}  # fmt: skip
+                  "pressure_b": pressure_b, "current": self._held(), "acceleration": self.at.acceleration}  # fmt: skip
         return signal + self._value(replace(laws.sensed(channel, signal, beside), memory=self._past()))
 
 
@@ -99,6 +117,12 @@ class ValveClosure(Closure):
         return spool + self._value(Signals(current=spool, memory=self._remembered(spool)))
 
 
+class Shaken(SensorClosure):
+    """A reading that follows the acceleration."""
+
+    shaken = True
+
+
 class PickingUp(SensorClosure):
     """A reading that follows the valve's current: that which was held until the sample."""
 
@@ -109,18 +133,33 @@ class PickingUp(SensorClosure):
         return self.held
 
 
-class Lagging(Closure):
+class Measured(Closure):
+    """A law with a memory of one signal of the bench."""
+
+    def _began(self, signals: Mapping[str, Symbol]) -> Symbol:
+        """Its signal on a still bench."""
+        if self.element.signal == "force":
+            return signals[self.law.where]
+        return signals[
+            {"position": "piston_position", "current": "spool"}.get(self.element.signal, self.element.signal)
+        ]
+
+    def _now(self) -> Symbol:
+        """Its signal at this instant."""
+        p_a, p_b = self.at.pressures
+        loaded = self.law.where == "load_force"
+        force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
+        return getattr(Signals(self.at.position, pressure_a=p_a, pressure_b=p_b, force=force), self.element.signal)
+
+
+class Lagging(Measured):
     """A law that lags behind a signal."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        signal = self.element.signal
-        return {"past": signals[{"position": "piston_position", "force": "hydraulic_force"}.get(signal, signal)]}
+        return {"past": self._began(signals)}
 
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        p_a, p_b = self.at.pressures
-        force = eq.hydraulic_force(self.at.numbers, p_a, p_b)
-        now = getattr(Signals(self.at.position, pressure_a=p_a, pressure_b=p_b, force=force), self.element.signal)
-        return {"past": (now - self.past) / self.time}
+        return {"past": (self._now() - self.past) / self.time}
 
     def _past(self) -> Symbol:
         return self.past
@@ -130,8 +169,7 @@ class Turning(Lagging):
     """A law that lags behind a signal, its rises by another time than its falls."""
 
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        p_a, p_b = self.at.pressures
-        off = getattr(Signals(pressure_a=p_a, pressure_b=p_b), self.element.signal) - self.past
+        off = self._now() - self.past
         return {"past": eq.choose(off > 0.0, off / self.rising, off / self.falling)}
 
 
@@ -176,11 +214,11 @@ class Settling(Closure):
         return 1.0 if self.element.signal == "time" else getattr(Signals(current=spool), self.element.signal)
 
 
-class Bending(Closure):
-    """A law that follows a path: the piston's, or the current's."""
+class Bending(Measured):
+    """A law that follows a path: the piston's, the current's, or that of a sensor's signal."""
 
     def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"where": signals["spool" if self.element.signal == "current" else "piston_position"]}
+        return {"where": self._began(signals)}
 
     def command(self, spool: Symbol) -> Symbol:
         if self.element.signal == "current":
@@ -188,8 +226,12 @@ class Bending(Closure):
         return super().command(spool)
 
     def remember(self, position: Symbol, velocity: Symbol) -> None:
-        if self.element.signal == "position":
-            self.next["bent"], self.next["where"] = self._remembered(position), position
+        if self.element.signal != "current":
+            now = position if self.element.signal == "position" else self._now()
+            self.next["bent"], self.next["where"] = self._remembered(now), now
+
+    def _past(self) -> Symbol:
+        return self.bent
 
     def _remembered(self, signal: Symbol) -> Symbol:
         moved = signal - self.where
@@ -261,12 +303,15 @@ def _states(element: Element, equation: str) -> dict[str, Any]:
     }[element.kind]
 
 
+_PLACES = {"edges": EdgeClosure, "across": AcrossClosure}
 _MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "rate": Limited, "slow": Following, "turn": Turning}
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
     acting = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure}
-    acts = EdgeClosure if law.where == "edges" else acting.get(law.equation, FlowClosure)
+    acts = _PLACES.get(law.where) or acting.get(law.equation, FlowClosure)
+    if "acceleration" in law.uses:
+        return (Shaken,) if law.equation == "sensor" else (DraggedClosure,)
     if element is None:
         return (PickingUp,) if law.picks_up else (acts,)
     remembers = Settling if element.kind == "slow" and acts is ValveClosure else _MEMORIES[element.kind]

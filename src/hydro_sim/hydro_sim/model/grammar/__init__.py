@@ -68,3 +68,9 @@ def remembers(closure: Mapping[str, Any]) -> bool:
     """Return whether an entry of a bench file's `closures` has hidden states."""
     law = ALL.get((str(closure["equation"]), str(closure["form"])))
     return law is not None and law.remembers
+
+
+def uses(closure: Mapping[str, Any]) -> frozenset[str]:
+    """Signals that the law of an entry of a bench file's `closures` says it is made of."""
+    law = ALL.get((str(closure["equation"]), str(closure["form"])))
+    return frozenset() if law is None else law.uses

@@ -97,6 +97,11 @@ LOAD_RUBBING = _force(
 LOAD_SPRING = _force(
     "stiffness", "m", "(x - x_rest)", "A stiffness of the load", 1e-2, "position", 1.0, deflection, "load"
 )
+LOAD_INERTIA = _force(
+    "inertia", "m/s2", "x''", "A mass that the load drags along", 5.0, "acceleration", 1.0,
+    lambda at, n: at.acceleration, "load",
+)  # fmt: skip
+STIFFNESS = _force("stiffness", "m", "(x - x_rest)", "A stiffness beside the load", 1e-2, "position", 1.0, deflection)
 LOAD_CONSTANT = _force(
     "load", "-", "1", "A force of the load", 1.0, "", 0.0, lambda at, n: 1.0 + 0.0 * at.position, "load"
 )
@@ -155,6 +160,35 @@ CHAMBERS = (
     *_of_chamber("a", lambda at: at.pressure_a, lambda n: n.piston_area),
     *_of_chamber("b", lambda at: at.pressure_b, lambda n: n.area_ratio * n.piston_area),
 )
+
+
+def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) -> tuple[Carrier, ...]:
+    """Shares of the flow through one edge of four that do not pass, and leaks from the supply; out of the chamber."""
+    equation, big = f"pressure_{chamber}", chamber.upper()
+    fed, drained = ("u", "-u") if side > 0.0 else ("-u", "u")
+
+    def opened(at: Signals, n: Any, to: float) -> Symbol:
+        return n.valve_gain * np.fmax(to * side * at.current, 0.0)
+
+    return (
+        _flow(equation, "flow of the supply's edge", "m3/s", f"K max({fed}, 0) sqrt(p_s - p_{chamber})",
+              f"The edge from the supply to chamber {big} passes less than the others: typical of one that is silted "
+              "up or worn", 5e-6, f"current {equation}", 1.5,
+              lambda at, n: opened(at, n, 1.0) * _root(n.supply_pressure - pressure(at))),
+        _flow(equation, "flow of the tank's edge", "m3/s", f"-K max({drained}, 0) sqrt(p_{chamber} - p_t)",
+              f"The edge from chamber {big} to the tank passes less than the others: typical of one that is silted "
+              "up or worn", 5e-6, f"current {equation}", 1.5,
+              lambda at, n: -opened(at, n, -1.0) * _root(pressure(at) - n.tank_pressure)),
+        _flow(equation, "leak from the supply", "Pa", f"-(p_s - p_{chamber})",
+              f"A leak from the supply into chamber {big}", 5e6, equation, 1.0,
+              lambda at, n: pressure(at) - n.supply_pressure),
+        _flow(equation, "hole to the supply", "sqrt(Pa)", f"-sqrt(p_s - p_{chamber})",
+              f"A leak through a hole from the supply into chamber {big}", 2e3, equation, 0.5,
+              lambda at, n: -_root(n.supply_pressure - pressure(at))),
+    )  # fmt: skip
+
+
+FED = (*_edges_of("a", lambda at: at.pressure_a, 1.0), *_edges_of("b", lambda at: at.pressure_b, -1.0))
 
 
 def _spool(name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
@@ -218,46 +252,29 @@ NARROWED = _edge(
     size=0.05,
 )
 
-_SENSORS = {"hydraulic_force": "load cell at the piston rod", "load_force": "load cell at the load",
-            "pressure_a": "pressure sensor of chamber A", "pressure_b": "pressure sensor of chamber B"}  # fmt: skip
-_BESIDE = (
-    ("current", "u", "A", 3e-3, "the valve's current: typical of cables side by side"),
-    ("position", "x", "m", 2e-2, "the position: typical of a cable or a mount that is bent"),
-    ("velocity", "v", "m/s", 0.05, "the velocity: typical of a hose or a mount that is dragged along"),
-    ("pressure_a", "p_a", "Pa", 5e6, "the pressure of chamber A: typical of a housing that pressure strains"),
-    ("pressure_b", "p_b", "Pa", 5e6, "the pressure of chamber B: typical of a housing that pressure strains"),
-)
 
-
-def _of_sensor(channel: str) -> tuple[tuple[Carrier, ...], tuple[Carrier, ...]]:
-    own, size = ("Pa", 5e4) if channel.startswith("pressure") else ("N", 5.0)
-    itself = channel if channel.startswith("pressure") else "force"
-    symbol = {"hydraulic_force": "f_h", "load_force": "f_l"}.get(channel, f"p_{channel[-1]}")
-
-    def made(name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
+def _pressed(name: str, unit: str, text: str, cause: str, scale: float, uses: str, degree: float,
              shape: Callable[[Signals, Any], Symbol]) -> Carrier:  # fmt: skip
-        return Carrier(equation="sensor", name=f"{name} of {channel}", unit=unit, text=text, phrase=phrase, size=size,
-                       scale=scale, uses=uses, degree=degree, shape=shape, where=channel)  # fmt: skip
-
-    def beside(signal: str, text: str, unit: str, scale: float, cause: str) -> Carrier:
-        return made(f"pick-up of {signal}", unit, text, f"The {_SENSORS[channel]} also reads {cause}", scale, signal,
-                    1.0, lambda at, n: getattr(at, signal))  # fmt: skip
-
-    picked = tuple(beside(*one) for one in _BESIDE if one[0] != channel)
-    zero = made(
-        "zero",
-        "-",
-        "1",
-        f"A zero of the {_SENSORS[channel]}",
-        1.0,
-        "",
-        0.0,
-        lambda at, n: 1.0 + 0.0 * getattr(at, itself),
-    )
-    gain = made("gain", own, symbol, f"A gain of the {_SENSORS[channel]}", 100.0 * size, channel, 1.0,
-                lambda at, n: getattr(at, itself))  # fmt: skip
-    return picked, (zero, gain)
+    return Carrier(equation="actuation", name=f"null by {name}", unit=unit, text=text,
+                   phrase=f"The valve's null moves with {cause}", size=5e-5, scale=scale, uses=uses, degree=degree,
+                   shape=shape, where="across")  # fmt: skip
 
 
-PICKED = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[0])
-DRIFTING = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[1])
+PRESSED = (
+    _pressed("pressure difference", "Pa", "(p_a - p_b)", "the pressure across the load: typical of a spool that it "
+             "leans on", 3e6, _BETWEEN, 1.0, lambda at, n: at.pressure_difference),
+    _pressed("pressure of A", "Pa", "p_a", "the pressure of chamber A: typical of a housing that it strains", 5e6,
+             "pressure_a", 1.0, lambda at, n: at.pressure_a),
+    _pressed("pressure of B", "Pa", "p_b", "the pressure of chamber B: typical of a housing that it strains", 5e6,
+             "pressure_b", 1.0, lambda at, n: at.pressure_b),
+    _pressed("velocity", "m/s", "v", "the velocity: typical of a feedback that follows the piston", 0.05, "velocity",
+             1.0, lambda at, n: at.velocity),
+    _pressed("position", "m", "(x - x_rest)", "the position: typical of a feedback that follows the piston", 1e-2,
+             "position", 1.0, deflection),
+    _pressed("opening and load", "A Pa", "u (p_a - p_b)", "its opening times the pressure across the load: typical of "
+             "flow forces", 6e3, f"current {_BETWEEN}", 2.0, lambda at, n: at.current * at.pressure_difference),
+)  # fmt: skip
+JETS = _edge("flow under jets", "q dp_o / (dp_o + level)", "Edges that pass less the larger the pressure drop dp_o "
+             "over both that are open: typical of jets that close the spool against its spring; 1: all of it", 1.0,
+             "-", 2.5, lambda at, n: np.abs(at.both) / (np.abs(at.both) + at.number),
+             (Number("level", "Pa", (1e7, 3e7, 1e8, 3e8)),))  # fmt: skip

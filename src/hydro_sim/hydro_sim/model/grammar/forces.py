@@ -46,6 +46,14 @@ LAWS: tuple[Law, ...] = (
     Law("load", "creeping spring", "N/m", "(x - w), w' = (x - w) / time",
         "Load that relaxes where it is held: typical of rubber or plastic in the load's way.",
         1e3, lambda at, n: at.position - at.memory, creep("position"), LAG),
+    Law("motion", "creeping stiffness", "N/m", "(x - w), w' = (x - w) / time",
+        "Force against motion that relaxes where the piston is held: typical of a bellows that breathes by a small "
+        "hole, or rubber along the rod.",
+        1e3, lambda at, n: at.position - at.memory, creep("position"), LAG),
+    *(Law(equation, "late stiffness", "N/m", "(w - x_rest), w' = (x - w) / time",
+          f"{whose} of which a part follows the position late: typical of a mount or a joint that gives slowly.",
+          100.0, lambda at, n: at.memory - n.spring_rest_position, creep("position"), LAG)
+      for equation, whose in (("load", "A stiffness of the load"), ("motion", "A stiffness beside the load"))),
     Law("motion", "drag outwards", "N s2/m2", "max(v, 0)^2",
         "Force against outward motion that grows with the square of speed: typical of a throttle with a check valve.",
         100.0, lambda at, n: np.fmax(at.velocity, 0.0) * np.fmax(at.velocity, 0.0)),

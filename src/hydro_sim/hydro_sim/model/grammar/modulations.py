@@ -16,7 +16,8 @@ from hydro_sim.model.laws import Element, Number, Signals
 ALWAYS = Modulation(name="", text="{}", phrase="", factor=lambda at, n: 1.0)
 
 
-_TIMES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+TIMES = (0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
+"""Start values [s] of slow states."""
 _SHORT = (0.02, 0.1)
 
 
@@ -103,7 +104,7 @@ FILM = Modulation(
 
 
 def _slow(driver: str, symbol: str, name: str, unit: str, scale: float, uses: str, cause: str,
-          times: tuple[float, ...] = _TIMES) -> Modulation:  # fmt: skip
+          times: tuple[float, ...] = TIMES) -> Modulation:  # fmt: skip
     """Grows with a state that follows a driver over a time, from 0: what work, motion or time alone has warmed."""
     return Modulation(
         name=f"as {name} warms", text=f"{{}} w, w' = ({symbol} - w) / time", unit=unit, scale=scale, uses=uses,
@@ -113,7 +114,7 @@ def _slow(driver: str, symbol: str, name: str, unit: str, scale: float, uses: st
 
 
 BY_MOTION_PAST = _slow("speed", "|v|", "motion", "m/s", 0.05, "velocity",
-                       "past motion: typical of seals, oil or grease that warm", (*_SHORT, *_TIMES))  # fmt: skip
+                       "past motion: typical of seals, oil or grease that warm", (*_SHORT, *TIMES))  # fmt: skip
 BY_THROTTLING = _slow("opening", "|u|", "throttling", "A", 1e-3, "current",
                       "the valve's past opening: typical of throttled oil that warms")  # fmt: skip
 BY_HEATING = _slow("heating", "u^2", "the coil", "A2", 1e-6, "current",
@@ -123,5 +124,5 @@ BY_LOADING = _slow("size_of_difference", "|p_a - p_b|", "pressure", "Pa", 1e6, "
 BY_TIME = Modulation(
     name="from the start", text="{} (1 - exp(-t / time))", uses="time",
     phrase=" that settles from the start of a recording: typical of what warms after it is switched on",
-    factor=lambda at, n: at.memory, element=Element("slow", "time"), numbers=(Number("time", "s", _TIMES),),
+    factor=lambda at, n: at.memory, element=Element("slow", "time"), numbers=(Number("time", "s", TIMES),),
 )  # fmt: skip

@@ -89,7 +89,8 @@ def composed(carrier: Carrier, modulation: Modulation) -> Law:
 def _unit_of(carrier: Carrier) -> str:
     """Unit of a carrier's equation; of the valve's edges a term is a share of their flow."""
     if carrier.equation == "sensor":
-        return "N" if carrier.where.endswith("force") else "Pa"
+        units = {"hydraulic_force": "N", "load_force": "N", "piston_position": "m"}
+        return units.get(carrier.where, "Pa")
     return "-" if carrier.where == "edges" else EQUATION_UNITS[carrier.equation]
 
 

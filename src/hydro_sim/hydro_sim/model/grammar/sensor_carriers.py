@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Carriers of the sensors: what a reading picks up beside its signal, its zero and gain, and the reading itself."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from hydro_sim.model.equations import Symbol
+from hydro_sim.model.grammar.parts import Carrier
+from hydro_sim.model.laws import Signals
+
+_SENSORS = {"hydraulic_force": "load cell at the piston rod", "load_force": "load cell at the load",
+            "pressure_a": "pressure sensor of chamber A", "pressure_b": "pressure sensor of chamber B",
+            "piston_position": "position sensor"}  # fmt: skip
+_BESIDE = (
+    ("current", "u", "A", 3e-3, "the valve's current: typical of cables side by side"),
+    ("position", "x", "m", 2e-2, "the position: typical of a cable or a mount that is bent"),
+    ("velocity", "v", "m/s", 0.05, "the velocity: typical of a hose or a mount that is dragged along"),
+    ("acceleration", "x''", "m/s2", 5.0, "the acceleration: typical of a body of its own that is shaken"),
+    ("pressure_a", "p_a", "Pa", 5e6, "the pressure of chamber A: typical of a housing that pressure strains"),
+    ("pressure_b", "p_b", "Pa", 5e6, "the pressure of chamber B: typical of a housing that pressure strains"),
+)
+
+
+def _of_sensor(channel: str) -> tuple[tuple[Carrier, ...], tuple[Carrier, ...]]:
+    place = channel == "piston_position"
+    own, size = ("Pa", 5e4) if channel.startswith("pressure") else ("m", 1e-5) if place else ("N", 5.0)
+    itself = channel if channel.startswith("pressure") else "position" if place else "force"
+    symbol = {"hydraulic_force": "f_h", "load_force": "f_l", "piston_position": "x"}.get(channel, f"p_{channel[-1]}")
+    signals, typical = ("position", 4e-2) if place else (channel, 100.0 * size)
+
+    def made(name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
+             shape: Callable[[Signals, Any], Symbol]) -> Carrier:  # fmt: skip
+        return Carrier(equation="sensor", name=f"{name} of {channel}", unit=unit, text=text, phrase=phrase, size=size,
+                       scale=scale, uses=uses, degree=degree, shape=shape, where=channel)  # fmt: skip
+
+    def beside(signal: str, text: str, unit: str, scale: float, cause: str) -> Carrier:
+        return made(f"pick-up of {signal}", unit, text, f"The {_SENSORS[channel]} also reads {cause}", scale, signal,
+                    1.0, lambda at, n: getattr(at, signal))  # fmt: skip
+
+    picked = tuple(beside(*one) for one in _BESIDE if one[0] not in (channel, itself)
+                   and not (place and one[0] == "acceleration"))  # fmt: skip
+    zero = made(
+        "zero",
+        "-",
+        "1",
+        f"A zero of the {_SENSORS[channel]}",
+        1.0,
+        "",
+        0.0,
+        lambda at, n: 1.0 + 0.0 * getattr(at, itself),
+    )
+    gain = made("gain", own, symbol, f"A gain of the {_SENSORS[channel]}", typical, signals, 1.0,
+                lambda at, n: getattr(at, itself))  # fmt: skip
+    return picked, (zero, gain)
+
+
+PICKED = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[0])
+DRIFTING = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[1])
+READ = {
+    channel: replace(_of_sensor(channel)[1][0], name=f"reading of {channel}", phrase=f"The {words} reads otherwise")
+    for channel, words in _SENSORS.items()
+}
+"""By channel: 1, which a modulation by its own signal makes a law of its reading."""
