@@ -48,10 +48,6 @@ from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel, Part, is_compiled, structure_of
 from hydro_sim.model.effects import catalogue
-<<<<<<< HEAD
-=======
-from hydro_sim.model.grammar import remembers, uses
->>>>>>> gauge_in
 from hydro_sim.model.sensors import RAW_FIELDS, Sensors
 
 DISTURBANCES = ("friction_coulomb", "friction_stribeck", "friction_presliding", "valve_deadband", "backlash")
@@ -176,34 +172,3 @@ def effects_to_compile(truth: Bench) -> str:
     if all(is_compiled(structure_of(bench, SUBSTEPS), part) for bench, part in parts_needed):
         return ""
     return ", ".join(map(catalogue.label, truth.terms)) or "no effects"
-<<<<<<< HEAD
-=======
-
-
-def _refuse(truth: Bench) -> None:
-    if catalogue.delay(truth.effects) > 0.0:
-        raise ValueError(
-            "the filter's certificate has no place for a dead time: take transport_delay out of the bench file, where "
-            "it is small beside the valve's lag"
-        )
-    static = [one for one in truth.closures if not remembers(one)]
-    loads: list[Mapping[str, Any]] = [{"id": "closure", **one} for one in static if one["equation"] == "load"]
-    refused: dict[str, list[Mapping[str, Any]]] = {
-        "what closures remember": [one for one in truth.closures if remembers(one)],
-        "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
-        "a mass that the load drags along": [one for one in loads if "acceleration" in uses(one)],
-        "a load that follows the velocity": [one for one in loads if follows_velocity(truth, one)],
-    }
-    for what, closures in refused.items():
-        if closures:
-            forms = ", ".join(str(one["form"]) for one in closures)
-            raise ValueError(
-                f"the filter's certificate has no place for {what}: take {forms} out of the bench file, where it is "
-                "small"
-            )
-    lags = sum(effect["id"] == "valve_lag" for effect in truth.effects)
-    cells = sum(catalogue.label(effect) == "sensor_lag sensor=load_force" for effect in truth.effects)
-    if lags > 1 or cells > 1:
-        what = "the valve" if lags > 1 else "the load cell"
-        raise ValueError(f"the filter's certificate has a place for one lag of {what}, the bench file has more")
->>>>>>> gauge_in

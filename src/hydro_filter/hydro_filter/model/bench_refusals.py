@@ -9,7 +9,7 @@ from typing import Any
 from hydro_filter.model.bench_terms import follows_velocity
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue
-from hydro_sim.model.grammar import remembers
+from hydro_sim.model.grammar import remembers, uses
 
 ONE_LAG = {
     "the valve": "valve_lag",
@@ -28,6 +28,7 @@ def refuse(truth: Bench) -> None:
     refused: dict[str, list[Mapping[str, Any]]] = {
         "what closures remember": [one for one in truth.closures if remembers(one)],
         "sensors that are not straight": [one for one in static if one["equation"] == "sensor"],
+        "a mass that the load drags along": [one for one in loads if "acceleration" in uses(one)],
         "a load that follows the velocity": [one for one in loads if follows_velocity(truth, one)],
     }
     for what, closures in refused.items():
