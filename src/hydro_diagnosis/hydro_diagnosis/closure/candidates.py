@@ -94,6 +94,8 @@ _CHANNELS = {
 def _visible(effect: Closure, problem: Problem) -> bool:
     have = set.intersection(*(set(model.channels) for model in problem.models))
     law, elsewhere = effect.law, {"", "edges", "across"}
+    if (effect.places or effect.shaken) and len(effect.touches & set(problem.blocks)) < 2:
+        return False  # in one equation alone it cannot be told from a force
     if isinstance(law, Table) or law.uses:
         needed = {_CHANNELS.get(one, one) for one in law.uses} - {"time"}
         return bool(effect.touches & set(problem.blocks)) and needed | ({law.where} - elsewhere) <= have
