@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
-from hydro_diagnosis.closure.disguise import in_disguise
+from hydro_diagnosis.closure.disguise import barred, in_disguise
 from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
@@ -236,3 +236,19 @@ def test_a_law_that_does_what_a_ruled_out_cause_would_do_is_that_cause(record: C
     for ruled_out, refused in ((), False), (("friction_viscous:directional",), True), (("leakage_internal",), False):
         problem.ruled_out = tuple(causes[label] for label in ruled_out)
         assert in_disguise(problem, found, found.claims[0]) == refused
+
+
+@pytest.mark.parametrize(
+    ("form", "coefficient", "wanted"), [("drag, outwards", 150.0, {"motion"}), ("quadratic drag", 800.0, set())]
+)
+def test_no_law_is_looked_for_where_a_ruled_out_cause_would_take_what_remains(
+    record: Callable[..., StateArray], form: str, coefficient: float, wanted: set[str]
+) -> None:
+    entry = {"equation": "motion", "form": form, "parameters": {"coefficient": coefficient}}
+    problem = problem_of(record(replace(BENCH, closures=(entry,)), 3))
+    viscous = next(effect for effect in LIBRARY if effect.label == "friction_viscous").adapted(BENCH)
+    found = fit(problem, [Claim(viscous, {"coefficient": 50.0})])
+    assert barred(problem, found) == frozenset()
+    causes = {effect.label: effect.adapted(BENCH) for effect in CANDIDATES}
+    problem.ruled_out = causes["friction_viscous:directional"], causes["leakage_internal"]
+    assert barred(problem, found) == wanted

@@ -2,22 +2,46 @@
 """Terms without a name that are a cause in disguise which the user has ruled out.
 
 `--without` says what it cannot be. A law or table that does to the residual what such a cause would do, beside all that
-stands, is that cause under another form: it is refused, too.
+stands, is that cause under another form: it is refused, too. Where such a cause would take a good part of what remains,
+several laws together might do the same: no law is looked for in its equations.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import product
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.fit import Fit
+from hydro_diagnosis.estimation.layout import CHANNELS
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.model.segment_model import BLOCKS
 
 ALIKE = 0.8
 """Share of a term's square, beside all that stands, from which it is the cause that accounts for it."""
+
+
+GOOD_PART = 0.25
+"""Share of what remains in its equations, noise taken off, from which a ruled-out cause bars laws from them."""
+
+
+def barred(problem: Problem, found: Fit) -> frozenset[str]:
+    """Blocks in which what remains beside a fit is to a good part what a ruled-out cause would do."""
+    blocks: set[str] = set()
+    remaining = problem.layout.squares(found.residual) - problem.layout.count()
+    left = _beside(found.jacobian, found.residual)
+    for effect in problem.ruled_out:
+        own = effect.touches & set(problem.blocks)
+        channels = [CHANNELS.index(name) for block in own for name in BLOCKS[block]]
+        excess = float(sum(remaining[channels]))
+        for columns in _columns(problem, found.claims, found.residual, effect):
+            rest = _beside(np.column_stack([found.jacobian, columns]), found.residual)
+            if excess > 0.0 and float(left @ left - rest @ rest) > GOOD_PART * excess:
+                blocks |= own
+                break
+    return frozenset(blocks)
 
 
 def in_disguise(problem: Problem, found: Fit, claim: Claim) -> bool:
@@ -40,7 +64,7 @@ def in_disguise(problem: Problem, found: Fit, claim: Claim) -> bool:
     return False
 
 
-def _columns(problem: Problem, others: tuple[Claim, ...], before: FloatArray, effect: Effect) -> Iterator[FloatArray]:
+def _columns(problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect) -> Iterator[FloatArray]:
     """What each number of a cause does to the residual, for each choice of start values of its shape."""
     if not effect.touches & set(problem.blocks):
         return

@@ -14,11 +14,11 @@ from copy import copy
 import numpy as np
 
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
-from hydro_diagnosis.closure.disguise import in_disguise
+from hydro_diagnosis.closure.disguise import barred, in_disguise
 from hydro_diagnosis.closure.growth import CONDENSED, LEAST, TERMS, Closed, count_terms, grown_by_law
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
-from hydro_diagnosis.effects.base import Effect
+from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
@@ -36,18 +36,24 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
     """
     if not assessment.remainder:
         return
-    by_law = _by_law(problem, assessment.fit, names)
+    closed = barred(problem, assessment.fit)
+    by_law = _by_law(problem, assessment.fit, names, closed)
     left = noticeable(by_law.problem, by_law.fit.residual)
     if not left and by_law.gain > 0.0:
         yield by_law
-    by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem))
+    by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem), closed)
     both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)
     yield from (one for one in (both if left else (by_table,)) if one.gain > 0.0)
 
 
-def _by_law(problem: Problem, base: Fit, names: Sequence[Effect]) -> Closed:
+def _open(terms: Sequence[Claim], closed: frozenset[str]) -> list[Claim]:
+    """Terms of equations other than these."""
+    return [one for one in terms if not one.effect.touches & closed]
+
+
+def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozenset[str]) -> Closed:
     """Laws and names that together leave nothing; else laws alone beside the names that stand."""
-    screen = Screen.beside(problem, base, laws(problem))
+    screen = Screen.beside(problem, base, _open(laws(problem), closed))
     beside = grown_by_law(problem, base, screen, names)
     if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
         return beside
@@ -75,14 +81,16 @@ def _names(found: Fit) -> set[str]:
     return {claim.effect.label for claim in found.claims if not isinstance(claim.effect, Closure)}
 
 
-def _by_table(below: Closed) -> Closed:
+def _by_table(below: Closed, closed: frozenset[str]) -> Closed:
     """Tables upon names, and upon laws that leave something; laws that do not pay beside them go.
 
     Names stay: a table takes the form of any of them.
     """
     problem, before = below.problem, below.fit
     fitted = paying(
-        problem, _grown_by_table(problem, before, Candidates(problem, before, tables(problem))), names_stay=True
+        problem,
+        _grown_by_table(problem, before, Candidates(problem, before, _open(tables(problem), closed))),
+        names_stay=True,
     )
     if {claim.effect.label for claim in fitted.claims} <= {claim.effect.label for claim in before.claims}:
         return Closed(before, "smooth", 0.0, problem)  # no table, or none that pays
