@@ -65,6 +65,51 @@ main()
     assert (ended.returncode, ended.stderr) == (128 + signal.SIGTERM, "")
 
 
+@pytest.mark.parametrize("kept", [False, True], ids=["gone at once", "kept by the traceback"])
+def test_of_an_object_that_was_interrupted_in_its_making_nothing_is_said(kept: bool) -> None:
+    ended = run(f"""
+class Half:
+    def __init__(self):
+        if {kept}:
+            me(signal.SIGTERM)
+            time.sleep(10)
+        self.whole = True
+
+    def __del__(self):
+        del self.whole
+
+@command()
+def main():
+    try:
+        Half()
+        me(signal.SIGTERM)
+        time.sleep(10)
+    finally:
+        if not {kept}:
+            Half.__new__(Half)
+main()
+""")
+    assert (ended.returncode, ended.stderr) == (128 + signal.SIGTERM, "")
+
+
+def test_another_error_in_a_finalizer_is_told_after_the_end_too() -> None:
+    ended = run("""
+class Failing:
+    def __del__(self):
+        raise ValueError("told")
+
+@command()
+def main():
+    try:
+        me(signal.SIGTERM)
+        time.sleep(10)
+    finally:
+        Failing()
+main()
+""")
+    assert ended.returncode == 128 + signal.SIGTERM and "ValueError: told" in ended.stderr
+
+
 def test_an_import_is_not_interrupted_but_followed_by_the_end(tmp_path: Path) -> None:
     (tmp_path / "slow.py").write_text("""
 import os, signal, time

@@ -70,6 +70,8 @@ def end(number: int, _: FrameType | None = None) -> None:
         return
     signal.setitimer(signal.ITIMER_REAL, 0.0)
     let_go_of_terminal()
+    global _ended
+    _ended = True
     raise Ended(number)
 
 
@@ -91,24 +93,26 @@ def raised() -> Iterator[None]:
     """Context in which each of the signals raises `Ended`.
 
     Where Python cannot raise (finalizers, the compiler's callbacks into Python) it drops the exception, which is
-    then raised again.
+    then raised again. An object that was interrupted in its making lacks attributes that its finalizer asks for:
+    nothing is said of that, then and later.
     """
-    global _program
-    _program = os.getpid()
+    global _program, _ended
+    _program, _ended = os.getpid(), False
     before, dropped = answer(end), sys.unraisablehook
 
     def insist(what: sys.UnraisableHookArgs) -> None:
         error = what.exc_value
-        if not isinstance(error, Ended):
+        if isinstance(error, Ended):
+            _raise_later(error.number)
+        elif not (_ended and isinstance(error, AttributeError) and getattr(what.object, "__name__", "") == "__del__"):
             dropped(what)
-            return
-        _raise_later(error.number)
 
     sys.unraisablehook = insist
     try:
         yield
     finally:
-        sys.unraisablehook = dropped
+        if not _ended:
+            sys.unraisablehook = dropped
         signal.setitimer(signal.ITIMER_REAL, 0.0)
         restore(before)
 
@@ -159,3 +163,4 @@ def _raise_later(number: int) -> None:
 
 
 _program = os.getpid()
+_ended = False  # whether `Ended` was raised
