@@ -13,21 +13,20 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
-from scipy.signal import lfilter
 
 from hydro_diagnosis.effects.base import Claim, FloatArray, Kinematics, Oil, changes
 from hydro_diagnosis.model import chambers, kernels
-from hydro_diagnosis.model.memory import RecordMemory, StepMemory, amplifier
+from hydro_diagnosis.model.memory import RecordMemory, StepMemory
+from hydro_diagnosis.model.readings import readings
 from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.model.window_memory import Indices
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 SUBSTEPS = 4
 """RK4 steps per sample: 250 us, a forty-fifth of a period of the mass-on-oil mode."""
 SUBSTEPS_STICKING = 8
 """The same where the piston may stick: the time of a stop is known to one step only."""
-Indices = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -89,23 +88,23 @@ class Plant:
         stiff_a, stiff_b = chambers.compliances(bench, oil, self._hydraulic)
         motion = Kinematics(time, x, v, (p_a, p_b))
         against = self._dry(motion, grip)
-        level = self._level(motion) if self._resisting else against
+        level = self.level(motion) if self._resisting else against
         for claim in self._resisting:
             against = claim.effect.resistance(against, level, motion, memory, claim.values)
         load = eq.spring_force(bench, x)
-        for claim in self._loading:
+        for claim in self.loading:
             load = claim.effect.load(load, motion, bench, memory, claim.values)
         rates = np.empty_like(state)
         kernels.derivatives(rates, self._numbers, state, into_a, into_b, stiff_a, stiff_b, against, load)
         if self._dragging_along:
-            rates[1] *= bench.moving_mass / self._mass(motion)
+            rates[1] *= bench.moving_mass / self.mass(motion)
         return rates
 
     @cached_property
     def _dragging_along(self) -> tuple[Claim, ...]:
         return self._changing("inertia")
 
-    def _mass(self, motion: Kinematics) -> FloatArray | float:
+    def mass(self, motion: Kinematics) -> FloatArray | float:
         """Mass [kg] that the piston moves."""
         return self.bench.moving_mass + sum(
             claim.effect.inertia(motion, self.bench, claim.values) for claim in self._dragging_along
@@ -116,7 +115,8 @@ class Plant:
         return self._changing("resistance")
 
     @cached_property
-    def _loading(self) -> tuple[Claim, ...]:
+    def loading(self) -> tuple[Claim, ...]:
+        """Claims that change the load's force."""
         return self._changing("load")
 
     @cached_property
@@ -131,7 +131,7 @@ class Plant:
     @property
     def textbook(self) -> bool:
         """Whether no claim acts in the rates; others change numbers of the bench, the spool's path or sensors."""
-        return not (self._hydraulic or self._dragging or self._resisting or self._loading)
+        return not (self._hydraulic or self._dragging or self._resisting or self.loading)
 
     def _changing(self, *hooks: str) -> tuple[Claim, ...]:
         return tuple(claim for claim in self.claims if any(changes(claim, hook) for hook in hooks))
@@ -146,9 +146,10 @@ class Plant:
         """Force [N] of dry friction without bristles."""
         if grip is None:
             return np.zeros_like(motion.position)
-        return np.where(grip.stuck, grip.holding, self._level(grip.toward(motion)) * grip.direction)
+        return np.where(grip.stuck, grip.holding, self.level(grip.toward(motion)) * grip.direction)
 
-    def _level(self, motion: Kinematics) -> FloatArray:
+    def level(self, motion: Kinematics) -> FloatArray:
+        """Force [N] that dry friction may have at most."""
         level = np.zeros_like(motion.position)
         for claim in self._dragging:
             level = claim.effect.drag(level, motion, claim.values)
@@ -198,7 +199,7 @@ class Plant:
         if self.sticks:
             grip = self._grip(state, first, time, step)
             dry = self._dry(Kinematics(time, state[0], state[1]), grip)
-            first[1] -= dry / self._mass(Kinematics(time, state[0], state[1]))
+            first[1] -= dry / self.mass(Kinematics(time, state[0], state[1]))
         second = self.rates(state + 0.5 * step * first, time, spool, memory, grip)
         third = self.rates(state + 0.5 * step * second, time, spool, memory, grip)
         fourth = self.rates(state + step * third, time, spool, memory, grip)
@@ -211,148 +212,17 @@ class Plant:
 
     def _grip(self, state: FloatArray, free: FloatArray, time: FloatArray, step: float) -> Grip:
         """Dry friction brings the mass to rest within a step, as far as it reaches; `free`: rates without it."""
-        holding = np.asarray(self._mass(Kinematics(time, state[0], state[1])) * (state[1] / step + free[1]))
+        holding = np.asarray(self.mass(Kinematics(time, state[0], state[1])) * (state[1] / step + free[1]))
         grip = Grip(holding, np.sign(holding), np.zeros(holding.shape, dtype=np.bool_))
-        level = self._level(grip.toward(Kinematics(time, state[0], state[1])))
+        level = self.level(grip.toward(Kinematics(time, state[0], state[1])))
         return Grip(holding, grip.direction, np.abs(holding) <= level)
 
     def readings(self, states: FloatArray, begins: Indices) -> dict[str, FloatArray]:
         """Return the sensors' readings of simulated states, by channel, shape (length, variants * windows)."""
-        length, _, lanes = states.shape
-        samples = np.tile(begins, lanes // len(begins))
-        at = samples[None, :] + np.arange(length)[:, None]
-        x, v, p_a, p_b = states.transpose(1, 0, 2)
-        bench, shaken = self.bench, self._accelerations(states, samples)
-        true = {
-            "piston_position": x,
-            "pressure_a": p_a,
-            "pressure_b": p_b,
-            "hydraulic_force": eq.hydraulic_force(bench, p_a, p_b),
-            "load_force": self._load(Kinematics(at * self.model.step, x, v, None, shaken), samples),
-        }
-        simulated = {"position": x, "velocity": v, "pressure_a": p_a, "pressure_b": p_b, "acceleration": shaken}
-        beside = self.model.beside
-        aside = {name: simulated[name] - beside[name][at] for name in simulated if name in beside}
-        return {
-            name: self._shown(name, signal, at, aside) for name, signal in true.items() if name in self.model.channels
-        }
-
-    def _accelerations(self, states: FloatArray, samples: Indices) -> FloatArray:
-        """Acceleration [m/s2] along windows, shape (length, windows), if any claim depends on it; else 0."""
-        found = np.zeros_like(states[:, 1])
-        memory = StepMemory(self.model.step)
-        memory.begin({key: trace[samples] for key, trace in self.traces.items()})
-        for k in range(len(states) if any(claim.effect.shaken for claim in self.claims) else 0):
-            time = np.asarray(self.model.segment.start + (samples + k) * self.model.step)
-            spool = self.spool[np.minimum(samples + k, len(self.spool) - 1), 0][:, None]
-            motion = Kinematics(time, states[k, 0], states[k, 1])
-            dry = 0.0 if not self.sticks else np.sign(motion.velocity) * self._level(motion) / self._mass(motion)
-            found[k] = self.rates(states[k], time, spool, memory)[1] - dry
-            memory.tick()
-        return found
-
-    def _load(self, motions: Kinematics, samples: Indices) -> FloatArray:
-        position, shaken = motions.position, motions.acceleration
-        force: FloatArray = eq.spring_force(self.bench, position)
-        acting = self._loading
-        memory = StepMemory(self.model.step)
-        memory.begin({key: trace[samples] for key, trace in self.traces.items()})
-        for k in range(len(position) if acting else 0):
-            now = None if shaken is None else shaken[k]
-            motion = Kinematics(motions.time[k], position[k], motions.velocity[k], None, now)
-            for claim in acting:
-                force[k] = claim.effect.load(force[k], motion, self.bench, memory, claim.values)
-            memory.tick()
-        return force
-
-    def _shown(self, name: str, signal: FloatArray, at: Indices, aside: dict[str, FloatArray]) -> FloatArray:
-        """The sensor's response to the recording's own signal plus its response to the difference from it.
-
-        A reading that depends on the instant alone, or on a path, is taken where the signal is: it may be curved.
-
-        `aside`: that difference of what stands beside the sensor.
-        """
-        proxy, record = self._proxy(name), self.model.memory
-        apart = signal - proxy[at]
-        nothing = np.zeros_like(apart)
-        still = _ColumnMemory(self.model.step, dict.fromkeys(aside, nothing))
-        memory = _ColumnMemory(self.model.step, aside)
-        if name == "load_force" and self.bench.load_cell_bandwidth is not None:
-            cell = self.bench.load_cell_bandwidth, LOAD_CELL_DAMPING
-            proxy, apart = record.low_pass(name, proxy, *cell), memory.low_pass(name, apart, *cell)
-        for claim in self.claims:
-            shown = claim.effect.measure(name, proxy, record, claim.values)
-            if shown is proxy:
-                continue
-            if claim.effect.instant:
-                both = {key: self.model.beside[key][at] + aside.get(key, 0.0) for key in self.model.beside}
-                there = _WindowMemory(self.model.step, both, record.traces, at)
-                apart = claim.effect.measure(name, proxy[at] + apart, there, claim.values) - shown[at]
-            else:
-                with_it, without = (
-                    claim.effect.measure(name, one, past, claim.values)
-                    for one, past in ((apart, memory), (nothing, still))
-                )
-                apart = with_it - without
-            proxy = shown
-        if name == "piston_position":
-            apart = apart + (self.channels[name] - self.model.channels[name])[at]
-        return proxy[at] + apart
-
-    def _proxy(self, name: str) -> FloatArray:
-        if name == "piston_position":
-            return self.model.channels[name]
-        if name == "load_force":
-            return self.model.spring_force(self.bench, self.claims, self.model.recorded)
-        p_a, p_b = (self.model.smooth(self.model.true_signal("pressure_" + chamber, self.claims)) for chamber in "ab")
-        if name == "hydraulic_force":
-            force: FloatArray = eq.hydraulic_force(self.bench, p_a, p_b)
-            return force
-        return p_a if name == "pressure_a" else p_b
+        return readings(self, states, begins)
 
 
 def _sticks(claims: Sequence[Claim]) -> bool:
     """Return whether there is dry friction that no bristles carry."""
     bristled = any(claim.effect.bristles for claim in claims)
     return not bristled and any(changes(claim, "drag") for claim in claims)
-
-
-class _ColumnMemory(RecordMemory):
-    """A record memory whose time runs down the first axis, one column per window."""
-
-    def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
-        numerator, denominator = amplifier(round(bandwidth, 9), round(damping, 9), self.step)
-        state = np.cumsum((numerator - denominator)[::-1])[::-1][1:, None] * signal[0]
-        passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
-        return np.asarray(passed, dtype=np.float64)
-
-    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
-        single = super().lag
-        return np.apply_along_axis(lambda column: single(key, column, time_constant, start), 0, signal)
-
-    def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
-        return np.apply_along_axis(
-            lambda column: super(_ColumnMemory, self).turning(column, rising, falling), 0, signal
-        )
-
-
-class _WindowMemory(_ColumnMemory):
-    """The same of windows that begin along a record, in the states in which it left what remembers."""
-
-    def __init__(self, step: float, beside: Mapping[str, FloatArray], traces: dict[str, FloatArray],
-                 at: Indices) -> None:  # fmt: skip
-        super().__init__(step, beside)
-        self._along, self._at = traces, at
-
-    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
-        """A slow state is the record's."""
-        return self._along[key][self._at]
-
-    def bristle(self, key: str, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
-        force, where = (self._along[name][self._at[0]] for name in (key, key + ".x"))
-        course = np.empty_like(position)
-        for k, now in enumerate(position):
-            moved, where = now - where, now
-            goal = np.sign(moved) * limit[k]
-            course[k] = force = goal + (force - goal) * np.exp(-stiffness * np.abs(moved) / np.maximum(limit[k], 1e-6))
-        return course

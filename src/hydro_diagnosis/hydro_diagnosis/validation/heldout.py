@@ -19,7 +19,8 @@ import numpy.typing as npt
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.findings import ChannelError
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.simulation import Indices, Plant
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.model.window_memory import Indices
 from hydro_diagnosis.validation.predictability import MOST, Window, unpredictable
 
 HORIZON = 0.07

@@ -15,7 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_bridge.signals import FloatArray
-from hydro_diagnosis.model.simulation import Indices, Plant
+from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.model.window_memory import Indices
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 
 STANDS_OUT = 2.0

@@ -3,265 +3,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
-import numpy as np
-
-from hydro_sim.model import equations as eq
 from hydro_sim.model import grammar, laws, tables
-from hydro_sim.model.effects.base import Effect, hidden, parameter
-from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import Element, Law, Number, Signals
+from hydro_sim.model.effects import closure_memory as memory
+from hydro_sim.model.effects import closure_terms as terms
+from hydro_sim.model.effects.base import hidden, parameter
+from hydro_sim.model.effects.closure_terms import Closure
+from hydro_sim.model.laws import Element, Law, Number
 from hydro_sim.model.tables import Table
 
 _REACH = 1e4
 """Bound of a coefficient, as a multiple of its typical size."""
 _SCALES = {"m": 1e-2, "m/s2": 5.0, "A": 1e-3, "Pa": 1e6, "N": 100.0, "m/s": 0.05, "A2": 1e-6, "-": 1.0}
-
-
-class Closure(Effect):
-    """One law or table; subclasses are made from `grammar.ALL`, one base for each equation."""
-
-    id = "closure"
-    law: ClassVar[Law | Table]
-    element: ClassVar[Element]
-    """What it remembers, if it does."""
-
-    def _value(self, at: Signals) -> Symbol:
-        return self.law.value(at, self.at.numbers, [getattr(self, name) for name in self.law.names])
-
-    def _past(self) -> Symbol:
-        """State of the law at this instant."""
-        return 0.0
-
-    def _remembered(self, signal: Symbol) -> Symbol:
-        """State of the law at the end of a step in which its signal has come to this."""
-        return self._past()
-
-    def _held(self) -> Symbol:
-        """Current [A] under which a sensor is read."""
-        return 0.0
-
-
-class MotionClosure(Closure):
-    """A force against the motion."""
-
-    def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
-        pressure_a, pressure_b = self.at.pressures
-        return self._value(Signals(position, velocity, pressure_a, pressure_b, memory=self._past()))
-
-
-class FlowClosure(Closure):
-    """A flow out of the chambers beside the valve."""
-
-    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool, memory=self._past())
-        out = self._value(at)
-        return {"pressure": (out, -out), "pressure_a": (out, 0.0), "pressure_b": (0.0, out)}[self.law.equation]
-
-
-class EdgeClosure(Closure):
-    """A share of the flow through the valve's edges that does not pass."""
-
-    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        n, spool = self.at.numbers, self.at.spool
-        openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
-        return laws.edge_losses(n, openings, (pressure_a, pressure_b), self._value)
-
-
-class AcrossClosure(Closure):
-    """A shift of the spool at the edges, by the pressures across the valve and what moves it."""
-
-    def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
-        n, spool = self.at.numbers, self.at.spool
-        at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, spool)
-        return laws.shifted(n, spool, self._value(at), (pressure_a, pressure_b))
-
-
-class DraggedClosure(Closure):
-    """A mass that the load drags along."""
-
-    shaken = True
-
-    def inertia(self, position: Symbol) -> Symbol:
-        return self._value(Signals(position, self.at.velocity, acceleration=1.0))
-
-
-class LoadClosure(Closure):
-    """A force of the load."""
-
-    def load(self, force: Symbol, position: Symbol) -> Symbol:
-        return force + self._value(Signals(position, self.at.velocity, memory=self._remembered(position)))
-
-
-class SensorClosure(Closure):
-    """What a sensor shows more than its signal."""
-
-    def show(self, channel: str, signal: Symbol) -> Symbol:
-        if channel != self.law.where:
-            return signal
-        pressure_a, pressure_b = self.at.pressures
-        beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
-                  "pressure_b": pressure_b, "current": self._held(), "acceleration": self.at.acceleration}  # fmt: skip
-        return signal + self._value(replace(laws.sensed(channel, signal, beside), memory=self._past()))
-
-
-class ValveClosure(Closure):
-    """A law of the spool's position."""
-
-    late = True
-
-    def command(self, spool: Symbol) -> Symbol:
-        return spool + self._value(Signals(current=spool, memory=self._remembered(spool)))
-
-
-class Shaken(SensorClosure):
-    """A reading that follows the acceleration."""
-
-    shaken = True
-
-
-class PickingUp(SensorClosure):
-    """A reading that follows the valve's current: that which was held until the sample."""
-
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
-        self.next["held"] = self.at.current
-
-    def _held(self) -> Symbol:
-        return self.held
-
-
-class Measured(Closure):
-    """A law with a memory of one signal of the bench."""
-
-    def _began(self, signals: Mapping[str, Symbol]) -> Symbol:
-        """Its signal on a still bench."""
-        if self.element.signal == "force":
-            return signals[self.law.where]
-        return signals[
-            {"position": "piston_position", "current": "spool"}.get(self.element.signal, self.element.signal)
-        ]
-
-    def _now(self) -> Symbol:
-        """Its signal at this instant."""
-        p_a, p_b = self.at.pressures
-        loaded = self.law.where == "load_force"
-        force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
-        return getattr(Signals(self.at.position, pressure_a=p_a, pressure_b=p_b, force=force), self.element.signal)
-
-
-class Lagging(Measured):
-    """A law that lags behind a signal."""
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"past": self._began(signals)}
-
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        return {"past": (self._now() - self.past) / self.time}
-
-    def _past(self) -> Symbol:
-        return self.past
-
-
-class Turning(Lagging):
-    """A law that lags behind a signal, its rises by another time than its falls."""
-
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        off = self._now() - self.past
-        return {"past": eq.choose(off > 0.0, off / self.rising, off / self.falling)}
-
-
-class Warming(Closure):
-    """A law that motion warms and time cools; a still bench is cold."""
-
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        return {"past": np.abs(self.at.velocity) / self.path - self.past / self.time}
-
-    def _past(self) -> Symbol:
-        return self.past
-
-
-class Following(Closure):
-    """A law that follows a size over a time, or time alone; it begins at nothing."""
-
-    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
-        signal = self.element.signal
-        pressure_a, pressure_b = self.at.pressures
-        now = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool)
-        return {"past": ((1.0 if signal == "time" else getattr(now, signal)) - self.past) / self.time}
-
-    def _past(self) -> Symbol:
-        return self.past
-
-
-class Settling(Closure):
-    """The same of the spool's position, which is held over a step."""
-
-    def command(self, spool: Symbol) -> Symbol:
-        commanded = super().command(spool)
-        left = np.exp(-self.at.step / self.time)
-        self.next["past"] = self._driver(spool) + (self.past - self._driver(spool)) * left
-        return commanded
-
-    def _remembered(self, signal: Symbol) -> Symbol:
-        """Mean over the step."""
-        share = (1.0 - np.exp(-self.at.step / self.time)) * self.time / self.at.step
-        return self._driver(signal) + (self.past - self._driver(signal)) * share
-
-    def _driver(self, spool: Symbol) -> Symbol:
-        return 1.0 if self.element.signal == "time" else getattr(Signals(current=spool), self.element.signal)
-
-
-class Bending(Measured):
-    """A law that follows a path: the piston's, the current's, or that of a sensor's signal."""
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"where": self._began(signals)}
-
-    def command(self, spool: Symbol) -> Symbol:
-        if self.element.signal == "current":
-            self.next["bent"], self.next["where"] = self._remembered(spool), spool
-        return super().command(spool)
-
-    def remember(self, position: Symbol, velocity: Symbol) -> None:
-        if self.element.signal != "current":
-            now = position if self.element.signal == "position" else self._now()
-            self.next["bent"], self.next["where"] = self._remembered(now), now
-
-    def _past(self) -> Symbol:
-        return self.bent
-
-    def _remembered(self, signal: Symbol) -> Symbol:
-        moved = signal - self.where
-        goal = np.sign(moved)
-        return goal + (self.bent - goal) * np.exp(-np.abs(moved) / self.path)
-
-
-class Limited(Closure):
-    """A law of a spool that lags, and moves no faster than a rate."""
-
-    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
-        return {"where": signals["spool"]}
-
-    def command(self, spool: Symbol) -> Symbol:
-        off, near, left = self._course(spool)
-        self.next["where"] = spool - np.sign(off) * near * left
-        return super().command(spool)
-
-    def _remembered(self, signal: Symbol) -> Symbol:
-        """Mean over the step, exact for a signal that is held."""
-        off, near, left = self._course(signal)
-        fast = (np.abs(off) - near) / self.rate
-        area = 0.5 * (np.abs(off) + near) * fast + near * self.time * (1.0 - left)
-        return signal - np.sign(off) * area / self.at.step
-
-    def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
-        """How far off the signal is, how far after what it goes at full rate, and what an exponential leaves of it."""
-        off = signal - self.where
-        fast = eq.clip(np.abs(off) / self.rate - self.time, 0.0, self.at.step)
-        return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
 
 
 def made(law: Law | Table) -> type[Closure]:
@@ -303,18 +57,30 @@ def _states(element: Element, equation: str) -> dict[str, Any]:
     }[element.kind]
 
 
-_PLACES = {"edges": EdgeClosure, "across": AcrossClosure}
-_MEMORIES = {"lag": Lagging, "heat": Warming, "path": Bending, "rate": Limited, "slow": Following, "turn": Turning}
+_PLACES = {"edges": terms.EdgeClosure, "across": terms.AcrossClosure}
+_MEMORIES = {
+    "lag": memory.Lagging,
+    "heat": memory.Warming,
+    "path": memory.Bending,
+    "rate": memory.Limited,
+    "slow": memory.Following,
+    "turn": memory.Turning,
+}
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
-    acting = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure}
-    acts = _PLACES.get(law.where) or acting.get(law.equation, FlowClosure)
+    acting = {
+        "motion": terms.MotionClosure,
+        "load": terms.LoadClosure,
+        "sensor": terms.SensorClosure,
+        "actuation": terms.ValveClosure,
+    }
+    acts = _PLACES.get(law.where) or acting.get(law.equation, terms.FlowClosure)
     if "acceleration" in law.uses:
-        return (Shaken,) if law.equation == "sensor" else (DraggedClosure,)
+        return (terms.Shaken,) if law.equation == "sensor" else (terms.DraggedClosure,)
     if element is None:
-        return (PickingUp,) if law.picks_up else (acts,)
-    remembers = Settling if element.kind == "slow" and acts is ValveClosure else _MEMORIES[element.kind]
+        return (terms.PickingUp,) if law.picks_up else (acts,)
+    remembers = memory.Settling if element.kind == "slow" and acts is terms.ValveClosure else _MEMORIES[element.kind]
     return remembers, acts
 
 

@@ -2,7 +2,8 @@
 """Grammar of closures: the laws and tables that are tried where no named effect explains the residual.
 
 `forces`, `flows`, `valve` and `sensors` hold the laws that have names, `words` what they are made of. All others are
-compositions of `carriers` and `modulations`.
+`compositions` of a carrier (`force_carriers`, `flow_carriers`, `valve_carriers`, `sensor_carriers`) and a modulation
+(`modulations`, `pasts`).
 """
 
 from __future__ import annotations

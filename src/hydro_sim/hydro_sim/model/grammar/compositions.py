@@ -5,10 +5,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
-from hydro_sim.model.grammar import carriers as c
+from hydro_sim.model.grammar import flow_carriers as q
+from hydro_sim.model.grammar import force_carriers as f
 from hydro_sim.model.grammar import modulations as m
 from hydro_sim.model.grammar import pasts as p
 from hydro_sim.model.grammar import sensor_carriers as s
+from hydro_sim.model.grammar import valve_carriers as v
 from hydro_sim.model.grammar.parts import Carrier, Modulation, composed
 from hydro_sim.model.laws import Law
 
@@ -39,22 +41,22 @@ def _product(carriers: Iterable[Carrier], modulations: Sequence[Modulation]) -> 
 
 
 EVERY: tuple[Law, ...] = (
-    *_product((c.DRY,), (*_FORCES, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
-    *_product((c.VISCOUS,), (*_FORCES, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
-    *_product((c.SQUARE, c.ROOT, *c.BY_PRESSURE, c.BY_DIFFERENCE), _FORCES),
-    *_product((c.STIFFNESS,), (m.ALWAYS, *_LOADS)),
-    *_product((c.CONSTANT_FORCE,), (*_FORCES, *m.BEYOND_SPEED, m.FILM)),
-    *_product((c.LOAD_DRY, c.LOAD_VISCOUS), (m.ALWAYS, *_LOADS, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
-    *_product((c.LOAD_SQUARE, c.LOAD_RUBBING), (m.ALWAYS, *_LOADS)),
-    *_product((c.LOAD_SPRING, c.LOAD_CONSTANT), _LOADS),
-    *_product((c.LOAD_INERTIA,), (m.ALWAYS, *m.BEYOND_PLACE)),
-    *_product((c.LEAK, c.HOLE), _FLOWS),
-    *_product(c.CHAMBERS, (m.ALWAYS, *_FLOWS)),
-    *_product(c.FED, (m.ALWAYS, *_FED)),
-    *_product((c.NULL,), (*m.BEYOND_OPENING, *_SPOOL)),
-    *_product((c.GAIN, c.CURVE), _SPOOL),
-    *_product((c.THROTTLE, c.NARROWED, c.JETS), _EDGES),
-    *_product(c.PRESSED, (m.ALWAYS,)),
+    *_product((f.DRY,), (*_FORCES, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
+    *_product((f.VISCOUS,), (*_FORCES, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
+    *_product((f.SQUARE, f.ROOT, *f.BY_PRESSURE, f.BY_DIFFERENCE), _FORCES),
+    *_product((f.STIFFNESS,), (m.ALWAYS, *_LOADS)),
+    *_product((f.CONSTANT_FORCE,), (*_FORCES, *m.BEYOND_SPEED, m.FILM)),
+    *_product((f.LOAD_DRY, f.LOAD_VISCOUS), (m.ALWAYS, *_LOADS, *m.BEYOND_SPEED, m.LEVELLING, m.FILM)),
+    *_product((f.LOAD_SQUARE, f.LOAD_RUBBING), (m.ALWAYS, *_LOADS)),
+    *_product((f.LOAD_SPRING, f.LOAD_CONSTANT), _LOADS),
+    *_product((f.LOAD_INERTIA,), (m.ALWAYS, *m.BEYOND_PLACE)),
+    *_product((q.LEAK, q.HOLE), _FLOWS),
+    *_product(q.CHAMBERS, (m.ALWAYS, *_FLOWS)),
+    *_product(q.FED, (m.ALWAYS, *_FED)),
+    *_product((v.NULL,), (*m.BEYOND_OPENING, *_SPOOL)),
+    *_product((v.GAIN, v.CURVE), _SPOOL),
+    *_product((v.THROTTLE, v.NARROWED, v.JETS), _EDGES),
+    *_product(v.PRESSED, (m.ALWAYS,)),
     *_product(s.PICKED, (m.ALWAYS,)),
     *_product(s.DRIFTING, _DRIFTS),
     *_product((one for one in s.DRIFTING if one.uses and not one.where.endswith("force")), (m.ALWAYS,)),

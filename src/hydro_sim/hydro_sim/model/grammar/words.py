@@ -10,6 +10,9 @@ import numpy as np
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.laws import Element, Number, Signals
 
+BETWEEN = "pressure_a pressure_b"
+"""What the pressure difference is made of."""
+
 
 def outwards(direction: Symbol) -> Symbol:
     """1 while the piston moves out, else 0; of the negative direction: while it moves in."""

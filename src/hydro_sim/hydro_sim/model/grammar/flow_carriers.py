@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Carriers of flows: what terms of the chambers' pressures are made of."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from hydro_sim.model.equations import Symbol
+from hydro_sim.model.grammar.parts import Carrier
+from hydro_sim.model.grammar.words import BETWEEN
+from hydro_sim.model.laws import Signals
+
+
+def _flow(equation: str, name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
+          shape: Callable[[Signals, Any], Symbol]) -> Carrier:  # fmt: skip
+    return Carrier(equation=equation, name=name, unit=unit, text=text, phrase=phrase, size=3e-7, scale=scale,
+                   uses=uses, degree=degree, shape=shape)  # fmt: skip
+
+
+def _root(pressure: Symbol) -> Symbol:
+    return pressure / np.sqrt(np.abs(pressure) + 100.0)
+
+
+LEAK = _flow(
+    "pressure",
+    "leak",
+    "Pa",
+    "(p_a - p_b)",
+    "A leak between the chambers",
+    3e6,
+    BETWEEN,
+    1.0,
+    lambda at, n: at.pressure_difference,
+)
+HOLE = _flow(
+    "pressure",
+    "hole",
+    "sqrt(Pa)",
+    "sqrt(p_a - p_b)",
+    "A leak through a hole between the chambers",
+    2e3,
+    BETWEEN,
+    0.5,
+    lambda at, n: _root(at.pressure_difference),
+)
+
+
+def _of_chamber(
+    chamber: str, pressure: Callable[[Signals], Symbol], area: Callable[[Any], Symbol]
+) -> tuple[Carrier, ...]:
+    equation, big = f"pressure_{chamber}", chamber.upper()
+    return (
+        _flow(equation, "leak", "Pa", f"p_{chamber}", f"A leak of chamber {big} to the outside", 5e6, equation, 1.0,
+              lambda at, n: pressure(at)),
+        _flow(equation, "hole", "sqrt(Pa)", f"sqrt(p_{chamber})", f"A leak of chamber {big} through a hole", 2e3,
+              equation, 0.5, lambda at, n: _root(pressure(at))),
+        _flow(equation, "carried oil", "m3/s", f"v A_{chamber}", f"Oil of chamber {big} that the motion carries along",
+              5e-6, "velocity", 1.0, lambda at, n: at.velocity * area(n)),
+    )  # fmt: skip
+
+
+CHAMBERS = (
+    *_of_chamber("a", lambda at: at.pressure_a, lambda n: n.piston_area),
+    *_of_chamber("b", lambda at: at.pressure_b, lambda n: n.area_ratio * n.piston_area),
+)
+
+
+def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) -> tuple[Carrier, ...]:
+    """Shares of the flow through one edge of four that do not pass, and leaks from the supply; out of the chamber."""
+    equation, big = f"pressure_{chamber}", chamber.upper()
+    fed, drained = ("u", "-u") if side > 0.0 else ("-u", "u")
+
+    def opened(at: Signals, n: Any, to: float) -> Symbol:
+        return n.valve_gain * np.fmax(to * side * at.current, 0.0)
+
+    return (
+        _flow(equation, "flow of the supply's edge", "m3/s", f"K max({fed}, 0) sqrt(p_s - p_{chamber})",
+              f"The edge from the supply to chamber {big} passes less than the others: typical of one that is silted "
+              "up or worn", 5e-6, f"current {equation}", 1.5,
+              lambda at, n: opened(at, n, 1.0) * _root(n.supply_pressure - pressure(at))),
+        _flow(equation, "flow of the tank's edge", "m3/s", f"-K max({drained}, 0) sqrt(p_{chamber} - p_t)",
+              f"The edge from chamber {big} to the tank passes less than the others: typical of one that is silted "
+              "up or worn", 5e-6, f"current {equation}", 1.5,
+              lambda at, n: -opened(at, n, -1.0) * _root(pressure(at) - n.tank_pressure)),
+        _flow(equation, "leak from the supply", "Pa", f"-(p_s - p_{chamber})",
+              f"A leak from the supply into chamber {big}", 5e6, equation, 1.0,
+              lambda at, n: pressure(at) - n.supply_pressure),
+        _flow(equation, "hole to the supply", "sqrt(Pa)", f"-sqrt(p_s - p_{chamber})",
+              f"A leak through a hole from the supply into chamber {big}", 2e3, equation, 0.5,
+              lambda at, n: -_root(n.supply_pressure - pressure(at))),
+    )  # fmt: skip
+
+
+FED = (*_edges_of("a", lambda at: at.pressure_a, 1.0), *_edges_of("b", lambda at: at.pressure_b, -1.0))
