@@ -16,6 +16,7 @@ from typing import Any
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.model.effects import closure, grown, motion, named_law, numbers, oil, sensing, valve
 from hydro_sim.model.effects.base import Effect, Parameter
+from hydro_sim.model.effects.closure_terms import Closure
 
 CAPACITY = 24
 """Largest number of effects of a bench."""
@@ -127,7 +128,7 @@ def check(effects: Sequence[Mapping[str, Any]]) -> None:
         In one sentence: an effect that is unknown, lacks a parameter, or is given more often than it can be.
     """
     kinds = [(label(effect), kind_of(effect)[0]) for effect in effects]
-    closures = sum(kind.effect.id == closure.Closure.id for _, kind in kinds)
+    closures = sum(kind.effect.id == Closure.id for _, kind in kinds)
     if closures > CLOSURES:
         raise ValueError(f"{closures} closures are more than the {CLOSURES} that are simulated at once")
     for effect in effects:
@@ -146,5 +147,5 @@ def _check_range(effect: Mapping[str, Any]) -> None:
     """Refuse a table that does not end above where it begins."""
     kind, values = kind_of(effect)
     given = dict(zip((parameter.name for parameter in kind.parameters), values, strict=True))
-    if kind.effect.id == closure.Closure.id and "low" in given and not given["low"] < given["high"]:
+    if kind.effect.id == Closure.id and "low" in given and not given["low"] < given["high"]:
         raise ValueError(f"effect {label(effect)}: low must be below high")
