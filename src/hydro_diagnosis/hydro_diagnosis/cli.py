@@ -6,6 +6,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,6 +17,7 @@ from hydro_diagnosis.findings import DiagnosisInterrupted
 from hydro_diagnosis.formats.suffixes import SUFFIXES
 from hydro_diagnosis.growing import command as growing
 from hydro_diagnosis.recording import InputError
+from hydro_diagnosis.stage_bar import StageBar, silent
 
 if TYPE_CHECKING:
     from hydro_diagnosis.report.diagnosis import Diagnosis
@@ -81,19 +83,19 @@ def run(arguments: Sequence[str]) -> int:
     from hydro_diagnosis.report.corrected_bench import write_corrected
     from hydro_diagnosis.report.page import write_page
 
-    quiet = chosen.quiet or not sys.stderr.isatty()
     try:
-        found = diagnose(
-            chosen.recordings,
-            holdout=chosen.holdout,
-            bench=chosen.bench,
-            model=chosen.model,
-            columns=chosen.columns,
-            without=chosen.without,
-            estimate=chosen.estimate,
-            as_wired=chosen.as_wired,
-            progress=lambda stage: None if quiet else print(f"  {stage}", file=sys.stderr, flush=True),
-        )
+        with nullcontext(silent) if chosen.quiet else StageBar() as told:
+            found = diagnose(
+                chosen.recordings,
+                holdout=chosen.holdout,
+                bench=chosen.bench,
+                model=chosen.model,
+                columns=chosen.columns,
+                without=chosen.without,
+                estimate=chosen.estimate,
+                as_wired=chosen.as_wired,
+                progress=told,
+            )
     except DiagnosisInterrupted as interrupted:
         _made(chosen.out)
         interrupted.report.write(chosen.out)

@@ -14,6 +14,7 @@ from typing import Any
 from threadpoolctl import threadpool_limits
 
 from hydro_bridge.process import endings
+from hydro_diagnosis import stage_bar
 from hydro_diagnosis.closure.admission import Admitted, admitted, reports
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.dataset.loading import load_dataset
@@ -105,7 +106,7 @@ def diagnose(
     base = baseline(bench, model, estimate)
     given = base.bench
     unruled = _candidates(without)
-    progress("reading")
+    progress(stage_bar.READING)
     read_with = hiding(given, estimate)
     fitted, held, quality = load_dataset(recordings, holdout, read_with, ColumnMap.load(columns), as_wired=as_wired)
     channels = set.intersection(*(set(segment.channels) for segment in fitted))
@@ -142,13 +143,13 @@ def _diagnosed(
 ) -> Diagnosis:
     """Search, judge, prove; `facts` go into the report as they are; `numbers`: estimated ones as they were given."""
     problem, believed, progress = search.problem, search.problem.bench, search.progress
-    progress("searching")
+    progress(stage_bar.SEARCHING)
     outcome = search.run()
-    progress("judging")
+    progress(stage_bar.JUDGING)
     assessment, bounds = _judged(problem, outcome)
     late = current_is_late(problem, assessment)
     models = [SegmentModel(segment, believed) for segment in held]
-    progress("checking on held-out recordings")
+    progress(stage_bar.CHECKING)
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.update_weights(assessment.fit.claims)
     simulated: Known = {}
@@ -158,7 +159,7 @@ def _diagnosed(
     )
     closing = []
     if assessment.remainder and not late:
-        progress("modelling what has no name")
+        progress(stage_bar.MODELLING)
         names = [effect for effect in search.library if effect.named]
         closed = admitted(problem, unseen, closures(problem, assessment, names), models, proof, simulated)
         within = intervals(closed.closed.problem, closed.closed.fit) if closed else []

@@ -85,12 +85,13 @@ def progress(
     label: str = "",
     unit: str = "it",
     every: float | None = None,
+    bar_format: str | None = None,
 ) -> tqdm[T]:
     """Return a progress bar on standard error: iterate over it, or `update` it.
 
     If standard error is not a terminal there is no bar, or one line every `every` seconds.
     """
-    about: dict[str, Any] = {"total": total, "desc": label or None, "unit": unit}
+    about: dict[str, Any] = {"total": total, "desc": label or None, "unit": unit, "bar_format": bar_format}
     if every is None or sys.stderr.isatty():
         how: dict[str, Any] = {"file": sys.stderr, "disable": None, "dynamic_ncols": True}
     else:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Growth of a model by laws, and by names that do as well: forward selection with exchanges.
 
-The best few of the screen are fitted in each round, with all further numbers. Of those with nearly as much evidence as
-the best, a name is taken before a law, and a law of few numbers and signals before another.
+Of what pays in a round (`rounds`) and has nearly as much evidence as the best, a name is taken before a law, and a law
+of few numbers and signals before another.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ from collections.abc import Sequence
 from copy import copy
 from dataclasses import dataclass
 
-from hydro_diagnosis.closure.disguise import in_disguise
-from hydro_diagnosis.closure.evidence import definite
-from hydro_diagnosis.closure.rounding import newest_turned, plain, turned
-from hydro_diagnosis.closure.screen import CHANCE, Screen, threshold
+from hydro_diagnosis.closure.rounding import plain, turned
+from hydro_diagnosis.closure.rounds import Rounds
+from hydro_diagnosis.closure.screen import CHANCE
 from hydro_diagnosis.closure.together import held_out_gain, mimics, paying
 from hydro_diagnosis.effects.base import Claim, Effect
 from hydro_diagnosis.effects.closure import Closure
@@ -27,18 +26,8 @@ from hydro_sim.model.effects.catalogue import CLOSURES
 
 TERMS = 3
 """Largest number of terms of a law."""
-LEAST = 0.02
-"""Share of the possible gain that a term must bring: less is mimicry of another form."""
-CONDENSED = 0.05
-"""Share of a smooth function's gain by which a law may fall short of it."""
-FITTED = 5
-"""Laws that are fitted in each round, the best of the screen."""
-ALIKE = 0.8
-"""Share of the best's gain from which a law is fitted beside one that leaves nothing."""
 NAMES = 3
 """Names that are fitted in place of a law."""
-PATIENCE = 24
-"""Iterations of a fit at most: a law's further numbers begin on a coarse grid."""
 
 
 @dataclass(frozen=True)
@@ -59,11 +48,10 @@ def count_terms(found: Fit) -> int:
     return sum(isinstance(claim.effect, Closure) for claim in found.claims)
 
 
-def grown_by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect] = ()) -> Closed:
+def grown_by_law(problem: Problem, base: Fit, rounds: Rounds, names: Sequence[Effect] = ()) -> Closed:
     """The fit with the laws that pay, and with `names` that do as well; what does not pay beside the others goes.
 
-    In each round the best few of the screen are fitted, and the one with most evidence is taken, or a simpler one
-    that has nearly as much.
+    In each round the law with most evidence is taken, or a simpler one that has nearly as much.
     """
     weighed = copy(problem)  # its weights are its own, all else is shared
     current, tried = base, set[str]()
@@ -71,7 +59,7 @@ def grown_by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Ef
     for _ in range(room + (NAMES if names else 0)):
         if not noticeable(weighed, current.residual):
             break
-        fits = _laws_fitted(weighed, current, screen, tried) if count_terms(current) - count_terms(base) < room else []
+        fits = rounds.fits(weighed, current, tried) if count_terms(current) - count_terms(base) < room else []
         fits += _names_fitted(weighed, current, names) if count_terms(current) > count_terms(base) else []
         if not fits:
             break
@@ -83,44 +71,18 @@ def grown_by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Ef
             current = fit(weighed, taken.claims)
     if count_terms(current) == count_terms(base):
         return Closed(base, "law", 0.0, problem)
-    current = paying(weighed, _exchanged(weighed, current, screen))  # what stood for another's numbers goes
+    current = paying(weighed, _exchanged(weighed, current, rounds))  # what stood for another's numbers goes
     return Closed(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed)
 
 
-def _exchanged(problem: Problem, found: Fit, screen: Screen) -> Fit:
+def _exchanged(problem: Problem, found: Fit, rounds: Rounds) -> Fit:
     """The fit with another in place of a law that does better beside all that came after, or as well and is simpler."""
     for claim in found.claims if len(found.claims) > 1 else ():
         if isinstance(claim.effect, Closure):
             others = fit(problem, tuple(one for one in found.claims if one is not claim))
             tried = {plain(one.effect.label) for one in found.claims}
-            found = _simplest(problem, [found, *_laws_fitted(problem, others, screen, tried)], claim)
+            found = _simplest(problem, [found, *rounds.fits(problem, others, tried)], claim)
     return turned(problem, found)
-
-
-def _laws_fitted(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
-    """Fits with one law more that pays, of the best of the screen; these are `tried` then."""
-    prospects, there_is = screen.prospects(current, FITTED, tried)
-    toll = threshold(len(screen))
-    fits: list[Fit] = []
-    disguised, clean = 0.0, False
-    for one in prospects:
-        enough = ALIKE * prospects[0].gain if clean else 0.0 if fits else (1.0 - CONDENSED) * disguised
-        if one.gain < max(toll, LEAST * there_is, enough):
-            break
-        better = _fitted(problem, current, one.starts)
-        if noticeable(problem, better.residual):
-            better = newest_turned(problem, better)
-        tried.add(one.effect.label)
-        if score(problem, current) - score(problem, better) < toll or mimics(problem, current, better):
-            continue
-        if not definite(problem, better, better.claims[-1]):
-            disguised = max(disguised, one.gain)  # what gains less would stand in for the name or law that it is
-        elif in_disguise(problem, better, better.claims[-1]):
-            continue
-        elif held_out_gain(problem, current, better) >= toll:
-            fits.append(better)
-            clean = clean or not noticeable(problem, better.residual)
-    return fits
 
 
 def _names_fitted(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:
@@ -144,13 +106,3 @@ def _simplest(problem: Problem, fits: Sequence[Fit], last: Claim | None = None) 
         return len(effect.parameters), len(effect.law.uses), score(problem, one)
 
     return min((one for one in fits if score(problem, one) <= best + CHANCE), key=parts)
-
-
-def _fitted(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
-    """The fit with a term from the first start at which its further numbers come to be known, else from the best."""
-    fits = []
-    for start in starts:
-        fits.append(fit(problem, (*current.claims, start), iterations=PATIENCE))
-        if definite(problem, fits[-1], fits[-1].claims[-1]):
-            return fits[-1]
-    return fits[0]

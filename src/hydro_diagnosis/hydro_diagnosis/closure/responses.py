@@ -12,7 +12,6 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import lfilter
 
 from hydro_diagnosis.closure.gauge_responses import GaugeWays
 from hydro_diagnosis.effects.base import Claim, FloatArray
@@ -31,7 +30,7 @@ from hydro_diagnosis.effects.closure import (
 from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.layout import CHANNELS
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model import chambers, kernels
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
@@ -129,15 +128,9 @@ class Responses:
         shown: dict[str, FloatArray | None] = {}
         for name, flow, stiff in (("pressure_a", into_a, self.stiff[0]), ("pressure_b", into_b, self.stiff[1])):
             if flow.any():
-                built = np.zeros_like(flow)
-                np.cumsum((flow * (stiff * self.model.step))[:, :-1], axis=1, out=built[:, 1:])
-                shown[name] = -self._smooth(self._forget(built))
+                built = kernels.fading_sums(flow * (stiff * self.model.step), 1.0 - self.model.step / OBSERVER_MEMORY)
+                shown[name] = -self._smooth(built)
         return self._present(shown)
-
-    def _forget(self, signals: FloatArray) -> FloatArray:
-        gain = self.model.step / OBSERVER_MEMORY
-        followed, _ = lfilter([0.0, gain], [1.0, gain - 1.0], signals, axis=1, zi=signals[:, :1])
-        return signals - np.asarray(followed)
 
     def _read(self, terms: Sequence[Claim], channel: str) -> Shown:
         def read(signal: FloatArray, smoothed: bool = False) -> FloatArray:

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import dataclass
-from itertools import groupby
+from itertools import groupby, pairwise
 
 import numpy as np
 import numpy.typing as npt
 
+from hydro_diagnosis.closure.column_gains import column_gains
 from hydro_diagnosis.closure.evidence import BLOCK, FOLDS, SHORTEST
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
@@ -25,8 +26,10 @@ from hydro_diagnosis.estimation.problem import Problem
 
 ROWS = 40000
 """Residuals of a channel beyond which only every second, third ... is taken."""
-
-
+CHUNK = 64
+"""Terms whose responses are multiplied at a time."""
+Chunk = tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]
+"""Places of terms, and their responses, shape (terms, rows)."""
 CHANCE = 20.0
 """Deviance on held-out blocks that a single column must gain, as the search asks of a cause."""
 
@@ -66,22 +69,43 @@ class Screen:
 
     def __init__(self, problem: Problem, base: Fit, terms: Sequence[Claim]) -> None:
         self.problem, self.terms = problem, list(terms)
-        self._blocks: list[tuple[slice, dict[int, npt.NDArray[np.float32]]]] = []
+        self._laws: list[slice] = []
+        """Places of each law's terms."""
+        self._chunks: dict[int, list[Chunk]] = {}
+        """By channel: responses of some laws each."""
         layout = problem.layout
         count = int(layout.count().max())
         self._every = max(count // ROWS, 1)
-        self._rows = [np.flatnonzero(layout.channel == k)[:: self._every] for k in range(len(CHANNELS))]
+        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
+        kept = [np.flatnonzero(layout.channel == k)[:: self._every] for k in range(len(CHANNELS))]
+        order = [np.argsort(fold[rows], kind="stable") for rows in kept]
+        self._rows = [rows[one] for rows, one in zip(kept, order, strict=True)]
+        """Residuals of each channel that are looked at, fold by fold."""
+        self._folds = [np.searchsorted(fold[rows], np.arange(FOLDS + 1)) for rows in self._rows]
+        self._square = np.zeros((FOLDS, len(CHANNELS), len(self.terms)))
         everything = (*problem.baseline, *base.claims)
         ways = [Responses(problem, model, everything) for model in problem.models]
+        waiting: dict[int, list[Chunk]] = {}
         at = 0
         for _, same in groupby(self.terms, key=lambda one: one.effect.label):
             probes = [_probed(one) for one in same]
-            block = {
-                channel: columns[:, :: self._every].astype(np.float32)
-                for channel, columns in shown(problem, base, ways, probes).items()
-            }
-            self._blocks.append((slice(at, at + len(probes)), block))
+            self._laws.append(slice(at, at + len(probes)))
+            places = np.arange(at, at + len(probes))
             at += len(probes)
+            for channel, columns in shown(problem, base, ways, probes).items():
+                thinned = columns[:, :: self._every].astype(np.float32)[:, order[channel]]
+                waiting.setdefault(channel, []).append((places, thinned))
+                if sum(len(one) for one, _ in waiting[channel]) >= CHUNK:
+                    self._keep(channel, waiting.pop(channel))
+        for channel, chunks in waiting.items():
+            self._keep(channel, chunks)
+
+    def _keep(self, channel: int, chunks: Sequence[Chunk]) -> None:
+        places, columns = (np.concatenate(one) for one in zip(*chunks, strict=True))
+        self._chunks.setdefault(channel, []).append((places, columns))
+        for k, (begin, end) in enumerate(pairwise(self._folds[channel])):
+            part = columns[:, begin:end]
+            self._square[k, channel, places] = np.einsum("ij,ij->i", part, part)
 
     @classmethod
     def beside(cls, problem: Problem, base: Fit, terms: Sequence[Claim]) -> Screen:
@@ -94,7 +118,17 @@ class Screen:
         known = problem.shelf.get("screen")
         if known is None or known[0] != key:
             known = problem.shelf["screen"] = key, cls(problem, base, terms)
-        found = copy(known[1])
+        return known[1].for_problem(problem)
+
+    @classmethod
+    def last(cls, problem: Problem) -> Screen | None:
+        """The last screen of these recordings, beside whichever names: to choose what is fitted it will do."""
+        known = problem.shelf.get("screen")
+        return known[1].for_problem(problem) if known else None
+
+    def for_problem(self, problem: Problem) -> Screen:
+        """The same responses, with the weights of another problem of these recordings."""
+        found = copy(self)
         found.problem = problem
         return found
 
@@ -106,7 +140,7 @@ class Screen:
         gains, there_is = self.gains(found)
         price = float(np.log(len(found.residual)))
         by_law = []
-        for at, _ in self._blocks:
+        for at in self._laws:
             effect = self.terms[at.start].effect
             if effect.label in without:
                 continue
@@ -118,65 +152,25 @@ class Screen:
 
     def gains(self, found: Fit) -> tuple[FloatArray, float]:
         """Held-out deviance that each term gains beside a fit, shape (terms,), and what there is to gain at all."""
-        layout, base = self.problem.layout, np.column_stack([found.residual, found.jacobian])
+        base = np.column_stack([found.residual, found.jacobian])
         lengths = np.maximum(np.linalg.norm(base, axis=0), SHORTEST)
         base = base / lengths
-        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
-        weight = 1.0 / spreads(self.problem, found.residual)
         width, many = base.shape[1], len(self.terms)
         own = np.zeros((FOLDS, len(CHANNELS), width, width))
         cross = np.zeros((FOLDS, len(CHANNELS), width, many))
-        square = np.zeros((FOLDS, len(CHANNELS), many))
-        parts = []
         for channel, rows in enumerate(self._rows):
-            for k in range(FOLDS):
-                inside = fold[rows] == k
-                part = base[rows[inside]]
+            standing = base[rows]
+            for k, (begin, end) in enumerate(pairwise(self._folds[channel])):
+                part = standing[begin:end]
                 own[k, channel] = part.T @ part
-                parts.append((k, channel, inside, part.astype(np.float32)))
-        for at, block in self._blocks:
-            for k, channel, inside, part in parts:
-                if channel in block and len(part):
-                    columns = block[channel][:, inside]
-                    cross[k, channel, :, at] = (columns @ part).T
-                    square[k, channel, at] = np.einsum("ij,ij->i", columns, columns)
+                single = part.astype(np.float32)
+                for places, columns in self._chunks.get(channel, ()):
+                    cross[k, channel][:, places] = (columns[:, begin:end] @ single).T
+        weight = 1.0 / spreads(self.problem, found.residual)
         count = np.array([len(rows) for rows in self._rows], dtype=np.float64)
         size = float(lengths[0]) ** 2
-        gains, before = _gains(own, cross, square, weight, count, size)
+        gains, before = column_gains(own, cross, self._square, weight, count, size)
         return gains * self._every, (before - float(count.sum())) * self._every
-
-
-def _gains(own: FloatArray, cross: FloatArray, square: FloatArray, weight: FloatArray, count: FloatArray,
-           size: float) -> tuple[FloatArray, float]:  # fmt: skip
-    """Held-out deviance gained by each term, and the deviance before, from products by fold and channel.
-
-    The normal equations of the standing columns and one more are solved by its Schur complement.
-    """
-    many = square.shape[-1]
-    before, after = np.zeros(len(weight)), np.zeros((len(weight), many))
-    weighted = [np.einsum("fc...,c->f...", one, weight) for one in (own, cross, square)]
-    together = [one.sum(axis=0) for one in weighted]
-    for k in range(len(own)):
-        a, b, d = (whole - one[k] for whole, one in zip(together, weighted, strict=True))
-        inverse = np.linalg.pinv(a[1:, 1:], rcond=1e-10, hermitian=True) if len(a) > 1 else np.zeros((0, 0))
-        alone = -inverse @ a[1:, 0]
-        full = np.concatenate([[1.0], alone])
-        before += np.einsum("i,cij,j->c", full, own[k], full)
-        turned = inverse @ b[1:]
-        rest = d - np.sum(b[1:] * turned, axis=0)
-        left = b[0] + alone @ b[1:]
-        amount = np.where(rest > 1e-9 * d, -left / np.maximum(rest, 1e-300), 0.0)
-        theta = np.concatenate([np.ones((1, many)), alone[:, None] - turned * amount])
-        after += np.einsum("im,cij,jm->cm", theta, own[k], theta)
-        after += 2.0 * amount * np.einsum("im,cim->cm", theta, cross[k]) + amount**2 * square[k]
-
-    def deviance(squares: FloatArray) -> FloatArray:
-        places = (..., *(None for _ in range(squares.ndim - 1)))
-        variance = np.maximum(squares / np.maximum(count, 1.0)[places], 1.0)
-        return np.asarray(np.sum(count[places] * np.log(variance) + squares / variance, axis=0))
-
-    reached = float(deviance(before * size))
-    return reached - deviance(after * size), reached
 
 
 def _probed(claim: Claim) -> Claim:

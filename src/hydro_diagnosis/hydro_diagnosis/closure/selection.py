@@ -10,12 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from copy import copy
+from dataclasses import replace
 
 import numpy as np
 
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
 from hydro_diagnosis.closure.disguise import barred, in_disguise
-from hydro_diagnosis.closure.growth import CONDENSED, LEAST, TERMS, Closed, count_terms, grown_by_law
+from hydro_diagnosis.closure.growth import TERMS, Closed, count_terms, grown_by_law
+from hydro_diagnosis.closure.openings import openings
+from hydro_diagnosis.closure.rounds import CONDENSED, LEAST, Rounds
 from hydro_diagnosis.closure.screen import Screen
 from hydro_diagnosis.closure.together import THRESHOLD, held_out_gain, mimics, paying, together
 from hydro_diagnosis.effects.base import Claim, Effect
@@ -54,10 +57,14 @@ def _open(terms: Sequence[Claim], closed: frozenset[str]) -> list[Claim]:
 def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozenset[str]) -> Closed:
     """Laws and names that together leave nothing; else laws alone beside the names that stand."""
     screen = Screen.beside(problem, base, _open(laws(problem), closed))
-    beside = grown_by_law(problem, base, screen, names)
+    rounds = Rounds(screen)
+    upon = _upon_others(problem, base, screen, rounds, names)
+    if upon is not None:
+        return upon
+    beside = grown_by_law(problem, base, rounds, names)
     if beside.gain > 0.0 and not noticeable(beside.problem, beside.fit.residual) and _sound(beside):
         return beside
-    alone = grown_by_law(problem, base, screen) if _names(beside.fit) != _names(base) else beside
+    alone = grown_by_law(problem, base, rounds) if _names(beside.fit) != _names(base) else beside
     if not names or alone.gain >= MOST_OF_THE_GAP * screen.gains(base)[1]:
         return alone  # a small remainder of the right law's form is no reason to look for names
     likely: dict[str, Effect] = {}
@@ -69,6 +76,22 @@ def _by_law(problem: Problem, base: Fit, names: Sequence[Effect], closed: frozen
     gain = held_out_gain(weighed, fit(weighed, base.claims), found)
     both = Closed(found, "law", gain, weighed)
     return both if not noticeable(weighed, found.residual) and _sound(both) else alone
+
+
+def _upon_others(problem: Problem, base: Fit, screen: Screen, rounds: Rounds, names: Sequence[Effect]) -> Closed | None:
+    """A law upon other names than those that stand, if it leaves nothing and no single law beside these does."""
+    first = [base, *rounds.fits(problem, base, set())]
+    if not all(noticeable(problem, one.residual) for one in first):
+        return None
+    left = min(screen.gains(one)[1] for one in first)
+    for weighed, opening in openings(problem, base, screen, names, left):
+        if all(noticeable(weighed, one.residual) for one in rounds.fits(weighed, opening, set())):
+            continue
+        grown = grown_by_law(weighed, opening, rounds, names)
+        if grown.gain > 0.0 and not noticeable(grown.problem, grown.fit.residual) and _sound(grown):
+            gain = held_out_gain(grown.problem, fit(grown.problem, base.claims), grown.fit)
+            return replace(grown, gain=gain)
+    return None
 
 
 def _sound(closed: Closed) -> bool:

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from scipy.signal import lfilter
 
 from hydro_bridge.signals import FloatArray
 
@@ -67,6 +66,15 @@ def turning(signal, step, rising, falling):
 def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
     """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there."""
     decay = float(np.exp(-step / time))
-    before, _ = lfilter([0.0, 1.0 - decay], [1.0, -decay], signal, zi=[start])
-    begins = np.asarray(before, dtype=np.float64)
-    return begins, begins + (1.0 - (1.0 - decay) * time / step) * (signal - begins)
+    begins, means = _lagged(np.ascontiguousarray(signal), decay, 1.0 - (1.0 - decay) * time / step, start)
+    return begins, means
+
+
+@njit(cache=True)
+def _lagged(signal, decay, share, now):
+    begins, means = np.empty(len(signal)), np.empty(len(signal))
+    for k in range(len(signal)):
+        begins[k] = now
+        means[k] = now + share * (signal[k] - now)
+        now = decay * now + (1.0 - decay) * signal[k]
+    return begins, means

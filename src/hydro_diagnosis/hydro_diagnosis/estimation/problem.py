@@ -82,8 +82,8 @@ class Problem:
     def update_weights(self, claims: Sequence[Claim]) -> None:
         """Weigh residuals down: where these claims leave the sign of dry friction in doubt, and by missing rows."""
         changes = self._changes(claims) if self.thinner is not None else {}
-        self._weights = Weights.under((*self.baseline, *claims), self._noise, changes)
-        self.doubted = self._weights.doubted
+        self.weights = Weights.under((*self.baseline, *claims), self._noise, changes)
+        self.doubted = self.weights.doubted
         """Identifies the present doubt: its sum per segment, all zeros without any."""
 
     def _changes(self, claims: Sequence[Claim]) -> Parts:
@@ -99,11 +99,11 @@ class Problem:
 
     def deviation(self, channel: str, segment: int) -> FloatArray | float:
         """Standard deviation of a channel's residuals if nothing is missing, physical unit."""
-        return self._weights.deviation(channel, segment)
+        return self.weights.deviation(channel, segment)
 
     def deviations(self) -> FloatArray:
         """`deviation` of every residual in the order of `layout`."""
-        return self._weights.deviations(self.layout)
+        return self.weights.deviations(self.layout)
 
     def with_estimated(self, claims: Sequence[Claim]) -> tuple[Claim, ...]:
         """The claims, before them the estimated numbers that are not among them."""

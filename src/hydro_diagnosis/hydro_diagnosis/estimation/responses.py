@@ -12,6 +12,7 @@ from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.estimation.layout import CHANNELS
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model import chambers
+from hydro_diagnosis.model.kernels import fading_sums
 from hydro_diagnosis.model.observer import OBSERVER_MEMORY
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_sim.model import equations as eq
@@ -83,8 +84,8 @@ class Responses:
             flow = hidden * scale
             if self.equation == "actuation":
                 flow = flow * self._benches[k].valve_gain * self._roots[k][index] * (1.0 if index == 0 else -1.0)
-            built = np.concatenate([[0.0], np.cumsum((self._stiff[k][index] * flow)[:-1])])
-            shown[name] = -model.kept_smooth(forget(built, model.step))
+            built = fading_sums((self._stiff[k][index] * flow)[None], 1.0 - model.step / OBSERVER_MEMORY)[0]
+            shown[name] = -model.kept_smooth(built)
         return shown
 
     def _load(self, k: int, model: SegmentModel, hidden: FloatArray) -> dict[str, FloatArray]:

@@ -46,7 +46,8 @@ def rival_law(problem: Problem, found: Fit, place: int, without: Fit) -> Fit | N
     `without`: the fit of all other claims.
     """
     own = found.claims[place].effect.label
-    prospects, _there_is = Screen.beside(problem, without, laws(problem)).prospects(without, TRIED, {own})
+    screen = Screen.last(problem) or Screen.beside(problem, without, laws(problem))
+    prospects, _there_is = screen.prospects(without, TRIED, {own})
     enough = NEARLY * (without.deviance - found.deviance)
     for prospect in prospects:
         starts = (fit(problem, (*without.claims, start)) for start in prospect.starts)

@@ -11,7 +11,6 @@ import numpy as np
 from hydro_bridge.bags.recording import RecordingError, read_bag
 from hydro_bridge.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.formats.file_columns import Columns
-from hydro_diagnosis.formats.importers import read_columns
 from hydro_diagnosis.formats.suffixes import SUFFIXES
 from hydro_diagnosis.formats.topics import has_states, topic_columns
 from hydro_diagnosis.io.column_map import ColumnMap
@@ -80,6 +79,8 @@ def columns_of(path: Path) -> Columns:
         raw = from_bag(path)
         return Columns({"time": raw.time, **raw.columns}, units={"time": "s"})
     if path.suffix.lower() in SUFFIXES:
+        from hydro_diagnosis.formats.importers import read_columns  # late: bags need no pandas
+
         return read_columns(path)
     raise InputError(f"{path}: not a rosbag2 folder, nor a file .mcap, {', '.join(SUFFIXES)}")
 

@@ -83,6 +83,21 @@ def innovations(recorded, built, gain):
 
 
 @njit(cache=True)
+def fading_sums(built, keep):
+    """Sum of what the earlier samples have `built`, of which each sample keeps that share: shape (terms, n).
+
+    A sum minus its slow part, which follows by 1 - `keep` per sample from nothing, is this sum.
+    """
+    sums = np.empty_like(built)
+    for j in range(len(built)):
+        total = 0.0
+        for k in range(built.shape[1]):
+            sums[j, k] = total
+            total = keep * total + built[j, k]
+    return sums
+
+
+@njit(cache=True)
 def derivatives(rates, bench, state, flows_a, flows_b, stiff_a, stiff_b, against, load):
     """Write d/dt of [x_p, x_p', p_a, p_b], shape (4, n); `load` and what is `against` the motion in N, shape (n,)."""
     for k in range(state.shape[1]):

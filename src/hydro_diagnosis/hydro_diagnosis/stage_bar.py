@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Progress of a diagnosis: which of its stages it is in, at most so many, and what it tries."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tqdm import tqdm
+
+from hydro_bridge.cli.console import progress
+
+READING = "reading"
+SEARCHING = "searching"
+JUDGING = "judging"
+CHECKING = "checking on held-out recordings"
+MODELLING = "modelling what has no name"
+STAGES = (READING, SEARCHING, JUDGING, CHECKING, MODELLING)
+"""In order; the last is passed over where names explain everything."""
+LINES = 10.0
+"""s between the lines that stand for the bar where there is no terminal."""
+SHOWN = "{desc}: |{bar:20}| {n_fmt}/{total_fmt} [{elapsed}{postfix}]"
+
+
+class StageBar:
+    """A bar of `STAGES`, to be called with each stage as it begins, and with what is tried in it."""
+
+    def __init__(self) -> None:
+        self._bar: tqdm[Any] = progress(total=len(STAGES), label="diagnosing", every=LINES, bar_format=SHOWN)
+
+    def __enter__(self) -> StageBar:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """End the bar, full unless something was raised."""
+        if kind is None:
+            self._bar.set_postfix_str("", refresh=False)
+            self._bar.n = len(STAGES)
+        self._bar.close()
+
+    def __call__(self, text: str) -> None:
+        """Show a text; one of `STAGES` moves the bar."""
+        self._show(text, STAGES.index(text) if text in STAGES else int(self._bar.n))
+
+    def _show(self, text: str, done: int) -> None:
+        self._bar.set_postfix_str(text, refresh=False)
+        self._bar.update(done - self._bar.n)
+        if self._bar.mininterval < LINES:
+            self._bar.refresh()
+
+
+def silent(text: str) -> None:
+    """Show nothing."""

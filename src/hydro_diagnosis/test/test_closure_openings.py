@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A name that explains most only beside a law that is missing is found with that law, and none where none is true."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_diagnosis.closure.candidates import laws
+from hydro_diagnosis.closure.openings import openings
+from hydro_diagnosis.closure.screen import Screen
+from hydro_diagnosis.closure.selection import closures
+from hydro_diagnosis.effects import LIBRARY
+from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.io.table import RawTable
+from hydro_diagnosis.preprocessing.quality import checked
+from hydro_diagnosis.selection.localisation import noticeable
+from hydro_diagnosis.selection.verdict import assess
+from hydro_sim.model.bench import Bench
+
+BENCH = Bench.nominal()
+NAMES = [
+    effect.adapted(BENCH)
+    for effect in LIBRARY
+    if effect.label in ("valve_offset", "valve_gain", "leakage_internal", "leakage_external:a", "bulk_modulus")
+]
+OFFSET = {"id": "valve_offset", "parameters": {"current": 2.5e-4}}
+RELIEF = {"equation": "pressure_a", "form": "relief", "parameters": {"coefficient": 3.5e-13, "threshold": 6.3e6}}
+LABEL = "closure:pressure_a:relief"
+
+
+def problem_of(record: Callable[..., StateArray], *effects: Mapping[str, Any]) -> Problem:
+    states = record(replace(BENCH, closures=(RELIEF,), effects=effects), 3)
+    table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
+    return Problem([checked(table, BENCH).segments[0]], BENCH)
+
+
+def test_the_name_beside_which_a_law_leaves_nothing_opens(record: Callable[..., StateArray]) -> None:
+    problem = problem_of(record, OFFSET)
+    nothing = fit(problem, ())
+    screen = Screen(problem, nothing, laws(problem))
+    alone = screen.gains(nothing)[1]
+    weighed, first = next(openings(problem, nothing, screen, NAMES, alone))
+    assert [claim.effect.label for claim in first.claims] == ["valve_offset"]
+    assert noticeable(weighed, first.residual)
+    assert list(openings(problem, nothing, screen, NAMES, 1.0)) == []  # where next to nothing is left there is no need
+
+
+def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(record: Callable[..., StateArray]) -> None:
+    problem = problem_of(record, OFFSET)
+    nothing = fit(problem, ())
+    found = next(closures(problem, assess(problem, nothing, nothing), NAMES))
+    values = {claim.effect.label: claim.values for claim in found.fit.claims}
+    assert set(values) == {"valve_offset", LABEL}
+    assert values["valve_offset"]["current"] == pytest.approx(2.5e-4, rel=0.01)
+    assert values[LABEL]["coefficient"] == pytest.approx(3.5e-13, rel=0.02)
+    assert values[LABEL]["threshold"] == pytest.approx(6.3e6, rel=0.005)
+    assert not noticeable(found.problem, found.fit.residual)
+
+
+def test_a_law_that_leaves_nothing_alone_gets_no_name(record: Callable[..., StateArray]) -> None:
+    problem = problem_of(record)
+    nothing = fit(problem, ())
+    found = next(closures(problem, assess(problem, nothing, nothing), NAMES))
+    assert [claim.effect.label for claim in found.fit.claims] == [LABEL]
