@@ -9,8 +9,10 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.leakage import LeakageInternal
+from hydro_diagnosis.effects.path_memory import limited
 from hydro_diagnosis.effects.splines import splined
 from hydro_diagnosis.effects.valve import ValveGain
+from hydro_diagnosis.model.kernels import fading_sums
 from hydro_diagnosis.model.memory import RecordMemory
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
@@ -23,6 +25,10 @@ def _memory() -> None:
     path, record = np.zeros(10), RecordMemory(1e-3)
     record.bristle("z", path, 2e5, np.ones(10))
     record.play("p", path, 0.1)
+    record.lag("w", path, 0.1)
+    record.turning(path, 0.1, 0.2)
+    limited(path, 1e-3, 1.0, 0.1)
+    fading_sums(path[None], 0.9)
     splined(path, 0.0, 1.0, np.zeros(KNOTS))
 
 
