@@ -49,6 +49,7 @@ def test_the_name_beside_which_a_law_leaves_nothing_opens(record: Callable[..., 
     assert [claim.effect.label for claim in first.claims] == ["valve_offset"]
     assert noticeable(weighed, first.residual)
     assert list(openings(problem, nothing, screen, NAMES, 1.0)) == []  # where next to nothing is left there is no need
+    assert list(openings(problem, nothing, Screen(problem, nothing, []), NAMES, alone)) == []  # no law can be shown
 
 
 def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(record: Callable[..., StateArray]) -> None:

@@ -33,6 +33,8 @@ def openings(
 
     `left`: deviance above the noise that the best model without them leaves.
     """
+    if not len(screen):
+        return
     bases = [base] if not base.judged else [base, fit(problem, ())]
     found: list[tuple[float, tuple[Claim, ...]]] = []
     for one in bases:

@@ -11,25 +11,18 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import dataclass
-from itertools import groupby, pairwise
+from itertools import groupby
 
 import numpy as np
-import numpy.typing as npt
 
 from hydro_diagnosis.closure.column_gains import column_gains
-from hydro_diagnosis.closure.evidence import BLOCK, FOLDS, SHORTEST
+from hydro_diagnosis.closure.evidence import SHORTEST
+from hydro_diagnosis.closure.folded import FoldedResponses
 from hydro_diagnosis.closure.responses import Responses, shown
 from hydro_diagnosis.effects.base import Claim, Effect, FloatArray
 from hydro_diagnosis.estimation.fit import Fit, spreads
-from hydro_diagnosis.estimation.layout import CHANNELS
 from hydro_diagnosis.estimation.problem import Problem
 
-ROWS = 40000
-"""Residuals of a channel beyond which only every second, third ... is taken."""
-CHUNK = 64
-"""Terms whose responses are multiplied at a time."""
-Chunk = tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]
-"""Places of terms, and their responses, shape (terms, rows)."""
 CHANCE = 20.0
 """Deviance on held-out blocks that a single column must gain, as the search asks of a cause."""
 
@@ -71,41 +64,16 @@ class Screen:
         self.problem, self.terms = problem, list(terms)
         self._laws: list[slice] = []
         """Places of each law's terms."""
-        self._chunks: dict[int, list[Chunk]] = {}
-        """By channel: responses of some laws each."""
-        layout = problem.layout
-        count = int(layout.count().max())
-        self._every = max(count // ROWS, 1)
-        fold = (np.floor(layout.time / BLOCK).astype(np.int64) + layout.segment) % FOLDS
-        kept = [np.flatnonzero(layout.channel == k)[:: self._every] for k in range(len(CHANNELS))]
-        order = [np.argsort(fold[rows], kind="stable") for rows in kept]
-        self._rows = [rows[one] for rows, one in zip(kept, order, strict=True)]
-        """Residuals of each channel that are looked at, fold by fold."""
-        self._folds = [np.searchsorted(fold[rows], np.arange(FOLDS + 1)) for rows in self._rows]
-        self._square = np.zeros((FOLDS, len(CHANNELS), len(self.terms)))
+        self._responses = FoldedResponses(problem.layout, len(self.terms))
         everything = (*problem.baseline, *base.claims)
         ways = [Responses(problem, model, everything) for model in problem.models]
-        waiting: dict[int, list[Chunk]] = {}
         at = 0
         for _, same in groupby(self.terms, key=lambda one: one.effect.label):
             probes = [_probed(one) for one in same]
             self._laws.append(slice(at, at + len(probes)))
-            places = np.arange(at, at + len(probes))
+            self._responses.add(np.arange(at, at + len(probes)), shown(problem, base, ways, probes))
             at += len(probes)
-            for channel, columns in shown(problem, base, ways, probes).items():
-                thinned = columns[:, :: self._every].astype(np.float32)[:, order[channel]]
-                waiting.setdefault(channel, []).append((places, thinned))
-                if sum(len(one) for one, _ in waiting[channel]) >= CHUNK:
-                    self._keep(channel, waiting.pop(channel))
-        for channel, chunks in waiting.items():
-            self._keep(channel, chunks)
-
-    def _keep(self, channel: int, chunks: Sequence[Chunk]) -> None:
-        places, columns = (np.concatenate(one) for one in zip(*chunks, strict=True))
-        self._chunks.setdefault(channel, []).append((places, columns))
-        for k, (begin, end) in enumerate(pairwise(self._folds[channel])):
-            part = columns[:, begin:end]
-            self._square[k, channel, places] = np.einsum("ij,ij->i", part, part)
+        self._responses.finish()
 
     @classmethod
     def beside(cls, problem: Problem, base: Fit, terms: Sequence[Claim]) -> Screen:
@@ -155,22 +123,12 @@ class Screen:
         base = np.column_stack([found.residual, found.jacobian])
         lengths = np.maximum(np.linalg.norm(base, axis=0), SHORTEST)
         base = base / lengths
-        width, many = base.shape[1], len(self.terms)
-        own = np.zeros((FOLDS, len(CHANNELS), width, width))
-        cross = np.zeros((FOLDS, len(CHANNELS), width, many))
-        for channel, rows in enumerate(self._rows):
-            standing = base[rows]
-            for k, (begin, end) in enumerate(pairwise(self._folds[channel])):
-                part = standing[begin:end]
-                own[k, channel] = part.T @ part
-                single = part.astype(np.float32)
-                for places, columns in self._chunks.get(channel, ()):
-                    cross[k, channel][:, places] = (columns[:, begin:end] @ single).T
+        responses = self._responses
         weight = 1.0 / spreads(self.problem, found.residual)
-        count = np.array([len(rows) for rows in self._rows], dtype=np.float64)
         size = float(lengths[0]) ** 2
-        gains, before = column_gains(own, cross, self._square, weight, count, size)
-        return gains * self._every, (before - float(count.sum())) * self._every
+        products = responses.products(base)
+        gains, before = column_gains(*products, responses.square, weight, responses.count, size)
+        return gains * responses.every, (before - float(responses.count.sum())) * responses.every
 
 
 def _probed(claim: Claim) -> Claim:
