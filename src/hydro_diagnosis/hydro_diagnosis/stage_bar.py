@@ -25,7 +25,9 @@ class StageBar:
     """A bar of `STAGES`, to be called with each stage as it begins, and with what is tried in it."""
 
     def __init__(self) -> None:
-        self._bar: tqdm[Any] = progress(total=len(STAGES), label="diagnosing", every=LINES, bar_format=SHOWN)
+        self._bar: tqdm[Any] = progress(
+            total=len(STAGES), label="diagnosing", every=LINES, bar_format=SHOWN, delay=LINES
+        )
 
     def __enter__(self) -> StageBar:
         return self

@@ -86,16 +86,18 @@ def progress(
     unit: str = "it",
     every: float | None = None,
     bar_format: str | None = None,
+    delay: float = 0.0,
 ) -> tqdm[T]:
     """Return a progress bar on standard error: iterate over it, or `update` it.
 
-    If standard error is not a terminal there is no bar, or one line every `every` seconds.
+    If standard error is not a terminal there is no bar, or one line every `every` seconds, the first after `delay`.
     """
     about: dict[str, Any] = {"total": total, "desc": label or None, "unit": unit, "bar_format": bar_format}
     if every is None or sys.stderr.isatty():
         how: dict[str, Any] = {"file": sys.stderr, "disable": None, "dynamic_ncols": True}
     else:
-        how = {"file": _Lines(), "mininterval": every, "maxinterval": every, "ascii": True, "ncols": 0}
+        how = {"file": _Lines(), "mininterval": every, "maxinterval": every, "ascii": True, "ncols": 0,
+               "delay": delay}  # fmt: skip
     bar: tqdm[Any] = tqdm(items, **about, **how)
     return bar
 
