@@ -4,6 +4,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -54,7 +55,7 @@ def problem(nominal: StateArray) -> Problem:
 
 @pytest.fixture(scope="session")
 def problem_of() -> Callable[..., Problem]:
-    def build(**values: float) -> Problem:
+    def build(**values: Any) -> Problem:
         truth = replace(Bench.nominal(), **values)
         runs = [record(truth, 3), record(truth, 4, waveform=Waveform.SINE)]
         return Problem([segment(run) for run in runs], Bench.nominal())

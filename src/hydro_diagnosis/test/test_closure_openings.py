@@ -3,13 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable
 
 import pytest
 
-from hydro_bridge.signals import STATE_FIELDS, StateArray
 from hydro_diagnosis.closure.candidates import laws
 from hydro_diagnosis.closure.openings import openings
 from hydro_diagnosis.closure.screen import Screen
@@ -17,8 +14,6 @@ from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import LIBRARY
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.preprocessing.quality import checked
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model.bench import Bench
@@ -34,14 +29,8 @@ RELIEF = {"equation": "pressure_a", "form": "relief", "parameters": {"coefficien
 LABEL = "closure:pressure_a:relief"
 
 
-def problem_of(record: Callable[..., StateArray], *effects: Mapping[str, Any]) -> Problem:
-    states = record(replace(BENCH, closures=(RELIEF,), effects=effects), 3)
-    table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
-    return Problem([checked(table, BENCH).segments[0]], BENCH)
-
-
-def test_the_name_beside_which_a_law_leaves_nothing_opens(record: Callable[..., StateArray]) -> None:
-    problem = problem_of(record, OFFSET)
+def test_the_name_beside_which_a_law_leaves_nothing_opens(problem_of: Callable[..., Problem]) -> None:
+    problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
     nothing = fit(problem, ())
     screen = Screen(problem, nothing, laws(problem))
     alone = screen.gains(nothing)[1]
@@ -52,8 +41,8 @@ def test_the_name_beside_which_a_law_leaves_nothing_opens(record: Callable[..., 
     assert list(openings(problem, nothing, Screen(problem, nothing, []), NAMES, alone)) == []  # no law can be shown
 
 
-def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(record: Callable[..., StateArray]) -> None:
-    problem = problem_of(record, OFFSET)
+def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(problem_of: Callable[..., Problem]) -> None:
+    problem = problem_of(closures=(RELIEF,), effects=(OFFSET,))
     nothing = fit(problem, ())
     found = next(closures(problem, assess(problem, nothing, nothing), NAMES))
     values = {claim.effect.label: claim.values for claim in found.fit.claims}
@@ -64,8 +53,8 @@ def test_name_and_law_are_handed_back_though_the_judgement_claims_no_name(record
     assert not noticeable(found.problem, found.fit.residual)
 
 
-def test_a_law_that_leaves_nothing_alone_gets_no_name(record: Callable[..., StateArray]) -> None:
-    problem = problem_of(record)
+def test_a_law_that_leaves_nothing_alone_gets_no_name(problem_of: Callable[..., Problem]) -> None:
+    problem = problem_of(closures=(RELIEF,))
     nothing = fit(problem, ())
     found = next(closures(problem, assess(problem, nothing, nothing), NAMES))
     assert [claim.effect.label for claim in found.fit.claims] == [LABEL]
