@@ -46,6 +46,9 @@ COMMANDS = (
     "hydro_diagnosis diagnose {bag} --out {out}/diagnosis",
 )
 
+ENDED = (0, 128 + signal.SIGINT)
+"""Of a node that is asked to end: the second where the signal falls into its start."""
+
 
 @dataclass(frozen=True)
 class Cost:
@@ -79,7 +82,7 @@ def start(words: str, *, node: bool) -> Cost:
         printed = process.stdout.read()
         process.stdout.close()
         status = process.wait()
-        if status != 0:
+        if status not in (ENDED if node else (0,)):
             sys.stderr.write(printed.decode(errors="replace"))
             raise RuntimeError(f"{words} ended with exit status {status}")
         wall = wall if node else time.monotonic() - began

@@ -70,6 +70,8 @@ TEXTS = {
     "-max(p_b - p_a, 0)": _form("pressure_a pressure_b", 1.0),
     "max(p_a - p_b - threshold, 0)": _form("pressure_a pressure_b", 1.0),
     "-max(threshold - (p_a - p_b), 0)": _form("pressure_a pressure_b", 1.0),
+    "w, w' = (max(p_a - threshold, 0) - w) / time": _form("pressure_a", 1.0, memory=True),
+    "w, w' = (max(p_b - threshold, 0) - w) / time": _form("pressure_b", 1.0, memory=True),
     "max(p_a - threshold, 0)": _form("pressure_a", 1.0),
     "max(p_b - threshold, 0)": _form("pressure_b", 1.0),
     "p_b where v > 0": _form("pressure_b velocity", 1.0),

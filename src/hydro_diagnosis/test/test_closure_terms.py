@@ -32,7 +32,7 @@ LIMITS = {
     "force": (-400.0, 400.0), "pressure_a": (3e6, 9e6), "pressure_b": (3e6, 9e6),
     "past_motion": (0.0, 0.02), "past_opening": (0.0, 1e-3), "elapsed": (0.0, 0.25),
 }  # fmt: skip
-SHARES = {"saturation": -1.0, "curve": -0.1, "gain, as the coil": -0.01}
+SHARES = {"saturation": -1.0, "curve": -0.1, "gain, as the coil": -0.01, "null by opening and": -0.5}
 """Of the typical size: a valve that opens further makes this loop swing."""
 BEGINS, LENGTH = np.arange(300, 1100, 100), 40
 

@@ -136,6 +136,7 @@ class Closure(Effect):
         if element is None:
             return at
         if element.kind == "slow":
+            at = replace(at, number=values.get("threshold", 0.0))
             return replace(at, memory=memory.lag(self.label, self._driver(at), values.get("time", SETTLING), 0.0))
         signal = getattr(at, element.signal)
         if element.kind == "lag":

@@ -69,7 +69,8 @@ class Following(Closure):
     def rates(self, drawn: Symbol) -> dict[str, Symbol]:
         signal = self.element.signal
         pressure_a, pressure_b = self.at.pressures
-        now = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool)
+        first = getattr(self, self.law.names[1])
+        now = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, self.at.spool, number=first)
         return {"past": ((1.0 if signal == "time" else getattr(now, signal)) - self.past) / self.time}
 
     def _past(self) -> Symbol:

@@ -9,6 +9,7 @@ from hydro_sim.model.grammar import flow_carriers as q
 from hydro_sim.model.grammar import force_carriers as f
 from hydro_sim.model.grammar import modulations as m
 from hydro_sim.model.grammar import pasts as p
+from hydro_sim.model.grammar import products as x
 from hydro_sim.model.grammar import sensor_carriers as s
 from hydro_sim.model.grammar import valve_carriers as v
 from hydro_sim.model.grammar.parts import Carrier, Modulation, composed
@@ -24,6 +25,8 @@ _SPOOL = (*m.BY_SIDE, m.BY_THROTTLING, m.BY_HEATING, m.BY_TIME, p.FADING)
 _FED = (m.BY_THROTTLING, m.BY_TIME, p.FADING)
 _EDGES = (m.ALWAYS, *m.BY_EDGE, *m.BY_SIDE)
 _DRIFTS = (m.BY_TIME, m.BY_MOTION_PAST, p.FADING)
+_PRESSING = (x.BY_P_A, x.BY_P_B, x.BY_ACROSS)
+_GAPS = (x.BY_BEND, x.BY_STROKE, x.BY_SPEED, x.BY_OPENING)
 _LEVELS_N, _LEVELS_PA = (-100.0, -30.0, 0.0, 30.0, 100.0), (3e6, 4e6, 5e6, 6e6, 8e6)
 _READINGS = {
     **{cell: (*p.of_reading(cell, "force", symbol, "N", (3.0, 10.0, 30.0, 100.0), _LEVELS_N),
@@ -57,8 +60,25 @@ EVERY: tuple[Law, ...] = (
     *_product((v.GAIN, v.CURVE), _SPOOL),
     *_product((v.THROTTLE, v.NARROWED, v.JETS), _EDGES),
     *_product(v.PRESSED, (m.ALWAYS,)),
+    *_product((v.CHOKED,), (m.ALWAYS, *m.BY_EDGE)),
+    *_product((f.DRY,), (x.BY_BEND,)),
+    *_product((f.VISCOUS,), (x.BY_BEND, *_PRESSING)),
+    *_product((f.STIFFNESS,), _PRESSING),
+    *_product((*f.BY_PRESSURE, f.BY_DIFFERENCE), (p.RESTED,)),
+    *_product(f.PRESSING, (p.PRESLIDING,)),
+    *_product((f.CONSTANT_FORCE,), (x.RIPPLE,)),
+    *_product((f.LOAD_VISCOUS, f.LOAD_SQUARE), (x.BY_BEND,)),
+    *_product((f.BENDING,), (p.PRESLIDING,)),
+    *_product((q.LEAK, q.HOLE), (*_GAPS, p.RESTED)),
+    *_product(q.CHAMBERS, _GAPS),
+    *_product(q.CARRIED, (x.BY_P_A, x.BY_P_B)),
+    *(composed(one, p.STORING[one.equation]) for one in q.CHAMBERS if one.name == "leak"),
     *_product(s.PICKED, (m.ALWAYS,)),
     *_product(s.DRIFTING, _DRIFTS),
+    *_product(s.GAINS, (x.BY_OPENING, x.BY_CURRENT, x.BY_SPEED, x.BY_PLACE)),
+    *_product((s.GAINS_OF["pressure_a"],), (x.BY_P_B,)),
+    *_product((s.GAINS_OF["pressure_b"],), (x.BY_P_A,)),
+    composed(s.READ["piston_position"], x.RIPPLE),
     *_product((one for one in s.DRIFTING if one.uses and not one.where.endswith("force")), (m.ALWAYS,)),
     *(composed(s.READ[channel], one) for channel, own in _READINGS.items() for one in own),
 )

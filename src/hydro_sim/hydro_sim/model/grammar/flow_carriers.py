@@ -66,6 +66,7 @@ CHAMBERS = (
     *_of_chamber("a", lambda at: at.pressure_a, lambda n: n.piston_area),
     *_of_chamber("b", lambda at: at.pressure_b, lambda n: n.area_ratio * n.piston_area),
 )
+CARRIED = tuple(one for one in CHAMBERS if one.uses == "velocity")
 
 
 def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) -> tuple[Carrier, ...]:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_sim.model.grammar.words import LAG, above, creep, middle, outwards, threshold
-from hydro_sim.model.laws import Law
+from hydro_sim.model.laws import Element, Law, Number
 
 _LAMINAR = "a gap whose width changes along the stroke: a bore that is worn or a tube that widens"
 _ACROSS = threshold("pressure_difference", "Pa", -3e6, -1e6, 3e5, 1e6, 3e6)
@@ -54,6 +54,12 @@ LAWS: tuple[Law, ...] = (
     Law("pressure_b", "relief", "m3/s/Pa", "max(p_b - threshold, 0)",
         "Chamber B loses oil above a pressure: typical of a relief valve.",
         1e-13, lambda at, n: above(at.pressure_b, at.number), numbers=threshold("pressure_b", "Pa", *_LEVELS)),
+    *(Law(f"pressure_{chamber}", "late relief", "m3/s/Pa",
+          f"w, w' = (max(p_{chamber} - threshold, 0) - w) / time",
+          f"Chamber {chamber.upper()} loses oil above a pressure, late: typical of a relief valve whose poppet lags.",
+          1e-13, lambda at, n: at.memory, Element("slow", f"over_{chamber}"),
+          (*threshold(f"pressure_{chamber}", "Pa", *_LEVELS), Number("time", "s", (0.01, 0.03, 0.1, 0.3))))
+      for chamber in "ab"),
     Law("pressure_b", "leak while moving out", "m3/s/Pa", "p_b where v > 0",
         "Chamber B loses oil while the rod moves out: typical of a rod seal that is worn on one side.",
         1e-13, lambda at, n: at.pressure_b * outwards(at.direction)),

@@ -105,3 +105,14 @@ STIFFNESS = _force("stiffness", "m", "(x - x_rest)", "A stiffness beside the loa
 LOAD_CONSTANT = _force(
     "load", "-", "1", "A force of the load", 1.0, "", 0.0, lambda at, n: 1.0 + 0.0 * at.position, "load"
 )
+BENDING = _force("bending", "m", "|x - x_rest|", "A force of the load by its deflection", 1e-2, "position", 1.0,
+                 lambda at, n: np.abs(deflection(at, n)), "load")  # fmt: skip
+PRESSING = tuple(
+    _force(f"pressing by {name}", "Pa", text, f"A force by {words}", 5e6, uses, 1.0, shape)
+    for name, text, words, uses, shape in (
+        ("A", "p_a", "the pressure of chamber A", "pressure_a", lambda at, n: at.pressure_a),
+        ("B", "p_b", "the pressure of chamber B", "pressure_b", lambda at, n: at.pressure_b),
+        ("difference", "|p_a - p_b|", "the pressure across the piston", "pressure_a pressure_b",
+         lambda at, n: at.size_of_difference))
+)  # fmt: skip
+"""Of what presliding makes friction."""

@@ -8,7 +8,7 @@ import numpy as np
 from hydro_sim.model.grammar.words import LAG, PLACE, above, creep, deflection, middle, path, threshold
 from hydro_sim.model.laws import Element, Law, Number
 
-_HEAT = (Number("path", "m", (0.1, 0.3, 1.0, 3.0)), Number("time", "s", (3.0, 10.0, 30.0)))
+_HEAT = (Number("path", "m", (3e-3, 1e-2, 0.1, 0.3, 1.0, 3.0)), Number("time", "s", (0.05, 0.2, 3.0, 10.0, 30.0)))
 LAWS: tuple[Law, ...] = (
     Law("motion", "quadratic drag", "N s2/m2", "v |v|",
         "Force against motion that grows with the square of speed: typical of oil forced through a port.",
@@ -80,7 +80,8 @@ LAWS: tuple[Law, ...] = (
         "Viscous friction that fades with motion and returns with rest: typical of oil that thins as it warms.",
         50.0, lambda at, n: at.velocity * np.exp(-at.memory), Element("heat", "position"), _HEAT),
     Law("motion", "warming friction", "N", "sign(v) exp(-w), w' = |v| / path - w / time",
-        "Dry friction that fades with motion and returns with rest: typical of seals and grease that warm.",
+        "Dry friction that fades with motion and returns with rest: typical of seals and grease that warm, or of lips "
+        "that squeeze their film out at rest.",
         5.0, lambda at, n: at.direction * np.exp(-at.memory), Element("heat", "position"), _HEAT),
     Law("load", "second spring outwards", "N/m", "max(x - threshold, 0)",
         "Load that grows stiffer from a place on: typical of a bumper or a second spring that engages.",

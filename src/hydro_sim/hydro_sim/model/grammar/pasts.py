@@ -3,12 +3,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
+from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.modulations import TIMES
 from hydro_sim.model.grammar.parts import Modulation
 from hydro_sim.model.grammar.words import LAG, above, middle, path, threshold
-from hydro_sim.model.laws import Element, Number
+from hydro_sim.model.laws import Element, Number, Signals
 
 FADING = Modulation(
     name="fading from the start", text="{} exp(-t / time)", uses="time",
@@ -26,7 +29,30 @@ SEATED = Modulation(
     phrase=", but while the piston turns round: typical of a ring that seals again once it is dragged along",
     factor=lambda at, n: at.memory * at.memory, element=Element("path", "position"), numbers=_PATH,
 )  # fmt: skip
+PRESLIDING = Modulation(
+    name="with presliding", text="{} w, w' = (v - |v| w) / path", uses="velocity",
+    phrase=", that gives a little before it slides: typical of strands, leaves or lips that stick to each other first",
+    factor=lambda at, n: at.memory, element=Element("path", "position"), numbers=_PATH,
+)  # fmt: skip
+RESTED = Modulation(
+    name="after rest", text="{} exp(-w), w' = |v| / path - w / time", uses="velocity",
+    phrase=", that fades as the piston moves and returns at rest: typical of a film that is squeezed out at rest",
+    factor=lambda at, n: np.exp(-at.memory), element=Element("heat", "position"),
+    numbers=(Number("path", "m", (2e-3, 6e-3, 2e-2)), Number("time", "s", (0.05, 0.15, 0.5))),
+)  # fmt: skip
 
+
+def storing(chamber: str, pressure: Callable[[Signals], Symbol]) -> Modulation:
+    """What a chamber goes on taking after its pressure has risen."""
+    return Modulation(
+        name=f"while {chamber.upper()} rises", text=f"{{}} (p_{chamber} - w), w' = (p_{chamber} - w) / time",
+        uses=f"pressure_{chamber}", degree=1.0, unit="Pa", scale=1e6, element=Element("lag", f"pressure_{chamber}"),
+        phrase=", as long as the pressure rises: typical of a hose or a bladder whose give changes with its pressure",
+        factor=lambda at, n: pressure(at) - at.memory, numbers=LAG,
+    )  # fmt: skip
+
+
+STORING = {"pressure_a": storing("a", lambda at: at.pressure_a), "pressure_b": storing("b", lambda at: at.pressure_b)}
 
 BENT = tuple(
     Modulation(name=name, text=f"{{}} {text}", uses="position", degree=degree, scale=0.1,

@@ -21,7 +21,12 @@ _BESIDE = (
     ("acceleration", "x''", "m/s2", 5.0, "the acceleration: typical of a body of its own that is shaken"),
     ("pressure_a", "p_a", "Pa", 5e6, "the pressure of chamber A: typical of a housing that pressure strains"),
     ("pressure_b", "p_b", "Pa", 5e6, "the pressure of chamber B: typical of a housing that pressure strains"),
+    ("opening", "|u|", "A", 3e-3, "the size of the valve's current: typical of a supply that sags under it"),
+    ("speed", "|v|", "m/s", 0.05, "the speed: typical of a line in which oil flows past it"),
+    ("jet", "v |v|", "m2/s2", 2.5e-3, "the square of the velocity: typical of a line in which oil flows past it"),
 )
+_MADE_OF = {"opening": "current", "speed": "velocity", "jet": "velocity"}
+"""Signals of which others are made."""
 
 
 def _of_sensor(channel: str) -> tuple[tuple[Carrier, ...], tuple[Carrier, ...]]:
@@ -37,8 +42,9 @@ def _of_sensor(channel: str) -> tuple[tuple[Carrier, ...], tuple[Carrier, ...]]:
                        scale=scale, uses=uses, degree=degree, shape=shape, where=channel)  # fmt: skip
 
     def beside(signal: str, text: str, unit: str, scale: float, cause: str) -> Carrier:
-        return made(f"pick-up of {signal}", unit, text, f"The {_SENSORS[channel]} also reads {cause}", scale, signal,
-                    1.0, lambda at, n: getattr(at, signal))  # fmt: skip
+        return made(f"pick-up of {signal}", unit, text, f"The {_SENSORS[channel]} also reads {cause}", scale,
+                    _MADE_OF.get(signal, signal), 2.0 if signal == "jet" else 1.0,
+                    lambda at, n: getattr(at, signal))  # fmt: skip
 
     picked = tuple(beside(*one) for one in _BESIDE if one[0] not in (channel, itself)
                    and not (place and one[0] == "acceleration"))  # fmt: skip
@@ -59,6 +65,8 @@ def _of_sensor(channel: str) -> tuple[tuple[Carrier, ...], tuple[Carrier, ...]]:
 
 PICKED = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[0])
 DRIFTING = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[1])
+GAINS_OF = {channel: _of_sensor(channel)[1][1] for channel in _SENSORS if channel != "piston_position"}
+GAINS = tuple(GAINS_OF.values())
 READ = {
     channel: replace(_of_sensor(channel)[1][0], name=f"reading of {channel}", phrase=f"The {words} reads otherwise")
     for channel, words in _SENSORS.items()

@@ -94,6 +94,17 @@ PRESSED = (
              1.0, lambda at, n: at.velocity),
     _pressed("position", "m", "(x - x_rest)", "the position: typical of a feedback that follows the piston", 1e-2,
              "position", 1.0, deflection),
+    _pressed("opening and pressure of A", "A Pa", "u p_a", "its opening times the pressure of chamber A: typical of "
+             "flow forces on one land", 1e4, "current pressure_a", 2.0, lambda at, n: at.current * at.pressure_a),
+    _pressed("opening and pressure of B", "A Pa", "u p_b", "its opening times the pressure of chamber B: typical of "
+             "flow forces on one land", 1e4, "current pressure_b", 2.0, lambda at, n: at.current * at.pressure_b),
+    _pressed("opening and size of load", "A Pa", "u |p_a - p_b|", "its opening times the size of the pressure across "
+             "the load: typical of a spool that pressure bends or clamps", 6e3, f"current {BETWEEN}", 2.0,
+             lambda at, n: at.current * at.size_of_difference),
+    _pressed("opening and speed", "A m/s", "u |v|", "its opening times the speed", 1e-4, "current velocity", 2.0,
+             lambda at, n: at.current * at.speed),
+    _pressed("opening and position", "A m", "u (x - x_rest)", "its opening times the position: typical of a feedback "
+             "that follows the piston", 2e-5, "current position", 2.0, lambda at, n: at.current * deflection(at, n)),
     _pressed("opening and load", "A Pa", "u (p_a - p_b)", "its opening times the pressure across the load: typical of "
              "flow forces", 6e3, f"current {BETWEEN}", 2.0, lambda at, n: at.current * at.pressure_difference),
 )  # fmt: skip
@@ -101,3 +112,7 @@ JETS = _edge("flow under jets", "q dp_o / (dp_o + level)", "Edges that pass less
              "over both that are open: typical of jets that close the spool against its spring; 1: all of it", 1.0,
              "-", 2.5, lambda at, n: np.abs(at.both) / (np.abs(at.both) + at.number),
              (Number("level", "Pa", (1e7, 3e7, 1e8, 3e8)),))  # fmt: skip
+CHOKED = _edge("choked flow", "q max(1 - sqrt(choked / dp), 0)", "Edges that pass no more beyond a pressure drop dp: "
+               "typical of oil that cavitates in its jet; 1: all of it", 1.0, "-", 1.5,
+               lambda at, n: np.fmax(1.0 - np.sqrt(at.number / np.fmax(np.abs(at.drop), at.number)), 0.0),
+               (Number("choked", "Pa", (1e6, 2e6, 4e6, 8e6)),))  # fmt: skip
