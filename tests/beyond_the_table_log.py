@@ -7,6 +7,7 @@ The equations are those of physics.md: a second derivation, from the log alone, 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -76,15 +77,18 @@ class Signals(NamedTuple):
     v: FloatArray
     u: FloatArray
     """In both cases the current that acts there."""
+    f: FloatArray
+    """Hydraulic force, as the gauges have it."""
 
 
 def signals(log: FloatArray, *, halfway: bool) -> Signals:
     hydraulic, a, position, current = log[:, [0, 4, 6, 8]].T
     b = (BENCH.piston_area * a - hydraulic) / AREA_B if not halfway else log[:, 5]
+    force = BENCH.piston_area * a - AREA_B * log[:, 5]
     if halfway:
-        return Signals(middle(a), middle(b), middle(position), np.diff(position) / PERIOD, current[:-1])
+        return Signals(middle(a), middle(b), middle(position), np.diff(position) / PERIOD, current[:-1], middle(force))
     acting = np.concatenate([[0.0], current[:-1]])
-    return Signals(a, b, position, np.gradient(position, PERIOD), acting)
+    return Signals(a, b, position, np.gradient(position, PERIOD), acting, force)
 
 
 def lag(signal: FloatArray, seconds: float) -> FloatArray:
@@ -93,6 +97,59 @@ def lag(signal: FloatArray, seconds: float) -> FloatArray:
     for k in range(1, len(signal)):
         out[k] = out[k - 1] + share * (signal[k - 1] - out[k - 1])
     return out
+
+
+def followed(signal: FloatArray, start: float, rate: Callable[[float, float], float], substeps: int = 20) -> FloatArray:
+    """What follows a signal at a rate of signal and state, the signal taken as straight from row to row."""
+    out = np.full_like(signal, start)
+    for k in range(1, len(signal)):
+        out[k] = out[k - 1]
+        for j in range(substeps):
+            between = signal[k - 1] + (j + 0.5) / substeps * (signal[k] - signal[k - 1])
+            out[k] += PERIOD / substeps * rate(between, out[k])
+    return out
+
+
+def stubbed(pressure: FloatArray, size: float, compliance: float) -> FloatArray:
+    """Flow [m3/s] into a damper behind an orifice."""
+
+    def filled(p: float, w: float) -> float:
+        return math.copysign(size * math.sqrt(abs(p - w)), p - w) / compliance
+
+    inside = followed(pressure, pressure[0], filled)
+    return np.asarray(size * np.sign(pressure - inside) * np.sqrt(np.abs(pressure - inside)))
+
+
+def slipped(position: FloatArray, rate: float, threshold: float) -> FloatArray:
+    """How far [m] a specimen has slipped in its jaws."""
+
+    def slip(x: float, y: float) -> float:
+        force = BENCH.spring_stiffness * (x - REST - y)
+        return rate * math.copysign(max(abs(force) - threshold, 0.0), force)
+
+    return followed(position, 0.0, slip)
+
+
+def slewed(force: FloatArray, fastest: float, seconds: float) -> FloatArray:
+    """What an input shows that follows at a limited rate."""
+    return followed(force, 0.0, lambda f, w: min(max((f - w) / seconds, -fastest), fastest))
+
+
+def one_sided(current: FloatArray, rising: float, falling: float) -> FloatArray:
+    """Mean from row to row of a spool that follows late, by another time on the way up; exact for a held current."""
+    out, spool = np.zeros_like(current), 0.0
+    for k, held in enumerate(current):
+        share = PERIOD / (rising if held > spool else falling)
+        out[k] = held + (spool - held) * -math.expm1(-share) / share
+        spool = held + (spool - held) * math.exp(-share)
+    return out
+
+
+def set_down(s: Signals, sag: float, seconds: float) -> FloatArray:
+    """Flow into A [m3/s] that a supply does not give whose pressure sags from row to row, halfway between rows."""
+    lost = sag * -np.expm1(-PERIOD * (np.arange(len(s.a)) + 0.5) / seconds)
+    above = BENCH.supply_pressure - s.a
+    return np.asarray(GAIN * np.maximum(s.u, 0.0) * (np.sqrt(above) - np.sqrt(above - lost)))
 
 
 def warmth(s: Signals, seconds: float) -> FloatArray:

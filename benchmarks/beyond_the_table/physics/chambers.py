@@ -9,17 +9,21 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     BLOW_BY,
+    DAMPER_STUB,
     FLOATING_RING,
     GAP_WIDENS,
     HOSE,
     HOT_LEAK,
     LEAK_BY_MOTION,
     LEAK_ORIFICE,
+    LIPS_CLOSE,
+    LIPS_LIFT,
     MEMORY,
     PISTON_TILTS,
     PORT_RELIEF,
     ROD_FILM,
     SLOW_RELIEF,
+    TANK_WARMS,
     WEEPING_FITTING,
     WORN_BORE,
 )
@@ -32,8 +36,8 @@ POPPET = 0.04
 
 
 @njit
-def lost_flows(kind, size, shape, bench, state):
-    """Flows [m3/s] out of chamber A and out of chamber B."""
+def lost_flows(kind, size, shape, bench, time, state):
+    """Flows [m3/s] out of chamber A and out of chamber B at a time [s]."""
     a, b, velocity = state[PRESSURE_A], state[PRESSURE_B], state[VELOCITY]
     if kind == HOSE:
         return size * (a - state[MEMORY]) / shape, 0.0
@@ -47,13 +51,17 @@ def lost_flows(kind, size, shape, bench, state):
         return 0.0, size * state[MEMORY]
     if kind == GAP_WIDENS:
         return 0.0, size * max(b - bench.tank_pressure, 0.0) ** 2
-    flow = across(kind, size, shape, bench, a, b, state)
+    if kind == DAMPER_STUB:
+        return 0.0, size * root(b - state[MEMORY])
+    if kind == LIPS_CLOSE:
+        return 0.0, size * (b - bench.tank_pressure) * max(shape - b, 0.0)
+    flow = across(kind, size, shape, bench, time, a, b, state)
     return flow, -flow
 
 
 @njit
-def across(kind, size, shape, bench, a, b, state):
-    """Flow [m3/s] from chamber A to chamber B."""
+def across(kind, size, shape, bench, time, a, b, state):
+    """Flow [m3/s] from chamber A to chamber B at a time [s]."""
     if kind == LEAK_ORIFICE:
         return size * root(a - b)
     if kind == LEAK_BY_MOTION:
@@ -66,16 +74,22 @@ def across(kind, size, shape, bench, a, b, state):
         return -size * max(b - a - shape, 0.0)
     if kind == FLOATING_RING:
         return size * (a - b) * (1.0 - state[MEMORY] ** 2)
+    if kind == TANK_WARMS:
+        return size * (a - b) * (1.0 - math.exp(-time / shape))
+    if kind == LIPS_LIFT:
+        return size * (a - b) * abs(state[VELOCITY])
     return size * (a - b) * state[MEMORY] if kind == HOT_LEAK else 0.0
 
 
 @njit
-def memory_rate(kind, shape, bench, current, state):
-    """Rate of the hose's inner pressure [Pa/s], of oil's warmth, of a ring in its groove, of a late poppet [Pa/s]."""
+def memory_rate(kind, size, shape, bench, current, state):
+    """Rate of a hose's, a damper's or a late poppet's pressure [Pa/s], of oil's warmth, of a ring in its groove."""
     if kind == HOSE:
         return (state[PRESSURE_A] - state[MEMORY]) / shape
     if kind == HOT_LEAK:
         return (abs(current) / bench.valve_nominal_current - state[MEMORY]) / shape
     if kind == FLOATING_RING:
         return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
+    if kind == DAMPER_STUB:
+        return size * root(state[PRESSURE_B] - state[MEMORY]) / shape
     return (max(state[PRESSURE_B] - shape, 0.0) - state[MEMORY]) / POPPET if kind == SLOW_RELIEF else 0.0

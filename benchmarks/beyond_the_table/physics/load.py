@@ -8,8 +8,11 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    AIR_SPRING,
     CONICAL_SPRING,
+    FOAM_BLOCK,
     GRIP_MASS,
+    JAWS_SLIP,
     LEAF_SPRING,
     MEMORY,
     MOUNT,
@@ -21,7 +24,7 @@ from benchmarks.beyond_the_table.physics.places import (
     STOP_SPRING,
     WIRE_ROPE,
 )
-from benchmarks.foreign_truth.equations import CELL_RATE, POSITION, VELOCITY, rub, spring
+from benchmarks.foreign_truth.equations import CELL_RATE, POLYTROPIC, POSITION, VELOCITY, outside, rub, spring
 
 WORKED = 0.1
 """m/s at which a specimen has warmed by 1 in the end."""
@@ -33,7 +36,7 @@ def extra_load(kind, size, shape, bench, time, state):
     position, velocity = state[POSITION], state[VELOCITY]
     if kind == SPRING_HYSTERESIS:
         return size * state[MEMORY]
-    if kind == MOUNT:
+    if kind in (MOUNT, JAWS_SLIP):
         return spring(bench, position - state[MEMORY]) - spring(bench, position)
     if kind == STOP_SPRING:
         return size * max(position - shape, 0.0)
@@ -50,6 +53,10 @@ def extra_load(kind, size, shape, bench, time, state):
         return -size * math.exp(-time / shape) * spring(bench, position)
     if kind == WIRE_ROPE:
         return size * abs(position - bench.spring_rest_position) * state[MEMORY]
+    if kind == AIR_SPRING:
+        return size * ((1.0 - (position - bench.spring_rest_position) / shape) ** -POLYTROPIC - 1.0)
+    if kind == FOAM_BLOCK:
+        return size * max(position - bench.spring_rest_position, 0.0) * velocity
     return -size * state[MEMORY] * spring(bench, position) if kind == SPECIMEN_SOFTENS else 0.0
 
 
@@ -70,11 +77,13 @@ def brake(kind, size, bench, state, seconds):
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of a spring's or a rope's path, of the mount's foot [m/s], and of the specimen's warmth."""
+    """Rate of a spring's or a rope's path, of the foot of a mount or a specimen [m/s], and of a specimen's warmth."""
     memory, velocity = state[MEMORY], state[VELOCITY]
     if kind in (SPRING_HYSTERESIS, WIRE_ROPE):
         return (velocity - abs(velocity) * memory) / shape
     if kind == MOUNT:
         load = spring(bench, state[POSITION] - memory)
         return (size * load / bench.spring_stiffness - memory) / shape
+    if kind == JAWS_SLIP:
+        return size * outside(spring(bench, state[POSITION] - memory), shape)
     return (abs(velocity) / WORKED - memory) / shape if kind == SPECIMEN_SOFTENS else 0.0

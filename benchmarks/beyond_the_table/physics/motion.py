@@ -17,6 +17,7 @@ from benchmarks.beyond_the_table.physics.places import (
     FRICTION_LAG,
     FRICTION_POSITION,
     GLAND_PRESSURE,
+    GUIDE_SWELLS,
     HEAT,
     HOSE_STIFFENS,
     LIP_FILM,
@@ -24,9 +25,11 @@ from benchmarks.beyond_the_table.physics.places import (
     ROD_BELLOWS,
     SEAL,
     SHEAR_THINNING,
+    SPRING_BOWS,
+    STARVED_FILM,
     SWITCH_MAGNET,
 )
-from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
+from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, outside
 
 TURN = 2e-3
 """m/s over which friction turns its sign round."""
@@ -39,7 +42,9 @@ SWITCH = 0.036
 DRAWN_IN = 8e-3
 """m of travel that draw a film in again."""
 RING_TURN = 5e-3
-"""m/s over which a backup ring's friction turns its sign round."""
+"""m/s over which a backup ring's friction turns its sign round, and that of a guide under a bowed spring."""
+RUBBED = 0.1
+"""m/s at which a guide has warmed by 1 in the end."""
 
 
 @njit
@@ -77,16 +82,24 @@ def extra_force(kind, size, shape, bench, time, state):
     if kind == SWITCH_MAGNET:
         away = (position - SWITCH) / shape
         return -size * away * math.exp(-(away**2))
+    if kind == STARVED_FILM:
+        return -size * outside(velocity, shape)
+    if kind == SPRING_BOWS:
+        return -size * max(bench.spring_rest_position - position, 0.0) ** 2 * math.tanh(velocity / RING_TURN)
+    if kind == GUIDE_SWELLS:
+        return -size * memory * math.tanh(velocity / TURN)
     return -size * velocity / (1.0 + abs(velocity) / shape) if kind == SHEAR_THINNING else 0.0
 
 
 @njit
 def memory_rate(kind, shape, bench, state):
-    """Rate of travelled warmth, of the velocity that a film follows [m/s2], of the bellows' air [m/s], of dry lips."""
+    """Rate of warmth (travelled, or of a guide), of a film's velocity [m/s2], of bellows' air [m/s], of dry lips."""
     if kind == HEAT:
         return abs(state[VELOCITY]) / shape - state[MEMORY] / 10.0
     if kind == ROD_BELLOWS:
         return (state[POSITION] - bench.spring_rest_position - state[MEMORY]) / shape
     if kind == FILM_SQUEEZED:
         return (1.0 - state[MEMORY]) / shape - abs(state[VELOCITY]) * state[MEMORY] / DRAWN_IN
+    if kind == GUIDE_SWELLS:
+        return (abs(state[VELOCITY]) / RUBBED - state[MEMORY]) / shape
     return (state[VELOCITY] - state[MEMORY]) / shape if kind == FRICTION_LAG else 0.0

@@ -8,7 +8,7 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics import chambers, load, motion, sensors, valve
-from benchmarks.beyond_the_table.physics.places import FILM_SQUEEZED, GAUGE_SNUBBER, HOSE, MEMORY
+from benchmarks.beyond_the_table.physics.places import DAMPER_STUB, FILM_SQUEEZED, GAUGE_SNUBBER, HOSE, MEMORY
 from benchmarks.foreign_truth.equations import (
     CELL_RATE,
     POSITION,
@@ -23,7 +23,7 @@ from benchmarks.foreign_truth.equations import (
 @njit
 def rested(kind, bench, start):
     """The kind's own state where chamber A has stood at a pressure [Pa] and B balances it."""
-    if kind == GAUGE_SNUBBER:
+    if kind in (GAUGE_SNUBBER, DAMPER_STUB):
         return start / bench.area_ratio
     if kind == FILM_SQUEEZED:
         return 1.0
@@ -34,8 +34,8 @@ def rested(kind, bench, start):
 def memory_rate(kind, size, shape, bench, current, slope, state):
     """Rate of the kind's own state; `slope` is the current's [A/s]."""
     rate = valve.memory_rate(kind, size, shape, bench, current, slope, state)
-    rate += chambers.memory_rate(kind, shape, bench, current, state) + motion.memory_rate(kind, shape, bench, state)
-    rate += load.memory_rate(kind, size, shape, bench, state)
+    rate += chambers.memory_rate(kind, size, shape, bench, current, state)
+    rate += motion.memory_rate(kind, shape, bench, state) + load.memory_rate(kind, size, shape, bench, state)
     return rate + sensors.memory_rate(kind, size, shape, bench, state)
 
 
@@ -46,7 +46,7 @@ def all_rates(kind, size, shape, bench, time, current, slope, state, out):
     rates(bench, time, given, state, out)
     volume_a = bench.dead_volume_a + bench.piston_area * state[POSITION]
     volume_b = bench.dead_volume_b + bench.area_ratio * bench.piston_area * (bench.stroke - state[POSITION])
-    lost_a, lost_b = chambers.lost_flows(kind, size, shape, bench, state)
+    lost_a, lost_b = chambers.lost_flows(kind, size, shape, bench, time, state)
     blocked_a, blocked_b = valve.blocked_flows(kind, size, shape, bench, time, given, state)
     out[PRESSURE_A] -= stiffness(bench, state[PRESSURE_A]) / volume_a * (lost_a + blocked_a)
     out[PRESSURE_B] -= stiffness(bench, state[PRESSURE_B]) / volume_b * (lost_b + blocked_b)

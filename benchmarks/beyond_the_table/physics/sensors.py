@@ -14,6 +14,9 @@ from benchmarks.beyond_the_table.physics.places import (
     CELL_CURVE,
     CELL_HYSTERESIS,
     CELL_PICKUP,
+    CELL_RECTIFIES,
+    CELL_SEATS,
+    CELL_SLEW,
     ENCODER_PLAY,
     GAUGE_CROSSTALK,
     GAUGE_LIMIT,
@@ -25,6 +28,8 @@ from benchmarks.foreign_truth.equations import CELL, CELL_RATE, PRESSURE_A, PRES
 
 RISING = 5e-4
 """s, lag of a snubber whose check valve is open."""
+INPUT = 5e-4
+"""s, lag of an input that nothing has limited."""
 
 
 @njit
@@ -58,16 +63,24 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[2] += size * state[MEMORY]
     if kind == GAUGE_CROSSTALK:
         row[5] += size * state[PRESSURE_A]
+    if kind == CELL_RECTIFIES:
+        row[0] += size * current**2
+    if kind == CELL_SEATS:
+        row[2] -= size * min(max(state[CELL], -shape), shape)
+    if kind == CELL_SLEW and size > 0.0:
+        row[0] += state[MEMORY] - hydraulic_force(bench, state)
 
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of what the cell has crept by [N/s], of the pressure [Pa/s] behind the snubber, of a path."""
+    """Rate of what a cell has crept by or shows [N/s], of the pressure [Pa/s] behind the snubber, of a path."""
     if kind == CELL_CREEP:
         return (hydraulic_force(bench, state) - state[MEMORY]) / shape
     if kind == GAUGE_SNUBBER:
         above = state[PRESSURE_B] - state[MEMORY]
         return above / (RISING if above > 0.0 else max(size, RISING))
+    if kind == CELL_SLEW:
+        return min(max((hydraulic_force(bench, state) - state[MEMORY]) / INPUT, -size), size)
     if kind == ENCODER_PLAY:
         return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
     if kind == CELL_HYSTERESIS:

@@ -13,11 +13,14 @@ from benchmarks.beyond_the_table.physics.places import (
     JET_FORCE,
     LOAD_NULL,
     MEMORY,
+    NOTCHED_SPOOL,
     NULL_WARMS,
+    PILOT_CLOGGED,
     RETURN_FILTER,
     SILTED_EDGE,
     SPOOL_RATE,
     SPOOL_STOP,
+    SUPPLY_SETS,
     TRANSITION,
     VALVE_CURVE,
     VALVE_HYSTERESIS,
@@ -39,6 +42,8 @@ WARM = 5e-3
 """A that warm a coil by 1 in the end."""
 HELD = 1e-5
 """m/s, below which dry friction holds the piston."""
+NOZZLE = 2e-4
+"""s, lag of a pilot whose nozzle is clean."""
 
 
 @njit
@@ -62,6 +67,10 @@ def drawn(kind, size, shape, bench, current, state):
         return current * (1.0 - size * memory)
     if kind == VALVE_RIDES:
         return current - size * acceleration(bench, state)
+    if kind == NOTCHED_SPOOL:
+        return current - size * min(max(current, -shape), shape)
+    if kind == PILOT_CLOGGED and size > 0.0:
+        return memory
     return memory if kind == SPOOL_RATE else current
 
 
@@ -87,7 +96,7 @@ def drops(bench, out, state):
 @njit
 def blocked_flows(kind, size, shape, bench, time, current, state):
     """Flows [m3/s] that the edges do not pass: into chamber A and out of chamber B, as `lost_flows` counts them."""
-    if kind != TRANSITION and kind != RETURN_FILTER and kind != SILTED_EDGE and kind != EDGE_CHOKES:
+    if kind not in (TRANSITION, RETURN_FILTER, SILTED_EDGE, EDGE_CHOKES, SUPPLY_SETS):
         return 0.0, 0.0
     moved = flow_gain(bench) * opening(bench, time, current)
     out = moved >= 0.0
@@ -102,6 +111,10 @@ def blocked_flows(kind, size, shape, bench, time, current, state):
         over = over_b if out else over_a
         short = moved * (root(over) - root(over - size * max(over - shape, 0.0)))
         return (0.0, -short) if out else (short, 0.0)
+    if kind == SUPPLY_SETS:
+        over = over_a if out else over_b
+        short = moved * (root(over) - root(over - size * (1.0 - math.exp(-time / shape))))
+        return (short, 0.0) if out else (0.0, -short)
     # q = moved sqrt(over - size q^2), solved for q: only the edge to the tank has the filter behind it
     short = moved * (1.0 - 1.0 / math.sqrt(1.0 + size * moved**2))
     return (0.0, -short * root(over_b)) if out else (short * root(over_a), 0.0)
@@ -117,4 +130,6 @@ def memory_rate(kind, size, shape, bench, current, slope, state):
         return min(max(2.0 * math.pi * shape * (current - memory), -size), size)
     if kind == COIL_WARMS:
         return ((current / WARM) ** 2 - memory) / shape
+    if kind == PILOT_CLOGGED:
+        return (current - memory) / (max(size, NOZZLE) if current > memory else NOZZLE)
     return (abs(current) / bench.valve_nominal_current - memory) / shape if kind == NULL_WARMS else 0.0
