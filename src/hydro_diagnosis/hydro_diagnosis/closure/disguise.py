@@ -36,7 +36,7 @@ def barred(problem: Problem, found: Fit) -> frozenset[str]:
         own = effect.touches & set(problem.blocks)
         channels = [CHANNELS.index(name) for block in own for name in BLOCKS[block]]
         excess = float(sum(remaining[channels]))
-        for columns in _columns(problem, found.claims, found.residual, effect):
+        for _, columns in _columns(problem, found.claims, found.residual, effect):
             rest = _beside(np.column_stack([found.jacobian, columns]), found.residual)
             if excess > 0.0 and float(left @ left - rest @ rest) > GOOD_PART * excess:
                 blocks |= own
@@ -46,8 +46,15 @@ def barred(problem: Problem, found: Fit) -> frozenset[str]:
 
 def in_disguise(problem: Problem, found: Fit, claim: Claim) -> bool:
     """Whether one of the causes that are ruled out (`Problem.ruled_out`) does what this claim of a fit does."""
-    if not problem.ruled_out:
-        return False
+    return any(True for _ in doing_the_same(problem, found, claim, problem.ruled_out))
+
+
+def doing_the_same(
+    problem: Problem, found: Fit, claim: Claim, causes: Sequence[Effect], alike: float = ALIKE
+) -> Iterator[Claim]:
+    """Those of the causes, at the start of a fit, that do what this claim of a fit does, but for a share."""
+    if not causes:
+        return
     others = tuple(one for one in found.claims if one is not claim)
     before = problem.residual(others)
     shown = found.residual - before
@@ -56,16 +63,18 @@ def in_disguise(problem: Problem, found: Fit, claim: Claim) -> bool:
     standing = np.delete(found.jacobian, own, axis=1)
     beside = _beside(standing, shown)
     size = float(beside @ beside)
-    for effect in problem.ruled_out:
-        for columns in _columns(problem, others, before, effect):
+    for effect in causes:
+        for start, columns in _columns(problem, others, before, effect):
             left = _beside(np.column_stack([standing, columns]), shown)
-            if size > 0.0 and float(left @ left) < (1.0 - ALIKE) * size:
-                return True
-    return False
+            if size > 0.0 and float(left @ left) < (1.0 - alike) * size:
+                yield start
+                break
 
 
-def _columns(problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect) -> Iterator[FloatArray]:
-    """What each number of a cause does to the residual, for each choice of start values of its shape."""
+def _columns(
+    problem: Problem, others: Sequence[Claim], before: FloatArray, effect: Effect
+) -> Iterator[tuple[Claim, FloatArray]]:
+    """What each number of a cause does to the residual, for each choice of start values of its shape: a start first."""
     if not effect.touches & set(problem.blocks):
         return
     amplitudes = [one for one in effect.parameters if one.smallest > 0.0]
@@ -74,7 +83,8 @@ def _columns(problem: Problem, others: Sequence[Claim], before: FloatArray, effe
         values = {one.name: one.neutral for one in effect.parameters}
         values |= dict(zip((one.name for one in shapes), chosen, strict=True))
         moved = [{**values, one.name: one.probes[0]} for one in amplitudes] or [values]
-        yield np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
+        columns = np.column_stack([problem.residual((*others, Claim(effect, one))) - before for one in moved])
+        yield Claim(effect, values), columns
 
 
 def _beside(columns: FloatArray, shown: FloatArray) -> FloatArray:
