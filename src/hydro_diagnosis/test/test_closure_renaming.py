@@ -25,24 +25,24 @@ DRAG = {"equation": "motion", "form": "quadratic drag", "parameters": {"coeffici
 NAMES = [effect.adapted(BENCH) for effect in LIBRARY if effect.named]
 
 
-def closed_by(states: StateArray, *forms: tuple[str, str]) -> tuple[Problem, Closed]:
+def closed_by(states: StateArray, *forms: tuple[str, str]) -> Closed:
     """Laws fitted to a recording."""
     table = RawTable("run", states["time"].copy(), None, {field: states[field].copy() for field in STATE_FIELDS})
     problem = Problem([checked(table, BENCH).segments[0]], BENCH)
     laws = [closure(grammar.ALL[form], BENCH) for form in forms]
     found = fit(problem, [Claim(law, law.nothing()[0]) for law in laws])
-    return problem, Closed(found, "law", 1.0, problem)
+    return Closed(found, "law", 1.0, problem)
 
 
 def test_edges_that_pass_less_are_a_weaker_valve(record: Callable[..., StateArray]) -> None:
     weaker = {"id": "valve_gain", "parameters": {"ratio": 0.94}}
     states = record(replace(BENCH, effects=(weaker,), closures=(DRAG,)), 3)
-    problem, closed = closed_by(states, ("motion", "quadratic drag"), ("actuation", "narrowed flow"))
-    found = renamed(problem, closed, NAMES).fit
+    closed = closed_by(states, ("motion", "quadratic drag"), ("actuation", "narrowed flow"))
+    found = renamed(closed, NAMES).fit
     assert {claim.effect.label for claim in found.claims} == {"closure:motion:quadratic drag", "valve_gain"}
     values = {claim.effect.label: claim.values for claim in found.claims}
     assert values["valve_gain"]["ratio"] == pytest.approx(0.94, abs=2e-3)
-    alone = renamed(problem, closed, [name for name in NAMES if name.id != "valve_gain"])
+    alone = renamed(closed, [name for name in NAMES if name.id != "valve_gain"])
     assert alone is closed
 
 
@@ -53,5 +53,5 @@ def test_laws_that_no_name_does_stay(record: Callable[..., StateArray]) -> None:
         "parameters": {"coefficient": 3e-13, "path": 5e-4},
     }
     states = record(replace(BENCH, closures=(DRAG, ring)), 3)
-    problem, closed = closed_by(states, ("motion", "quadratic drag"), ("pressure", "leak, since a reversal"))
-    assert renamed(problem, closed, NAMES) is closed
+    closed = closed_by(states, ("motion", "quadratic drag"), ("pressure", "leak, since a reversal"))
+    assert renamed(closed, NAMES) is closed

@@ -44,11 +44,11 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
     by_law = _by_law(problem, assessment.fit, names, closed)
     left = noticeable(by_law.problem, by_law.fit.residual)
     if not left and by_law.gain > 0.0:
-        by_law = renamed(by_law.problem, by_law, names)
+        by_law = renamed(by_law, names)
         yield by_law
     by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem), closed)
     both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)
-    yield from (one for one in (both if left else (by_table,)) if one.gain > 0.0)
+    yield from (renamed(one, names) for one in (both if left else (by_table,)) if one.gain > 0.0)
 
 
 def _open(terms: Sequence[Claim], closed: frozenset[str]) -> list[Claim]:

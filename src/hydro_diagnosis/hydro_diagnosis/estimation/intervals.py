@@ -125,13 +125,18 @@ def _profiled(problem: Problem, found: Fit, index: int, value: float, step: floa
     """Distance at which the profile has risen by QUANTILE^2 inflation^2, from one point on it near there.
 
     Where two shapes are nearly one, the curvature at the fit says nothing of the distance: then points come nearer.
+    Values beyond a number's bounds mean nothing: the profile ends there.
     """
     effects = [claim.effect for claim in found.claims]
+    number = [parameter for effect in effects for parameter in effect.parameters][index]
     _, values = pack(found.claims)
     if not np.isfinite(step) or step == 0.0:
         return abs(step)
     wanted = (QUANTILE * inflation) ** 2
     for _ in range(NEARER):
+        step = float(np.clip(value + step, number.low, number.high)) - value
+        if step == 0.0:
+            break
         values[index] = value + step
         moved = fit(problem, unpack(effects, values), iterations=PROFILING, fixed=index, slopes=found.jacobian)
         rise = moved.deviance - found.deviance

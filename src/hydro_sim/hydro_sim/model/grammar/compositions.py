@@ -30,7 +30,7 @@ _GAPS = (x.BY_BEND, x.BY_STROKE, x.BY_SPEED, x.BY_OPENING)
 _LEVELS_N, _LEVELS_PA = (-100.0, -30.0, 0.0, 30.0, 100.0), (3e6, 4e6, 5e6, 6e6, 8e6)
 _READINGS = {
     **{cell: (*p.of_reading(cell, "force", symbol, "N", (3.0, 10.0, 30.0, 100.0), _LEVELS_N),
-              *p.of_sides(cell, symbol), p.both_sides(cell, symbol, (20.0, 60.0, 150.0)))
+              *p.of_sides(cell, symbol), *p.both_sides(cell, symbol, (20.0, 60.0, 150.0)))
        for cell, symbol in (("hydraulic_force", "f_h"), ("load_force", "f_l"))},
     **{gauge: p.of_reading(gauge, gauge, f"p_{gauge[-1]}", "Pa", (3e4, 1e5, 3e5, 1e6), _LEVELS_PA)
        for gauge in ("pressure_a", "pressure_b")},
@@ -74,6 +74,7 @@ EVERY: tuple[Law, ...] = (
     *_product(q.CARRIED, (x.BY_P_A, x.BY_P_B)),
     *(composed(one, p.STORING[one.equation]) for one in q.CHAMBERS if one.name == "leak"),
     *_product(s.PICKED, (m.ALWAYS,)),
+    *_product((one for one in s.PICKED if one.text == "u"), m.BY_SIDE),
     *_product(s.DRIFTING, _DRIFTS),
     *_product(s.GAINS, (x.BY_OPENING, x.BY_CURRENT, x.BY_SPEED, x.BY_PLACE)),
     *_product((s.GAINS_OF["pressure_a"],), (x.BY_P_B,)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hydro_sim.model.grammar.words import LAG, PLACE, above, creep, deflection, middle, path, threshold
+from hydro_sim.model.grammar.words import LAG, PLACE, above, creep, deflection, middle, path, threshold, within
 from hydro_sim.model.laws import Element, Law, Number
 
 _HEAT = (Number("path", "m", (3e-3, 1e-2, 0.1, 0.3, 1.0, 3.0)), Number("time", "s", (0.05, 0.2, 3.0, 10.0, 30.0)))
@@ -70,6 +70,10 @@ LAWS: tuple[Law, ...] = (
         "Force against motion that begins at a speed: typical of a port that chokes or a valve that shuts.",
         50.0, lambda at, n: at.direction * above(at.speed, at.number),
         numbers=threshold("speed", "m/s", 0.01, 0.03, 0.06, 0.1, 0.2)),
+    Law("motion", "drag up to a speed", "N s/m", "sign(v) min(|v|, threshold)",
+        "Force against motion that grows up to a speed alone: typical of a throttle that a relief valve by-passes.",
+        50.0, lambda at, n: within(at.velocity, at.number),
+        numbers=threshold("speed", "m/s", 0.01, 0.03, 0.06, 0.1, 0.2)),
     Law("motion", "drag towards the outer end", "N s/m2", "v max(x - threshold, 0)",
         "Viscous friction that begins at a place: typical of a throttle that closes towards the end of the stroke.",
         1e4, lambda at, n: at.velocity * above(at.position, at.number), numbers=PLACE),
@@ -83,6 +87,10 @@ LAWS: tuple[Law, ...] = (
         "Dry friction that fades with motion and returns with rest: typical of seals and grease that warm, or of lips "
         "that squeeze their film out at rest.",
         5.0, lambda at, n: at.direction * np.exp(-at.memory), Element("heat", "position"), _HEAT),
+    Law("load", "gas spring", "N/m", "(x - x_rest) / (1 - (x - x_rest) / gap)",
+        "Load that grows the faster the less room is left: typical of gas or foam that is compressed.",
+        1e3, lambda at, n: deflection(at, n) / np.fmax(1.0 - deflection(at, n) / at.number, 0.05),
+        numbers=(Number("gap", "m", (0.02, 0.04, 0.08, 0.16)),)),
     Law("load", "second spring outwards", "N/m", "max(x - threshold, 0)",
         "Load that grows stiffer from a place on: typical of a bumper or a second spring that engages.",
         1e3, lambda at, n: above(at.position, at.number), numbers=PLACE),

@@ -10,7 +10,7 @@ import numpy as np
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.modulations import TIMES
 from hydro_sim.model.grammar.parts import Modulation
-from hydro_sim.model.grammar.words import LAG, above, middle, path, threshold
+from hydro_sim.model.grammar.words import LAG, above, middle, path, threshold, within
 from hydro_sim.model.laws import Element, Number, Signals
 
 FADING = Modulation(
@@ -107,11 +107,15 @@ def of_sides(channel: str, symbol: str) -> tuple[Modulation, ...]:
             made("in pull", f"-max(-{symbol}, 0)", "in tension", -1.0))  # fmt: skip
 
 
-def both_sides(channel: str, symbol: str, levels: tuple[float, ...]) -> Modulation:
-    """A cell's reading beyond an amount either way, times 1."""
+def both_sides(channel: str, symbol: str, levels: tuple[float, ...]) -> tuple[Modulation, Modulation]:
+    """A cell's reading beyond an amount either way, and up to it, times 1."""
+    limits = (Number("threshold", "N", levels),)
     return Modulation(
         name="beyond a span", text=f"{{}} sign({symbol}) max(|{symbol}| - threshold, 0)", uses=channel, degree=1.0,
         unit="N", scale=100.0, phrase=" beyond an amount either way: typical of an amplifier that saturates",
-        factor=lambda at, n: above(at.force, at.number) - above(-at.force, at.number),
-        numbers=(Number("threshold", "N", levels),),
+        factor=lambda at, n: above(at.force, at.number) - above(-at.force, at.number), numbers=limits,
+    ), Modulation(
+        name="within a span", text=f"{{}} sign({symbol}) min(|{symbol}|, threshold)", uses=channel, degree=1.0,
+        unit="N", scale=100.0, phrase=" up to an amount either way: typical of a cell that sits down in its seat",
+        factor=lambda at, n: within(at.force, at.number), numbers=limits,
     )  # fmt: skip

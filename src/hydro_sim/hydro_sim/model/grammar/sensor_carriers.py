@@ -22,10 +22,11 @@ _BESIDE = (
     ("pressure_a", "p_a", "Pa", 5e6, "the pressure of chamber A: typical of a housing that pressure strains"),
     ("pressure_b", "p_b", "Pa", 5e6, "the pressure of chamber B: typical of a housing that pressure strains"),
     ("opening", "|u|", "A", 3e-3, "the size of the valve's current: typical of a supply that sags under it"),
+    ("heating", "u^2", "A2", 1e-5, "the square of the valve's current: typical of an amplifier that rectifies"),
     ("speed", "|v|", "m/s", 0.05, "the speed: typical of a line in which oil flows past it"),
     ("jet", "v |v|", "m2/s2", 2.5e-3, "the square of the velocity: typical of a line in which oil flows past it"),
 )
-_MADE_OF = {"opening": "current", "speed": "velocity", "jet": "velocity"}
+_MADE_OF = {"opening": "current", "heating": "current", "speed": "velocity", "jet": "velocity"}
 """Signals of which others are made."""
 
 
@@ -43,7 +44,7 @@ def _of_sensor(channel: str) -> tuple[tuple[Carrier, ...], tuple[Carrier, ...]]:
 
     def beside(signal: str, text: str, unit: str, scale: float, cause: str) -> Carrier:
         return made(f"pick-up of {signal}", unit, text, f"The {_SENSORS[channel]} also reads {cause}", scale,
-                    _MADE_OF.get(signal, signal), 2.0 if signal == "jet" else 1.0,
+                    _MADE_OF.get(signal, signal), 2.0 if signal in ("jet", "heating") else 1.0,
                     lambda at, n: getattr(at, signal))  # fmt: skip
 
     picked = tuple(beside(*one) for one in _BESIDE if one[0] not in (channel, itself)

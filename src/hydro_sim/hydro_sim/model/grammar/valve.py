@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_sim.model.equations import LAMINAR
-from hydro_sim.model.grammar.words import above, path, threshold
+from hydro_sim.model.grammar.words import above, path, threshold, within
 from hydro_sim.model.laws import Element, Law, Number
 
 LAWS: tuple[Law, ...] = (
@@ -23,6 +23,10 @@ LAWS: tuple[Law, ...] = (
         "Flow that follows the current otherwise beyond an opening: typical of ports of two widths, or a torque motor "
         "near its limit.",
         0.05, lambda at, n: above(at.current, at.number) - above(-at.current, at.number),
+        numbers=threshold("opening", "A", 3e-4, 1e-3, 2e-3, 4e-3, 8e-3)),
+    Law("actuation", "gain near null", "-", "sign(u) min(|u|, threshold)",
+        "Flow that follows the current otherwise up to an opening: typical of notches in the lands.",
+        0.05, lambda at, n: within(at.current, at.number),
         numbers=threshold("opening", "A", 3e-4, 1e-3, 2e-3, 4e-3, 8e-3)),
     Law("actuation", "rate limit", "-", "(w - u), w' = (u - w) / time within +-rate",
         "A spool that lags, and moves no faster than a rate: typical of a pilot stage that saturates; 1: all of it.",

@@ -24,6 +24,11 @@ def above(signal: Symbol, threshold: Symbol) -> Symbol:
     return np.fmax(signal - threshold, 0.0)
 
 
+def within(signal: Symbol, threshold: Symbol) -> Symbol:
+    """A signal, held where it is further from 0 than a threshold."""
+    return np.fmax(np.fmin(signal, threshold), -threshold)
+
+
 def middle(at: Signals, n: Any) -> Symbol:
     """Position from the middle of the stroke, in strokes."""
     return at.position / n.stroke - 0.5
