@@ -28,8 +28,12 @@ COLUMNS = {
 }
 
 
+SHOWS = 0.05
+"""Squared error above the noise, in noise floors, from which there is something to close."""
+
+
 def scored(case: Case, result: Mapping[str, Any]) -> dict[str, Any]:
-    """Row of the table; shares are nan for clean cases and where `diagnose` refused."""
+    """Row of the table; shares are nan where nothing shows above the noise, and where `diagnose` refused."""
     report, nan = result["report"], float("nan")
     beside = ", ".join([*case.named, *([f"{case.decibels} dB"] if case.decibels is not None else [])])
     facts = {"case": case.name, "beside": beside, "cpu": result["cpu"]}
@@ -38,6 +42,7 @@ def scored(case: Case, result: Mapping[str, Any]) -> dict[str, Any]:
                 "named": False, "closures": result["said"][:100]}  # fmt: skip
     errors, closures = report["fit"]["holdout"], report["closures"]
     before, names, after = (_gap(errors, key) for key in ("rmse_before", "rmse_named", "rmse_after"))
+    nothing = case.kind is None or before < SHOWS
     claimed = sorted(effect["id"] for effect in report["effects"])
     kind = case.kind
     by_name = kind is not None and any(_called(effect) == kind.named for effect in report["effects"])
@@ -46,8 +51,8 @@ def scored(case: Case, result: Mapping[str, Any]) -> dict[str, Any]:
         **facts,
         "verdict": report["verdict"],
         "gap": max(error["rmse_before"] / error["noise_floor"] for error in errors.values()),
-        "names": nan if kind is None else 1.0 - names / before,
-        "all": nan if kind is None else 1.0 - after / before,
+        "names": nan if nothing else 1.0 - names / before,
+        "all": nan if nothing else 1.0 - after / before,
         "place": not closures if kind is None else by_name or _place(report) in places(kind),
         "form": by_name or (kind is not None and any(right_form(kind, closure) for closure in closures)),
         "named": claimed == concealed and (kind is not None or not closures),

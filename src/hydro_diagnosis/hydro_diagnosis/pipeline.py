@@ -40,7 +40,7 @@ from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.current_alignment import current_is_early, current_is_late
 from hydro_diagnosis.selection.effect_summary import describe, location_of
-from hydro_diagnosis.selection.foretelling import not_foretold
+from hydro_diagnosis.selection.foretelling import made_worse, not_foretold
 from hydro_diagnosis.selection.localisation import locate, locate_claims, noticeable
 from hydro_diagnosis.selection.number_estimates import number_estimates
 from hydro_diagnosis.selection.outcome import NAMES, Outcome, SearchSettings
@@ -174,7 +174,14 @@ def _diagnosed(
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, unseen, outcome, assessment, bounds)
     beyond = "" if assessment.remainder else not_foretold(unseen, assessment.fit.claims)
-    notes = (late, current_is_early(problem, effects), hidden, _cut_short(outcome, assessment), beyond)
+    notes = (
+        late,
+        current_is_early(problem, effects),
+        hidden,
+        _cut_short(outcome, assessment),
+        beyond,
+        made_worse(proof),
+    )
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],

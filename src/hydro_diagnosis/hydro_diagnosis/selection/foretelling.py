@@ -3,11 +3,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import locate, noticeable
+
+WORSE = 1.1
+"""Ratio of a held-out channel's error after to that before from which a model has made it worse."""
+SHOWN = 1.35
+"""Noise floors from which a held-out channel's error is more than noise, as of what remains."""
+
+
+def made_worse(proof: Mapping[str, Any]) -> str:
+    """Note on held-out channels that the model handed back predicts worse than the bench file; empty where none is.
+
+    `proof`: `fit` of report.json. Under much noise wrong names may leave nothing in what they were fitted to.
+    """
+    worse = [
+        f"{channel} at {error['rmse_after'] / error['noise_floor']:.3g} noise floors instead of "
+        f"{error['rmse_before'] / error['noise_floor']:.3g}"
+        for channel, error in proof["holdout"].items()
+        if error["rmse_after"] > max(WORSE * error["rmse_before"], SHOWN * error["noise_floor"])
+    ]
+    if not worse:
+        return ""
+    return (
+        f"the held-out recordings are predicted worse than by the bench file ({'; '.join(worse)}): do not trust what "
+        "is named; record with less noise or more motion"
+    )
 
 
 def not_foretold(unseen: Problem, claims: Sequence[Claim]) -> str:
