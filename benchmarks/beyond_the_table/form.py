@@ -43,7 +43,7 @@ TEXTS = {
     "p_a^2": _form("pressure_a", 2.0),
     "p_b^2": _form("pressure_b", 2.0),
     "sign(u) min(|u|, threshold)": _form("current", 1.0),
-    "sign(v) min(|v|, threshold)": _form("velocity", 1.0),
+    "v min(1, threshold / |v|)": _form("velocity", 1.0),
     "(x - x_rest) / (1 - (x - x_rest) / gap)": _form("position", 1.0),
     "u |u|": _form("current", 2.0),
     "u^3": _form("current", 3.0),

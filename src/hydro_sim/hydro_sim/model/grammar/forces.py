@@ -70,7 +70,7 @@ LAWS: tuple[Law, ...] = (
         "Force against motion that begins at a speed: typical of a port that chokes or a valve that shuts.",
         50.0, lambda at, n: at.direction * above(at.speed, at.number),
         numbers=threshold("speed", "m/s", 0.01, 0.03, 0.06, 0.1, 0.2)),
-    Law("motion", "drag up to a speed", "N s/m", "sign(v) min(|v|, threshold)",
+    Law("motion", "drag up to a speed", "N s/m", "v min(1, threshold / |v|)",
         "Force against motion that grows up to a speed alone: typical of a throttle that a relief valve by-passes.",
         50.0, lambda at, n: within(at.velocity, at.number),
         numbers=threshold("speed", "m/s", 0.01, 0.03, 0.06, 0.1, 0.2)),
