@@ -147,6 +147,8 @@ def _say(found: Diagnosis, folder: Path) -> None:
         print(f"  something remains in {places}; it depends on {depends}")
         for likeness in report.remainder["looks_like"]:
             print(f"  {likeness}")
+    for note in found.notes:
+        print(f"  note: {note}")
     print(f"{folder / 'report.html'}, report.json, corrected.yaml ({report.seconds:.1f} s)")
 
 

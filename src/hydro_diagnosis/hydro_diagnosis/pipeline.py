@@ -174,14 +174,8 @@ def _diagnosed(
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, unseen, outcome, assessment, bounds)
     beyond = "" if assessment.remainder else not_foretold(unseen, assessment.fit.claims)
-    notes = (
-        late,
-        current_is_early(problem, effects),
-        hidden,
-        _cut_short(outcome, assessment),
-        beyond,
-        made_worse(proof),
-    )
+    cut_short, worse = _cut_short(outcome, assessment), made_worse(proof)
+    notes = tuple(note for note in (late, current_is_early(problem, effects), hidden, cut_short, beyond, worse) if note)
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
@@ -193,9 +187,9 @@ def _diagnosed(
         next_recording=ahead,
         seconds=time.monotonic() - begun,
         steps=_steps(search),
-        **{**facts, "data_quality": [*facts["data_quality"], *(note for note in notes if note)]},
+        **{**facts, "data_quality": [*facts["data_quality"], *notes]},
     )
-    return Diagnosis(report, believed, problem, assessment, outcome, models)
+    return Diagnosis(report, believed, problem, assessment, outcome, models, notes)
 
 
 def _given(bench: Bench, name: str) -> float | None:

@@ -3,12 +3,16 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from hydro_bridge.signals import STATE_FIELDS, StateArray
+from hydro_diagnosis.cli import run
 from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
@@ -63,3 +67,21 @@ def test_a_held_out_channel_that_is_made_worse_is_said() -> None:
     note = made_worse({"holdout": fine | {"load_force": error(6e-6, 1.38e-5)}})
     assert "load_force at 13.8 noise floors instead of 6" in note
     assert "piston_position" not in note
+
+
+@pytest.mark.slow
+def test_what_is_not_foretold_is_said_in_the_terminal(
+    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    drag = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 1500.0}}
+    dry = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
+    bench = replace(BENCH, effects=(dry,), closures=(drag,))
+    for name, seed, size in (("slow", 1, SLOW), ("fast", 2, FAST)):
+        frame(record(bench, seed, amplitude=size)).to_csv(tmp_path / f"{name}.csv", index=False)
+    words = [str(tmp_path / "slow.csv"), "--holdout", str(tmp_path / "fast.csv"), "--quiet", "--out", str(tmp_path)]
+    assert run(words) == 0
+    notes = json.loads((tmp_path / "report.json").read_text(encoding="utf-8"))["data_quality"]
+    said = capsys.readouterr().out
+    told = [note for note in notes if note.startswith("the held-out recordings")]
+    assert told and all(f"  note: {note}\n" in said for note in told)

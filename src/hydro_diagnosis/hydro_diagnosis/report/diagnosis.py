@@ -25,6 +25,8 @@ class Diagnosis:
     assessment: Assessment
     outcome: Outcome
     holdout: list[SegmentModel] = field(default_factory=list)
+    notes: tuple[str, ...] = ()
+    """What the verdict does not say, of `data_quality` what is not about the data alone."""
 
     @property
     def corrected(self) -> Bench:

@@ -13,7 +13,7 @@ from hydro_diagnosis.selection.localisation import locate, noticeable
 WORSE = 1.1
 """Ratio of a held-out channel's error after to that before from which a model has made it worse."""
 SHOWN = 1.35
-"""Noise floors from which a held-out channel's error is more than noise, as of what remains."""
+"""Noise floors from which a simulated held-out channel's RMS error is more than noise and an uncertain start."""
 
 
 def made_worse(proof: Mapping[str, Any]) -> str:
