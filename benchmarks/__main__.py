@@ -28,6 +28,7 @@ STUDIES = frozenset(
         "joining",
         "learned_structures",
         "model_mismatch",
+        "monitor_limits",
         "pairings",
         "paper",
         "relearned_filter",

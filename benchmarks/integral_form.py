@@ -7,7 +7,8 @@ waited        armed for a while at 0 N under base gains, then the controller: it
 fresh         the same without the wait
 
 Each under both forms, without a filter and behind the learned one. `rate` and `worst` are what the trainer's monitor
-calls chattering: RMS of u' over the whole part and over the worst 0.1 s; `monitor` is its first verdict.
+calls chattering: RMS of u' over the whole part, and in the median step of the worst 0.1 s; `monitor` is its first
+verdict.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ COLUMNS = {
     "rmse": "N, mean over seeds; of the parts after a wait from its end on",
     "peak": "N, largest |e|, all seeds",
     "rate": "A/s, RMS of u', mean over seeds",
-    "worst": "A/s, largest RMS of u' over 0.1 s, all seeds",
+    "worst": "A/s, largest RMS of u' in the median step of 0.1 s, all seeds",
     "monitor": "what the trainer's monitor says first, and in how many of the seeds",
 }
 
@@ -119,7 +120,7 @@ class Place:
 
 
 def verdict(samples: StateArray) -> tuple[float, str]:
-    """Largest RMS of u' [A/s] over the monitor's window, and what it says first; samples of shape (n,)."""
+    """Largest value of the monitor's chatter [A/s], and what it says first; samples of shape (n,)."""
     monitor, clock, worst, first = SafetyMonitor(), StepClock(), 0.0, ""
     values = records(samples, STATE_FIELDS)
     for k, sample in enumerate(samples):

@@ -29,7 +29,7 @@ from hydro_bridge.ros import Companion
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, StateArray
 
 PERIOD = 0.25  # s between the stalls
-WINDOW = 100  # samples: the monitor's
+WINDOW = 100  # samples
 SETTLING = 2000  # samples left out
 WIDE = ("-p", "guard.delta_kp_max:=285.0", "-p", "guard.delta_ki_max:=95.0")
 
@@ -105,7 +105,7 @@ def main() -> None:
     columns = {
         "stall_ms": "ms that the filter stands still, four times a second",
         "hold_ms": "ms for which a correction acts",
-        "chatter_worst": "A/s, largest RMS of u' over 0.1 s; the monitor stops a policy at 0.7",
+        "chatter_worst": "A/s, largest RMS of u' over 0.1 s",
         "chatter_median": "A/s, median of the same",
         "force_rmse": "N, of f_r - f_l",
         "stale_share": "of the samples at base gains for want of a correction",

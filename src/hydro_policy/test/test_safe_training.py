@@ -279,6 +279,16 @@ def test_while_the_filters_model_does_not_fit_fixed_gains_are_held_and_nothing_i
     assert session.current.overridden_steps == pytest.approx(50, abs=2)
 
 
+def test_gains_that_jump_where_the_reference_changes_are_no_chatter() -> None:
+    """8 mA within a sample, once in 0.1 s: RMS of u' over the window is 0.8 A/s."""
+    monitor = SafetyMonitor()
+    jump = np.repeat((0.0, 8e-3), 5)
+    for _ in range(10):
+        calm = [monitor.add(step(50.0, np.zeros(10))) for _ in range(9)]
+        assert {*calm, monitor.add(step(50.0, jump))} == {None}
+    assert monitor.chatter == 0.0
+
+
 def test_steps_for_which_the_box_held_other_gains_are_not_charged_to_the_policy() -> None:
     monitor = SafetyMonitor()
     wild = replace(step(400.0, np.tile((0.0, 0.05), 5)), held=int(Flag.FILTER_STALE))

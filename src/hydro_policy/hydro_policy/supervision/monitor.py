@@ -2,7 +2,8 @@
 """Safety monitor: watches the bench under a policy and requests a stop before the box trips.
 
 peak error    |e|, averaged over a policy step, so that a single bad sample does not count
-chatter       RMS of u' over a window: it wears valve and hoses, and is the first sign of a limit cycle
+chatter       RMS of u' in the median step of a window: it wears valve and hoses, and is the first sign of a limit
+              cycle. A single jump of the gains where the reference changes is none, however large (decision 0072)
 violations    share of a window's samples whose certificate fails although the filter has corrected what it can
 NaN           a sample, or the policy's action for it, is not finite
 
@@ -13,6 +14,7 @@ the policy's (`Step.held`: late commands, no fresh correction, MISMATCH) are not
 from __future__ import annotations
 
 import math
+import statistics
 from collections import deque
 from dataclasses import dataclass
 from typing import Annotated
@@ -39,7 +41,7 @@ class MonitorSettings:
     peak_error: Annotated[float, quantity("N", 1.0, 1e5)] = 300.0
     """|e| in the mean over a policy step."""
     chatter: Annotated[float, quantity("A/s", 1e-3, 1e3)] = 0.7
-    """RMS of u' over the window."""
+    """RMS of u' in the window's median step."""
     chatter_window: Annotated[float, quantity("s", 0.02, 10.0)] = 0.1
     """Length of the window that chatter is taken over."""
     violations: Annotated[float, quantity("-", 0.0, 1.0)] = 0.5
@@ -57,7 +59,7 @@ class SafetyMonitor:
         self.settings = settings or MonitorSettings()
         lengths = (self.settings.chatter_window, self.settings.violations_window)
         squares, violated = (max(round(length / _STEP), 1) for length in lengths)
-        self._squares: deque[tuple[float, int]] = deque(maxlen=squares)  # of u' [A/s], and their number, per step
+        self._squares: deque[float | None] = deque(maxlen=squares)  # mean of u'^2 [A^2/s^2] per step; None: no rate
         self._violated: deque[tuple[int, int]] = deque(maxlen=violated)
         self._failed = self._answered = self._recovering = 0
         self.peak = 0.0
@@ -72,9 +74,9 @@ class SafetyMonitor:
 
     @property
     def chatter(self) -> float:
-        """RMS of u' over the window so far [A/s]; 0 at its beginning."""
-        count = sum(n for _, n in self._squares)
-        return math.sqrt(sum(s for s, _ in self._squares) / count) if count else 0.0
+        """RMS of u' in the median step of the window so far [A/s]; 0 at its beginning."""
+        known = [square for square in self._squares if square is not None]
+        return math.sqrt(statistics.median(known)) if known else 0.0
 
     @property
     def violations(self) -> float:
@@ -101,7 +103,7 @@ class SafetyMonitor:
             self._failed = self._answered = 0
             return self._verdict(abs(float(step.error.mean())))
         slope = np.diff(step.current) / SAMPLE_PERIOD
-        self._squares.append((float(slope @ slope), len(slope)))
+        self._squares.append(float(slope @ slope) / len(slope) if len(slope) else None)
         self._violated.append((self._failed, self._answered))
         self._failed = self._answered = 0
         error = abs(float(step.error.mean()))
