@@ -81,6 +81,8 @@ TEXTS = {
     "p_b where v < 0": _form("pressure_b velocity", 1.0),
     "sign(u) max(|u| - threshold, 0)": _form("current", 1.0),
     "(w - u), w' = (u - w) / time within +-rate": _form("current", 1.0, memory=True),
+    "(w - u), w' = (u - w) / (rising or falling)": _form("current", 1.0, memory=True),
+    "q (1 - exp(-t / time)) / (2 dp) from the supply": _form("current pressure_a pressure_b time", 0.5),
     "q (1 - sqrt(|dp| / (|dp| + transition)))": _form("current pressure_a pressure_b", 1.0),
     "q |dp|": _form("current pressure_a pressure_b", 2.5),
     "(w - p_a), w' = (p_a - w) / (rising or falling)": _form("pressure_a", 1.0, memory=True),

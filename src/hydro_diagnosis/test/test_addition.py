@@ -22,7 +22,7 @@ from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import Signals
+from hydro_sim.model.law_signals import Signals
 
 NAMES = [effect.adapted(Bench.nominal()) for effect in LIBRARY]
 

@@ -26,7 +26,9 @@ from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.verdict import assess
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import REVERSING, Law, Signals, edge_losses, shifted
+from hydro_sim.model.edge_laws import edge_losses, shifted
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import REVERSING, Law
 
 BENCH = Bench.nominal()
 
@@ -52,8 +54,8 @@ def test_a_lag_of_limited_rate_is_that_of_its_differential_equation() -> None:
             now += step / parts * min(max((held - now) / time, -rate), rate)
             course[k] = now
         wanted.append(course.mean())
-    np.testing.assert_allclose(limited(signal, step, rate, time), wanted, atol=2e-4)
-    slow = limited(signal, step, 1e6, time)  # no limit: an exponential
+    np.testing.assert_allclose(limited(signal, step, rate, time, time), wanted, atol=2e-4)
+    slow = limited(signal, step, 1e6, time, 1.0)  # no limit: an exponential
     assert slow[2] == pytest.approx(1.0 - time / step * (1.0 - np.exp(-step / time)))
 
 
@@ -208,6 +210,8 @@ def test_a_curved_gauge_is_undone() -> None:
         ("sensor", "gain of hydraulic_force, times |u|", {"coefficient": -15.0}, 0.05),
         ("sensor", "pick-up of jet of pressure_b", {"coefficient": 2e7}, 0.05),
         ("sensor", "reading of piston_position, in ripples", {"coefficient": -5e-5, "pitch": 5e-3, "phase": 1.0}, 0.05),
+        ("actuation", "rises and falls", {"coefficient": 1.0, "rising": 3e-3, "falling": 6e-4}, 0.1),
+        ("actuation", "falling supply", {"coefficient": 8e5, "time": 4.0}, 0.05),
     ],
 )
 def test_a_law_is_found_with_all_of_its_numbers(

@@ -19,8 +19,9 @@ from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.model.simulation import Plant
 from hydro_diagnosis.recording import MEASURED, Segment
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
-from hydro_sim.model import grammar, laws, tables
+from hydro_sim.model import grammar, tables
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.law_signals import Signals
 from hydro_sim.model.laws import Law
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.tables import Table
@@ -168,7 +169,7 @@ def test_a_closure_is_no_effect() -> None:
 def test_a_table_is_the_same_number_by_number(table: Table) -> None:
     low, high = LIMITS[table.variable]
     over = np.linspace(1.5 * low - 0.5 * high, 1.5 * high - 0.5 * low, 501)
-    at = laws.Signals(velocity=np.full_like(over, 0.03), pressure_a=np.full_like(over, 2e5))
+    at = Signals(velocity=np.full_like(over, 0.03), pressure_a=np.full_like(over, 2e5))
     name = {"pressure_difference": "pressure_a", **dict.fromkeys(tables.PASTS, "memory")}.get(table.variable)
     at = replace(at, **{name or table.variable: over})
     values = {name: float(np.sin(k)) for k, name in enumerate(table.names[2:])}
@@ -181,8 +182,8 @@ def test_a_table_is_the_same_number_by_number(table: Table) -> None:
 def test_a_table_is_constant_beyond_what_was_seen() -> None:
     table = grammar.ALL["motion", "table over velocity"]
     numbers = [-0.1, 0.2, *np.arange(tables.KNOTS, dtype=float)]
-    inside = table.value(laws.Signals(velocity=np.array([-0.1, 0.05, 0.2])), BENCH, numbers)
-    beyond = table.value(laws.Signals(velocity=np.array([-9.0, 9.0])), BENCH, numbers)
+    inside = table.value(Signals(velocity=np.array([-0.1, 0.05, 0.2])), BENCH, numbers)
+    beyond = table.value(Signals(velocity=np.array([-9.0, 9.0])), BENCH, numbers)
     np.testing.assert_allclose(inside, [1.0, 0.5 * (tables.KNOTS - 1), tables.KNOTS - 2])
     np.testing.assert_allclose(beyond, [1.0, tables.KNOTS - 2])
 

@@ -21,7 +21,8 @@ from hydro_diagnosis.growing.sightings import sightings
 from hydro_diagnosis.growing.tracing import shape_text
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import Law, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Law
 
 SIGNALS = Signals(0.03, 0.1, 5e6, -4e6, 1e-3, 100.0, 2e6, memory=0.3, number=0.5, second=0.4)
 DRAG = ("motion", "quadratic drag")

@@ -14,7 +14,8 @@ from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.outcome import score
-from hydro_sim.model.laws import REVERSING, SIGN_VELOCITY, TURN, Law, rounded
+from hydro_sim.model.law_signals import SIGN_VELOCITY
+from hydro_sim.model.laws import REVERSING, TURN, Law, rounded
 
 START = 2.0 * SIGN_VELOCITY
 """Value that it is fitted from [m/s]."""

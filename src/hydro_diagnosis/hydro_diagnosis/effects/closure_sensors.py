@@ -7,7 +7,7 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import FloatArray, Memory, Values
 from hydro_diagnosis.effects.closure_terms import Closure
-from hydro_sim.model.laws import sensed
+from hydro_sim.model.law_signals import sensed
 
 _INVERSIONS = 6
 """Iterations that find a signal from its reading: each leaves the part of the error that is not a straight line."""

@@ -27,7 +27,9 @@ from hydro_diagnosis.effects.sensors import TOUCHES
 from hydro_diagnosis.effects.splines import splined
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
-from hydro_sim.model.laws import TURN, Element, Law, Number, Signals, edge_losses, shifted
+from hydro_sim.model.edge_laws import edge_losses, shifted
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import TURN, WIDEST, Element, Law, Number
 from hydro_sim.model.tables import SETTLING, Table
 
 _TOUCHES = {"motion": frozenset({MOTION}), "load": frozenset({MOTION, LOAD})}
@@ -202,7 +204,8 @@ class EdgeClosure(Closure):
         assert bench is not None
         opened, closed = (np.fmax(sign * oil.spool, 0.0).mean(axis=-1) for sign in (1.0, -1.0))
         openings = bench.valve_gain * opened, bench.valve_gain * closed
-        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(at, values))
+        past = self._remembering(Signals(current=oil.spool.mean(axis=-1)), memory, values).memory
+        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(replace(at, memory=past), values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
 
@@ -252,5 +255,7 @@ class ValveClosure(Closure):
             warm = held_lag(self._driver(at).ravel(), substep, values.get("time", SETTLING), 0.0)[1]
             at = replace(at, memory=warm.reshape(spool.shape))
         elif self.element is not None:
-            at = replace(at, memory=limited(path, substep, values["rate"], values["time"]).reshape(spool.shape))
+            rising, falling = (values.get(name, values.get("time", 0.0)) for name in ("rising", "falling"))
+            late = limited(path, substep, values.get("rate", WIDEST), rising, falling)
+            at = replace(at, memory=late.reshape(spool.shape))
         return spool + self.given(at, values)

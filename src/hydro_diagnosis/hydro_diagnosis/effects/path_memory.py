@@ -25,8 +25,10 @@ def along(position, stiffness, limit):
 
 
 @njit(cache=True)
-def limited(signal, step, rate, time):
-    """Means over each step [s], shape (n,), of w' = (s - w) / time within +-rate, for a held signal; at rest first.
+def limited(signal, step, rate, rising, falling):
+    """Means over each step [s], shape (n,), of w' = (s - w) / T within +-rate, for a held signal; at rest first.
+
+    T is `rising` [s] while s is above w, `falling` while it is below.
 
     Exact: w goes straight while it is further than rate times time from the signal, then exponentially.
     """
@@ -35,6 +37,7 @@ def limited(signal, step, rate, time):
     for k in range(len(signal)):
         off = signal[k] - now
         distance = abs(off)
+        time = rising if off > 0.0 else falling
         fast = min(max(distance / rate - time, 0.0), step)
         near = distance - rate * fast
         left = np.exp((fast - step) / time)
@@ -46,19 +49,23 @@ def limited(signal, step, rate, time):
 
 @njit(cache=True)
 def turning(signal, step, rising, falling):
-    """Lag w' = (s - w) / T of a signal that is straight between samples, shape (n,), from its first value.
+    """Lag w' = (s - w) / T of a signal that is straight between samples, shape (n,).
 
-    T is `rising` [s] while s is above w, `falling` while it is below; a sample is taken in parts, each as held.
+    It begins at the signal. T is `rising` [s] while s is above w, `falling` while it is below: that of its middle is
+    taken for each of the parts of a sample, in which the lag is exact.
     """
     parts = 8
     out = np.empty(len(signal))
     now = signal[0]
     out[0] = now
-    up, down = 1.0 - np.exp(-step / parts / rising), 1.0 - np.exp(-step / parts / falling)
+    part = step / parts
     for k in range(1, len(signal)):
-        for part in range(parts):
-            off = signal[k - 1] + (part + 0.5) / parts * (signal[k] - signal[k - 1]) - now
-            now += off * (up if off > 0.0 else down)
+        slope, begin = (signal[k] - signal[k - 1]) / step, signal[k - 1]
+        for _ in range(parts):
+            time = rising if begin + 0.5 * slope * part > now else falling
+            behind = (now - begin + slope * time) * np.exp(-part / time) - slope * time
+            begin += slope * part
+            now = begin + behind
         out[k] = now
     return out
 

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from hydro_sim.model.laws import Law, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Law
 
 _OPERATORS: dict[str, type[ast.operator]] = {
     "add": ast.Add, "sub": ast.Sub, "mul": ast.Mult, "truediv": ast.Div, "pow": ast.Pow,

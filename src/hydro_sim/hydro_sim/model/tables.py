@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.model.equations import Symbol, clip
-from hydro_sim.model.laws import Element, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Element
 
 KNOTS = 12
 """Numbers of a table: of so many cubic B-splines."""

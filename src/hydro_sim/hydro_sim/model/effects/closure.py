@@ -30,7 +30,7 @@ def made(law: Law | Table) -> type[Closure]:
     else:
         members |= {one.name: _number(one) for one in law.numbers}
     if element is not None:
-        members |= {**_states(element, law.equation), "element": element}
+        members |= {**_states(element, law), "element": element}
     elif law.picks_up:
         members |= {"held": hidden("A", scale=1e-3)}
     about = {"law": law, "options": {"equation": (law.equation,), "form": (law.form,)}, "__doc__": Closure.__doc__}
@@ -43,17 +43,18 @@ def _number(number: Number) -> dict[str, Any]:
     return parameter(number.unit, *number.bounds, scale=abs(middle), neutral=middle)
 
 
-def _states(element: Element, equation: str) -> dict[str, Any]:
+def _states(element: Element, law: Law | Table) -> dict[str, Any]:
     """An element's hidden states."""
     unit, scale = element.signal_unit, _SCALES[element.signal_unit]
-    where = {"where": hidden(unit, scale=scale)}
+    where, past = {"where": hidden(unit, scale=scale)}, {"past": hidden(unit, scale=scale, integrated=True)}
+    spool = law.equation == "actuation" and not law.where
     return {
-        "lag": {"past": hidden(unit, scale=scale, integrated=True)},
-        "turn": {"past": hidden(unit, scale=scale, integrated=True)},
+        "lag": past,
+        "turn": where if spool else past,
         "heat": {"past": hidden("-", scale=1.0, integrated=True)},
         "path": {"bent": hidden("-", scale=1.0), **where},
         "rate": where,
-        "slow": {"past": hidden(unit, scale=scale, integrated=equation != "actuation")},
+        "slow": {"past": hidden(unit, scale=scale, integrated=not spool)},
     }[element.kind]
 
 
@@ -62,10 +63,11 @@ _MEMORIES = {
     "lag": memory.Lagging,
     "heat": memory.Warming,
     "path": memory.Bending,
-    "rate": memory.Limited,
     "slow": memory.Following,
     "turn": memory.Turning,
 }
+_AT_SPOOL = {"rate": memory.Limited, "slow": memory.Settling, "turn": memory.TurningSpool}
+"""What a spool, which is held over a step, remembers otherwise."""
 
 
 def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ...]:
@@ -80,8 +82,8 @@ def _bases(law: Law | Table, element: Element | None) -> tuple[type[Closure], ..
         return (terms.Shaken,) if law.equation == "sensor" else (terms.DraggedClosure,)
     if element is None:
         return (terms.PickingUp,) if law.picks_up else (acts,)
-    remembers = memory.Settling if element.kind == "slow" and acts is terms.ValveClosure else _MEMORIES[element.kind]
-    return remembers, acts
+    remembers = _AT_SPOOL.get(element.kind) if acts is terms.ValveClosure else None
+    return remembers or _MEMORIES[element.kind], acts
 
 
 EFFECTS = tuple(made(law) for law in grammar.ALL.values())

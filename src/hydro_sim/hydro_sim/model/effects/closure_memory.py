@@ -10,7 +10,7 @@ import numpy as np
 from hydro_sim.model import equations as eq
 from hydro_sim.model.effects.closure_terms import Closure
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import Signals
+from hydro_sim.model.law_signals import Signals
 
 
 class Measured(Closure):
@@ -143,3 +143,26 @@ class Limited(Closure):
         off = signal - self.where
         fast = eq.clip(np.abs(off) / self.rate - self.time, 0.0, self.at.step)
         return off, np.abs(off) - self.rate * fast, np.exp((fast - self.at.step) / self.time)
+
+
+class TurningSpool(Closure):
+    """A law of a spool that follows rises by another time than falls."""
+
+    def begin(self, signals: Mapping[str, Symbol]) -> dict[str, Symbol]:
+        return {"where": signals["spool"]}
+
+    def command(self, spool: Symbol) -> Symbol:
+        off, _, left = self._course(spool)
+        self.next["where"] = spool - off * left
+        return super().command(spool)
+
+    def _remembered(self, signal: Symbol) -> Symbol:
+        """Mean over the step, exact for a signal that is held."""
+        off, time, left = self._course(signal)
+        return signal - off * time * (1.0 - left) / self.at.step
+
+    def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
+        """How far off the signal is, the time over which that fades, and what a step leaves of it."""
+        off = signal - self.where
+        time = eq.choose(off > 0.0, self.rising, self.falling)
+        return off, time, np.exp(-self.at.step / time)

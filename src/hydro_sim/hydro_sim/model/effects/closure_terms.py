@@ -8,10 +8,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from hydro_sim.model import laws
+from hydro_sim.model.edge_laws import edge_losses, shifted
 from hydro_sim.model.effects.base import Effect
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import Element, Law, Signals
+from hydro_sim.model.law_signals import Signals, sensed
+from hydro_sim.model.laws import Element, Law
 from hydro_sim.model.tables import Table
 
 
@@ -62,7 +63,8 @@ class EdgeClosure(Closure):
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
         openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
-        return laws.edge_losses(n, openings, (pressure_a, pressure_b), self._value)
+        past = self._past()
+        return edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(replace(at, memory=past)))
 
 
 class AcrossClosure(Closure):
@@ -71,7 +73,7 @@ class AcrossClosure(Closure):
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:
         n, spool = self.at.numbers, self.at.spool
         at = Signals(self.at.position, self.at.velocity, pressure_a, pressure_b, spool)
-        return laws.shifted(n, spool, self._value(at), (pressure_a, pressure_b))
+        return shifted(n, spool, self._value(at), (pressure_a, pressure_b))
 
 
 class DraggedClosure(Closure):
@@ -99,7 +101,7 @@ class SensorClosure(Closure):
         pressure_a, pressure_b = self.at.pressures
         beside = {"position": self.at.position, "velocity": self.at.velocity, "pressure_a": pressure_a,
                   "pressure_b": pressure_b, "current": self._held(), "acceleration": self.at.acceleration}  # fmt: skip
-        return signal + self._value(replace(laws.sensed(channel, signal, beside), memory=self._past()))
+        return signal + self._value(replace(sensed(channel, signal, beside), memory=self._past()))
 
 
 class ValveClosure(Closure):

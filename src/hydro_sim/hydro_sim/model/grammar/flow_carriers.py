@@ -11,7 +11,7 @@ import numpy as np
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Carrier
 from hydro_sim.model.grammar.words import BETWEEN
-from hydro_sim.model.laws import Signals
+from hydro_sim.model.law_signals import Signals
 
 
 def _flow(equation: str, name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,

@@ -11,7 +11,7 @@ import numpy as np
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Carrier
 from hydro_sim.model.grammar.words import deflection
-from hydro_sim.model.laws import Signals
+from hydro_sim.model.law_signals import Signals
 
 _FRICTION = "Dry friction"
 

@@ -11,7 +11,8 @@ import numpy as np
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Modulation
 from hydro_sim.model.grammar.words import PLACE, above, threshold
-from hydro_sim.model.laws import Element, Number, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Element, Number
 
 ALWAYS = Modulation(name="", text="{}", phrase="", factor=lambda at, n: 1.0)
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import Element, Law, Number, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Element, Law, Number
 
 EQUATION_UNITS = {
     "motion": "N", "load": "N", "pressure": "m3/s", "pressure_a": "m3/s", "pressure_b": "m3/s", "actuation": "A",

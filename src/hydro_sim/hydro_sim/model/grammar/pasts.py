@@ -11,7 +11,8 @@ from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.modulations import TIMES
 from hydro_sim.model.grammar.parts import Modulation
 from hydro_sim.model.grammar.words import LAG, above, middle, path, threshold, within
-from hydro_sim.model.laws import Element, Number, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Element, Number
 
 FADING = Modulation(
     name="fading from the start", text="{} exp(-t / time)", uses="time",

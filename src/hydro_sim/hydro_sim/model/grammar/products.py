@@ -11,7 +11,8 @@ import numpy as np
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Modulation
 from hydro_sim.model.grammar.words import BETWEEN, deflection, middle
-from hydro_sim.model.laws import Number, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Number
 
 
 def _times(text: str, unit: str, scale: float, uses: str, cause: str,

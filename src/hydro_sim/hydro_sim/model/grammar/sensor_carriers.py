@@ -9,7 +9,7 @@ from typing import Any
 
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Carrier
-from hydro_sim.model.laws import Signals
+from hydro_sim.model.law_signals import Signals
 
 _SENSORS = {"hydraulic_force": "load cell at the piston rod", "load_force": "load cell at the load",
             "pressure_a": "pressure sensor of chamber A", "pressure_b": "pressure sensor of chamber B",

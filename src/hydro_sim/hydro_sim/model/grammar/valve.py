@@ -6,9 +6,12 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_sim.model.equations import LAMINAR
+from hydro_sim.model.grammar.modulations import TIMES
 from hydro_sim.model.grammar.words import above, path, threshold, within
 from hydro_sim.model.laws import Element, Law, Number
 
+_LEAST = 0.05
+"""Of the supply: a pressure drop that is taken no smaller where it is divided by."""
 LAWS: tuple[Law, ...] = (
     Law("actuation", "quadratic gain", "1/A", "u |u|",
         "Flow that is not proportional to the current: typical of edges with round ports.",
@@ -32,6 +35,17 @@ LAWS: tuple[Law, ...] = (
         "A spool that lags, and moves no faster than a rate: typical of a pilot stage that saturates; 1: all of it.",
         1.0, lambda at, n: at.memory - at.current, Element("rate", "current"),
         (Number("rate", "A/s", (0.03, 0.1, 0.3, 1.0)), Number("time", "s", (2e-4, 1e-3, 5e-3)))),
+    Law("actuation", "rises and falls", "-", "(w - u), w' = (u - w) / (rising or falling)",
+        "A spool that follows rises and falls at different rates: typical of a pilot stage of which one nozzle is half "
+        "clogged; 1: all of it.",
+        1.0, lambda at, n: at.memory - at.current, Element("turn", "current"),
+        (Number("rising", "s", (3e-4, 1e-3, 4e-3)), Number("falling", "s", (3e-4, 1e-3, 4e-3)))),
+    Law("actuation", "falling supply", "Pa", "q (1 - exp(-t / time)) / (2 dp) from the supply",
+        "Edges that are fed by a pressure that falls from the start: typical of a pump's relief valve that sets down "
+        "as it warms, or an accumulator that empties.",
+        5e5, lambda at, n: 0.5 * at.feeds * at.memory / np.fmax(np.abs(at.drop), _LEAST * n.supply_pressure),
+        Element("slow", "time"), (Number("time", "s", TIMES),), where="edges",
+        uses=frozenset({"current", "pressure_a", "pressure_b", "time"})),
     Law("actuation", "laminar edges", "-", "q (1 - sqrt(|dp| / (|dp| + transition)))",
         "Edges that pass less at small pressure drops: typical of flow that is laminar below and turbulent above; "
         "1: all of it.",

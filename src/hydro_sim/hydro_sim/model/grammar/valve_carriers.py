@@ -11,7 +11,8 @@ import numpy as np
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Carrier
 from hydro_sim.model.grammar.words import BETWEEN, deflection
-from hydro_sim.model.laws import Number, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Number
 
 
 def _spool(name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from hydro_sim.model.equations import Symbol
-from hydro_sim.model.laws import Element, Number, Signals
+from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Element, Number
 
 BETWEEN = "pressure_a pressure_b"
 """What the pressure difference is made of."""
