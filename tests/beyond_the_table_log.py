@@ -152,6 +152,27 @@ def set_down(s: Signals, sag: float, seconds: float) -> FloatArray:
     return np.asarray(GAIN * np.maximum(s.u, 0.0) * (np.sqrt(above) - np.sqrt(above - lost)))
 
 
+def dammed(s: Signals, resistance: float, seconds: float) -> FloatArray:
+    """Flow out of B [m3/s] that a return line's pressure keeps back, which follows the flow to the tank late."""
+    opened, above, back, out = GAIN * np.abs(s.u), np.where(s.u >= 0.0, s.b, s.a), 0.0, np.zeros_like(s.a)
+    steps = 20
+    for k in range(len(out)):
+        for _ in range(steps):
+            out[k] += opened[k] * (math.sqrt(above[k]) - math.sqrt(above[k] - back)) / steps
+            flow = opened[k] * math.sqrt(above[k] - back)
+            back += PERIOD / steps * (resistance * flow - back) / seconds
+    return np.asarray(np.where(s.u >= 0.0, out, 0.0))
+
+
+def covered(s: Signals, share: float, end: float) -> FloatArray:
+    """Flow into A [m3/s] that the piston keeps back where it covers the port."""
+    return np.asarray(over_a(s) * s.u * share * np.clip(end - s.x, 0.0, None))
+
+
+def signed_root(difference: FloatArray) -> FloatArray:
+    return np.asarray(np.sign(difference) * np.sqrt(np.abs(difference)))
+
+
 def warmth(s: Signals, seconds: float) -> FloatArray:
     return lag(np.abs(s.u) / BENCH.valve_nominal_current, seconds)
 

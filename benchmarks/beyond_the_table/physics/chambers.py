@@ -9,6 +9,7 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     BLOW_BY,
+    BYPASS_GROOVE,
     DAMPER_STUB,
     FLOATING_RING,
     GAP_WIDENS,
@@ -19,6 +20,7 @@ from benchmarks.beyond_the_table.physics.places import (
     LIPS_CLOSE,
     LIPS_LIFT,
     MEMORY,
+    OIL_EXPANDS,
     PISTON_TILTS,
     PORT_RELIEF,
     ROD_FILM,
@@ -26,6 +28,7 @@ from benchmarks.beyond_the_table.physics.places import (
     TANK_WARMS,
     WEEPING_FITTING,
     WORN_BORE,
+    WORN_LAND,
 )
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, root
 
@@ -55,6 +58,10 @@ def lost_flows(kind, size, shape, bench, time, state):
         return 0.0, size * root(b - state[MEMORY])
     if kind == LIPS_CLOSE:
         return 0.0, size * (b - bench.tank_pressure) * max(shape - b, 0.0)
+    if kind == WORN_LAND:
+        return -size * root(bench.supply_pressure - a), 0.0
+    if kind == OIL_EXPANDS:
+        return 0.0, -size * math.exp(-time / shape)
     flow = across(kind, size, shape, bench, time, a, b, state)
     return flow, -flow
 
@@ -76,6 +83,8 @@ def across(kind, size, shape, bench, time, a, b, state):
         return size * (a - b) * (1.0 - state[MEMORY] ** 2)
     if kind == TANK_WARMS:
         return size * (a - b) * (1.0 - math.exp(-time / shape))
+    if kind == BYPASS_GROOVE:
+        return size * max(state[POSITION] - shape, 0.0) * root(a - b)
     if kind == LIPS_LIFT:
         return size * (a - b) * abs(state[VELOCITY])
     return size * (a - b) * state[MEMORY] if kind == HOT_LEAK else 0.0

@@ -11,12 +11,15 @@ from benchmarks.beyond_the_table.physics.places import (
     AIR_SPRING,
     CONICAL_SPRING,
     FOAM_BLOCK,
+    FRICTION_STRUT,
     GRIP_MASS,
     JAWS_SLIP,
     LEAF_SPRING,
     MEMORY,
+    MEMORY_FOAM,
     MOUNT,
     REBOUND_DAMPER,
+    RUBBER_QUICKENS,
     SPECIMEN_BEDS_IN,
     SPECIMEN_DAMPING,
     SPECIMEN_SOFTENS,
@@ -57,6 +60,12 @@ def extra_load(kind, size, shape, bench, time, state):
         return size * ((1.0 - (position - bench.spring_rest_position) / shape) ** -POLYTROPIC - 1.0)
     if kind == FOAM_BLOCK:
         return size * max(position - bench.spring_rest_position, 0.0) * velocity
+    if kind == FRICTION_STRUT:
+        return size * math.tanh(velocity / shape)
+    if kind == RUBBER_QUICKENS:
+        return size * (position - bench.spring_rest_position) * abs(velocity)
+    if kind == MEMORY_FOAM:
+        return size * max(position - bench.spring_rest_position - state[MEMORY], 0.0)
     return -size * state[MEMORY] * spring(bench, position) if kind == SPECIMEN_SOFTENS else 0.0
 
 
@@ -77,13 +86,15 @@ def brake(kind, size, bench, state, seconds):
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of a spring's or a rope's path, of the foot of a mount or a specimen [m/s], and of a specimen's warmth."""
+    """Rate of a spring's or rope's path, of a mount's or specimen's foot or a foam [m/s], of a specimen's warmth."""
     memory, velocity = state[MEMORY], state[VELOCITY]
     if kind in (SPRING_HYSTERESIS, WIRE_ROPE):
         return (velocity - abs(velocity) * memory) / shape
     if kind == MOUNT:
         load = spring(bench, state[POSITION] - memory)
         return (size * load / bench.spring_stiffness - memory) / shape
+    if kind == MEMORY_FOAM:
+        return (state[POSITION] - bench.spring_rest_position - state[MEMORY]) / shape
     if kind == JAWS_SLIP:
         return size * outside(spring(bench, state[POSITION] - memory), shape)
     return (abs(velocity) / WORKED - memory) / shape if kind == SPECIMEN_SOFTENS else 0.0

@@ -9,10 +9,13 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     BACKUP_RING,
+    BLOWN_LIP,
     BORE_SCORE,
     COLD_START,
     CUSHION,
     DRAG,
+    DRY_RAIL,
+    EDDY_RING,
     FILM_SQUEEZED,
     FRICTION_LAG,
     FRICTION_POSITION,
@@ -22,6 +25,7 @@ from benchmarks.beyond_the_table.physics.places import (
     HOSE_STIFFENS,
     LIP_FILM,
     MEMORY,
+    OIL_POT,
     ROD_BELLOWS,
     SEAL,
     SHEAR_THINNING,
@@ -43,6 +47,10 @@ DRAWN_IN = 8e-3
 """m of travel that draw a film in again."""
 RING_TURN = 5e-3
 """m/s over which a backup ring's friction turns its sign round, and that of a guide under a bowed spring."""
+JOINT = 1e-3
+"""m about the joint of two rails in which a carriage passes from one to the other."""
+RAIL_TURN = 5e-3
+"""m/s over which a dry rail's friction turns its sign round."""
 RUBBED = 0.1
 """m/s at which a guide has warmed by 1 in the end."""
 
@@ -88,12 +96,21 @@ def extra_force(kind, size, shape, bench, time, state):
         return -size * max(bench.spring_rest_position - position, 0.0) ** 2 * math.tanh(velocity / RING_TURN)
     if kind == GUIDE_SWELLS:
         return -size * memory * math.tanh(velocity / TURN)
+    if kind == BLOWN_LIP:
+        return -size * state[PRESSURE_A] * velocity
+    if kind == EDDY_RING:
+        return -size * velocity / (1.0 + (velocity / shape) ** 2)
+    if kind == DRY_RAIL:
+        beyond = 0.5 * (1.0 + math.tanh((position - shape) / JOINT))
+        return -size * beyond * math.tanh(velocity / RAIL_TURN)
+    if kind == OIL_POT:
+        return -size * (velocity - memory)
     return -size * velocity / (1.0 + abs(velocity) / shape) if kind == SHEAR_THINNING else 0.0
 
 
 @njit
 def memory_rate(kind, shape, bench, state):
-    """Rate of warmth (travelled, or of a guide), of a film's velocity [m/s2], of bellows' air [m/s], of dry lips."""
+    """Rate of warmth (travelled, or of a guide), of a film's or a pot's velocity [m/s2], of air [m/s], of dry lips."""
     if kind == HEAT:
         return abs(state[VELOCITY]) / shape - state[MEMORY] / 10.0
     if kind == ROD_BELLOWS:
@@ -102,4 +119,4 @@ def memory_rate(kind, shape, bench, state):
         return (1.0 - state[MEMORY]) / shape - abs(state[VELOCITY]) * state[MEMORY] / DRAWN_IN
     if kind == GUIDE_SWELLS:
         return (abs(state[VELOCITY]) / RUBBED - state[MEMORY]) / shape
-    return (state[VELOCITY] - state[MEMORY]) / shape if kind == FRICTION_LAG else 0.0
+    return (state[VELOCITY] - state[MEMORY]) / shape if kind in (FRICTION_LAG, OIL_POT) else 0.0

@@ -8,16 +8,19 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    BARREL_STRETCHES,
     BRIDGE_SAGS,
     CELL_BYPASS,
     CELL_CREEP,
     CELL_CURVE,
+    CELL_GAIN_WARMS,
     CELL_HYSTERESIS,
     CELL_PICKUP,
     CELL_RECTIFIES,
     CELL_SEATS,
     CELL_SLEW,
     ENCODER_PLAY,
+    GAUGE_COARSE,
     GAUGE_CROSSTALK,
     GAUGE_LIMIT,
     GAUGE_SNUBBER,
@@ -67,6 +70,12 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[0] += size * current**2
     if kind == CELL_SEATS:
         row[2] -= size * min(max(state[CELL], -shape), shape)
+    if kind == GAUGE_COARSE and size > 0.0:
+        row[5] += size * math.floor(state[PRESSURE_B] / size + 0.5) - state[PRESSURE_B]
+    if kind == CELL_GAIN_WARMS:
+        row[0] += size * (1.0 - math.exp(-time / shape)) * hydraulic_force(bench, state)
+    if kind == BARREL_STRETCHES:
+        row[6] -= size * state[PRESSURE_B]
     if kind == CELL_SLEW and size > 0.0:
         row[0] += state[MEMORY] - hydraulic_force(bench, state)
 

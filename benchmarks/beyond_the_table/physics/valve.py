@@ -13,10 +13,13 @@ from benchmarks.beyond_the_table.physics.places import (
     JET_FORCE,
     LOAD_NULL,
     MEMORY,
+    MOTOR_SATURATES,
     NOTCHED_SPOOL,
     NULL_WARMS,
     PILOT_CLOGGED,
+    PORT_COVERED,
     RETURN_FILTER,
+    RETURN_POT,
     SILTED_EDGE,
     SPOOL_RATE,
     SPOOL_STOP,
@@ -69,6 +72,8 @@ def drawn(kind, size, shape, bench, current, state):
         return current - size * acceleration(bench, state)
     if kind == NOTCHED_SPOOL:
         return current - size * min(max(current, -shape), shape)
+    if kind == MOTOR_SATURATES:
+        return current / math.sqrt(1.0 + size * (current / shape) ** 2)
     if kind == PILOT_CLOGGED and size > 0.0:
         return memory
     return memory if kind == SPOOL_RATE else current
@@ -96,7 +101,7 @@ def drops(bench, out, state):
 @njit
 def blocked_flows(kind, size, shape, bench, time, current, state):
     """Flows [m3/s] that the edges do not pass: into chamber A and out of chamber B, as `lost_flows` counts them."""
-    if kind not in (TRANSITION, RETURN_FILTER, SILTED_EDGE, EDGE_CHOKES, SUPPLY_SETS):
+    if kind not in (TRANSITION, RETURN_FILTER, SILTED_EDGE, EDGE_CHOKES, SUPPLY_SETS, RETURN_POT, PORT_COVERED):
         return 0.0, 0.0
     moved = flow_gain(bench) * opening(bench, time, current)
     out = moved >= 0.0
@@ -115,6 +120,12 @@ def blocked_flows(kind, size, shape, bench, time, current, state):
         over = over_a if out else over_b
         short = moved * (root(over) - root(over - size * (1.0 - math.exp(-time / shape))))
         return (short, 0.0) if out else (0.0, -short)
+    if kind == PORT_COVERED:
+        return size * max(shape - state[POSITION], 0.0) * moved * root(over_a), 0.0
+    if kind == RETURN_POT:
+        over = over_b if out else over_a
+        short = moved * (root(over) - root(over - state[MEMORY]))
+        return (0.0, -short) if out else (short, 0.0)
     # q = moved sqrt(over - size q^2), solved for q: only the edge to the tank has the filter behind it
     short = moved * (1.0 - 1.0 / math.sqrt(1.0 + size * moved**2))
     return (0.0, -short * root(over_b)) if out else (short * root(over_a), 0.0)
@@ -122,7 +133,7 @@ def blocked_flows(kind, size, shape, bench, time, current, state):
 
 @njit
 def memory_rate(kind, size, shape, bench, current, slope, state):
-    """Rate of the magnetisation, the spool [A/s] or the warmth of valve or coil; `slope` is the current's [A/s]."""
+    """Rate of magnetisation, spool [A/s], warmth of valve or coil, return pressure [Pa/s]; `slope` is in A/s."""
     memory = state[MEMORY]
     if kind == VALVE_HYSTERESIS:
         return (slope - abs(slope) * memory) / shape
@@ -130,6 +141,10 @@ def memory_rate(kind, size, shape, bench, current, slope, state):
         return min(max(2.0 * math.pi * shape * (current - memory), -size), size)
     if kind == COIL_WARMS:
         return ((current / WARM) ** 2 - memory) / shape
+    if kind == RETURN_POT:
+        moved = flow_gain(bench) * opening(bench, 0.0, current)
+        over = state[PRESSURE_B] if moved >= 0.0 else state[PRESSURE_A]
+        return (size * abs(moved * root(over - bench.tank_pressure - memory)) - memory) / shape
     if kind == PILOT_CLOGGED:
         return (current - memory) / (max(size, NOZZLE) if current > memory else NOZZLE)
     return (abs(current) / bench.valve_nominal_current - memory) / shape if kind == NULL_WARMS else 0.0
