@@ -40,12 +40,12 @@ from hydro_diagnosis.report.corrected_bench import claims_of
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.current_alignment import current_is_early, current_is_late
 from hydro_diagnosis.selection.effect_summary import describe, location_of
-from hydro_diagnosis.selection.foretelling import made_worse, not_foretold
+from hydro_diagnosis.selection.foretelling import distrusted, made_worse, not_foretold, withheld
 from hydro_diagnosis.selection.localisation import locate, locate_claims, noticeable
 from hydro_diagnosis.selection.number_estimates import number_estimates
 from hydro_diagnosis.selection.outcome import NAMES, Outcome, SearchSettings
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.selection.verdict import Assessment, assess
+from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
 from hydro_diagnosis.validation.equations import equations_told, held_out
 from hydro_diagnosis.validation.heldout import Known
 from hydro_sim.model.bench import Bench
@@ -153,10 +153,14 @@ def _diagnosed(
     unseen = Problem(held, believed, problem.baseline, noise=problem.sensor_noise)
     unseen.update_weights(assessment.fit.claims)
     simulated: Known = {}
-    proof, ahead = (
-        held_out(problem, unseen, assessment.fit.claims, models, simulated),
-        next_recording(problem, outcome, assessment) if rehearsable(believed) else None,
-    )
+    proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
+    taken_back = ""
+    if assessment.verdict == "explained" and (worse := made_worse(proof)):
+        taken_back = withheld(assessment.fit.claims, worse)
+        assessment, bounds = refuted(problem, assessment, outcome.nothing), []
+        unseen.update_weights(())
+        proof = held_out(problem, unseen, (), models, simulated)
+    ahead = next_recording(problem, outcome, assessment) if rehearsable(believed) else None
     closing = []
     if assessment.remainder and not late:
         progress(stage_bar.MODELLING)
@@ -174,8 +178,9 @@ def _diagnosed(
     hidden = untold(problem, assessment.fit, search.library, search.settings.threshold)
     effects = describe(problem, unseen, outcome, assessment, bounds)
     beyond = "" if assessment.remainder else not_foretold(unseen, assessment.fit.claims)
-    cut_short, worse = _cut_short(outcome, assessment), made_worse(proof)
-    notes = tuple(note for note in (late, current_is_early(problem, effects), hidden, cut_short, beyond, worse) if note)
+    cut_short, distrust = _cut_short(outcome, assessment), distrusted(made_worse(proof))
+    said = (late, current_is_early(problem, effects), hidden, cut_short, beyond, taken_back, distrust)
+    notes = tuple(note for note in said if note)
     report = Report(
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],

@@ -18,7 +18,7 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.preprocessing.quality import checked
-from hydro_diagnosis.selection.foretelling import made_worse, not_foretold
+from hydro_diagnosis.selection.foretelling import distrusted, made_worse, not_foretold
 from hydro_sim.model.bench import Bench
 
 BENCH = Bench.nominal()
@@ -64,7 +64,8 @@ def test_a_held_out_channel_that_is_made_worse_is_said() -> None:
     fine = {"piston_position": error(6e-6, 1e-6), "pressure_a": error(1e-6, 1.2e-6)}
     assert not made_worse({"holdout": fine})
     assert not made_worse({"holdout": {}})
-    note = made_worse({"holdout": fine | {"load_force": error(6e-6, 1.38e-5)}})
+    note = distrusted(made_worse({"holdout": fine | {"load_force": error(6e-6, 1.38e-5)}}))
+    assert not distrusted("")
     assert "load_force at 13.8 noise floors instead of 6" in note
     assert "piston_position" not in note
 
@@ -85,3 +86,23 @@ def test_what_is_not_foretold_is_said_in_the_terminal(
     said = capsys.readouterr().out
     told = [note for note in notes if note.startswith("the held-out recordings")]
     assert told and all(f"  note: {note}\n" in said for note in told)
+
+
+@pytest.mark.slow
+def test_names_that_predict_the_held_out_recordings_worse_than_the_bench_file_are_not_claimed(
+    record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """A drag that was there in one recording and not in the other."""
+    dragged = replace(BENCH, effects=({"id": "friction_viscous", "parameters": {"coefficient": 300.0}},))
+    for name, bench, seed in (("with", dragged, 1), ("without", BENCH, 2), ("again", dragged, 3)):
+        frame(record(bench, seed)).to_csv(tmp_path / f"{name}.csv", index=False)
+    for held, verdict, names in (("without", "unknown", []), ("again", "explained", ["friction_viscous"])):
+        words = [str(tmp_path / "with.csv"), "--holdout", str(tmp_path / f"{held}.csv"), "--quiet"]
+        assert run([*words, "--out", str(tmp_path / held)]) == 0
+        report = json.loads((tmp_path / held / "report.json").read_text(encoding="utf-8"))
+        assert report["verdict"] == verdict
+        assert [effect["id"] for effect in report["effects"]] == names
+        assert ("  note: friction_viscous would explain" in capsys.readouterr().out) == (held == "without")
+        errors = report["fit"]["holdout"].values()
+        assert all(error["rmse_after"] <= 1.1 * error["rmse_before"] + error["noise_floor"] for error in errors)

@@ -17,7 +17,7 @@ SHOWN = 1.35
 
 
 def made_worse(proof: Mapping[str, Any]) -> str:
-    """Note on held-out channels that the model handed back predicts worse than the bench file; empty where none is.
+    """Held-out channels that the corrected model predicts worse than the bench file; empty where none is.
 
     `proof`: `fit` of report.json. Under much noise wrong names may leave nothing in what they were fitted to.
     """
@@ -27,11 +27,25 @@ def made_worse(proof: Mapping[str, Any]) -> str:
         for channel, error in proof["holdout"].items()
         if error["rmse_after"] > max(WORSE * error["rmse_before"], SHOWN * error["noise_floor"])
     ]
+    return "; ".join(worse)
+
+
+def withheld(claims: Sequence[Claim], worse: str) -> str:
+    """Note on names that explain what was fitted and are not handed back, since `worse` of the held-out recordings."""
+    names = ", ".join(dict.fromkeys(claim.effect.id for claim in claims))
+    return (
+        f"{names} would explain the recordings that were fitted, but predict the held-out ones worse than the bench "
+        f"file does ({worse}): not claimed; record with less noise or more motion"
+    )
+
+
+def distrusted(worse: str) -> str:
+    """Note on a model that is handed back although `worse`; empty where it is not."""
     if not worse:
         return ""
     return (
-        f"the held-out recordings are predicted worse than by the bench file ({'; '.join(worse)}): do not trust what "
-        "is named; record with less noise or more motion"
+        f"the held-out recordings are predicted worse than by the bench file ({worse}): do not trust what is named; "
+        "record with less noise or more motion"
     )
 
 

@@ -76,6 +76,14 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
     )
 
 
+def refuted(problem: Problem, assessment: Assessment, nothing: Fit) -> Assessment:
+    """The judgement without its names: they fit, but held-out recordings are predicted worse than by the bench file."""
+    forms = free_forms(problem, nothing)
+    dropped = (*assessment.dropped, *assessment.fit.claims)
+    remainder = tuple(locate(problem, nothing.residual, forms)) or assessment.places
+    return Assessment("unknown", nothing, remainder, remainder, tuple(forms[:6]), dropped)
+
+
 def _named(problem: Problem, found: Fit) -> Fit:
     """The fit without what has no name; the others keep the values that they have beside it."""
     named = tuple(claim for claim in found.claims if claim.effect.named)
