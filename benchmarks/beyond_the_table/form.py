@@ -43,6 +43,8 @@ TEXTS = {
     "p_a^2": _form("pressure_a", 2.0),
     "p_b^2": _form("pressure_b", 2.0),
     "sign(u) min(|u|, threshold)": _form("current", 1.0),
+    "v / (1 + (v / level)^2)": _form("velocity", 1.0),
+    "(u - u / sqrt(1 + (u / level)^2))": _form("current", 1.0),
     "v min(1, threshold / |v|)": _form("velocity", 1.0),
     "(x - x_rest) / (1 - (x - x_rest) / gap)": _form("position", 1.0),
     "u |u|": _form("current", 2.0),

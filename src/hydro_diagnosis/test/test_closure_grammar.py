@@ -211,6 +211,10 @@ def test_a_curved_gauge_is_undone() -> None:
         ("sensor", "pick-up of jet of pressure_b", {"coefficient": 2e7}, 0.05),
         ("sensor", "reading of piston_position, in ripples", {"coefficient": -5e-5, "pitch": 5e-3, "phase": 1.0}, 0.05),
         ("actuation", "rises and falls", {"coefficient": 1.0, "rising": 3e-3, "falling": 6e-4}, 0.1),
+        ("motion", "drag past its peak", {"coefficient": 400.0, "level": 0.02}, 0.05),
+        ("actuation", "rounded gain", {"coefficient": -1.0, "level": 4e-3}, 0.2),
+        ("load", "stiffness, times |v|", {"coefficient": 1e4}, 0.05),
+        ("pressure_b", "flow, fading from the start", {"coefficient": -3e-7, "time": 4.0}, 0.05),
         ("actuation", "falling supply", {"coefficient": 8e5, "time": 4.0}, 0.05),
     ],
 )

@@ -57,15 +57,19 @@ def _of_chamber(
               lambda at, n: pressure(at)),
         _flow(equation, "hole", "sqrt(Pa)", f"sqrt(p_{chamber})", f"A leak of chamber {big} through a hole", 2e3,
               equation, 0.5, lambda at, n: _root(pressure(at))),
+        _flow(equation, "flow", "-", "1", f"A flow out of chamber {big}", 1.0, "", 0.0,
+              lambda at, n: 1.0 + 0.0 * pressure(at)),
         _flow(equation, "carried oil", "m3/s", f"v A_{chamber}", f"Oil of chamber {big} that the motion carries along",
               5e-6, "velocity", 1.0, lambda at, n: at.velocity * area(n)),
     )  # fmt: skip
 
 
-CHAMBERS = (
+_BESIDE = (
     *_of_chamber("a", lambda at: at.pressure_a, lambda n: n.piston_area),
     *_of_chamber("b", lambda at: at.pressure_b, lambda n: n.area_ratio * n.piston_area),
 )
+CONSTANT = tuple(one for one in _BESIDE if one.text == "1")
+CHAMBERS = tuple(one for one in _BESIDE if one not in CONSTANT)
 CARRIED = tuple(one for one in CHAMBERS if one.uses == "velocity")
 
 
@@ -86,6 +90,11 @@ def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) 
               f"The edge from chamber {big} to the tank passes less than the others: typical of one that is silted "
               "up or worn", 5e-6, f"current {equation}", 1.5,
               lambda at, n: -opened(at, n, -1.0) * _root(pressure(at) - n.tank_pressure)),
+        _flow(equation, "flow of the port", "m3/s", f"q_{chamber}",
+              f"Chamber {big} gets less of the valve's flow q_{chamber} than its edges pass: typical of a port that "
+              "the piston covers", 5e-6, f"current {equation}", 1.5,
+              lambda at, n: opened(at, n, 1.0) * _root(n.supply_pressure - pressure(at))
+              - opened(at, n, -1.0) * _root(pressure(at) - n.tank_pressure)),
         _flow(equation, "leak from the supply", "Pa", f"-(p_s - p_{chamber})",
               f"A leak from the supply into chamber {big}", 5e6, equation, 1.0,
               lambda at, n: pressure(at) - n.supply_pressure),
@@ -95,4 +104,6 @@ def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) 
     )  # fmt: skip
 
 
-FED = (*_edges_of("a", lambda at: at.pressure_a, 1.0), *_edges_of("b", lambda at: at.pressure_b, -1.0))
+_EDGES = (*_edges_of("a", lambda at: at.pressure_a, 1.0), *_edges_of("b", lambda at: at.pressure_b, -1.0))
+PORTS = tuple(one for one in _EDGES if one.name == "flow of the port")
+FED = tuple(one for one in _EDGES if one not in PORTS)
