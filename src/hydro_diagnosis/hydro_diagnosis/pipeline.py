@@ -156,10 +156,11 @@ def _diagnosed(
     proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
     taken_back = ""
     if assessment.verdict == "explained" and (worse := made_worse(proof)):
-        taken_back = withheld(assessment.fit.claims, worse)
-        assessment, bounds = refuted(problem, assessment, outcome.nothing), []
-        unseen.update_weights(())
-        proof = held_out(problem, unseen, (), models, simulated)
+        taken_back = withheld(assessment.fit.judged, worse)
+        assessment = refuted(problem, assessment, outcome.nothing)
+        bounds = intervals(problem, assessment.fit)
+        unseen.update_weights(assessment.fit.claims)
+        proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
     ahead = next_recording(problem, outcome, assessment) if rehearsable(believed) else None
     closing = []
     if assessment.remainder and not late:

@@ -93,16 +93,18 @@ def test_names_that_predict_the_held_out_recordings_worse_than_the_bench_file_ar
     record: Callable[..., StateArray], frame: Callable[[StateArray], pd.DataFrame], tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    """A drag that was there in one recording and not in the other."""
+    """A drag that was there in one recording and not in the other; what is estimated in any case stays."""
     dragged = replace(BENCH, effects=({"id": "friction_viscous", "parameters": {"coefficient": 300.0}},))
     for name, bench, seed in (("with", dragged, 1), ("without", BENCH, 2), ("again", dragged, 3)):
         frame(record(bench, seed)).to_csv(tmp_path / f"{name}.csv", index=False)
     for held, verdict, names in (("without", "unknown", []), ("again", "explained", ["friction_viscous"])):
         words = [str(tmp_path / "with.csv"), "--holdout", str(tmp_path / f"{held}.csv"), "--quiet"]
+        words += ["--estimate", "moving_mass"]
         assert run([*words, "--out", str(tmp_path / held)]) == 0
         report = json.loads((tmp_path / held / "report.json").read_text(encoding="utf-8"))
         assert report["verdict"] == verdict
         assert [effect["id"] for effect in report["effects"]] == names
+        assert [number["name"] for number in report["estimated"] ] == ["moving_mass"], report["estimated"]
         assert ("  note: friction_viscous would explain" in capsys.readouterr().out) == (held == "without")
         errors = report["fit"]["holdout"].values()
         assert all(error["rmse_after"] <= 1.1 * error["rmse_before"] + error["noise_floor"] for error in errors)

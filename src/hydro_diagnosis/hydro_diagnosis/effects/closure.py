@@ -52,9 +52,8 @@ def closure(
     kind = placed.get(law.where) or acting.get(law.equation, FlowClosure)
     kind = GaugeClosure if law.where.startswith("pressure") else kind
     kind = DraggedClosure if kind is LoadClosure and "acceleration" in law.uses else kind
-    kind = (
-        SnubberClosure if law.equation == "sensor" and law.element is not None and law.element.kind == "turn" else kind
-    )
+    if law.equation == "sensor" and law.element is not None and law.element.kind == "turn":
+        kind = SnubberClosure
     options = {"equation": law.equation, "form": law.form}
     return kind(options, law=law, limits=limits, probes=probes, numbers=bench)
 

@@ -79,7 +79,7 @@ def assess(problem: Problem, found: Fit, nothing: Fit) -> Assessment:
 def refuted(problem: Problem, assessment: Assessment, nothing: Fit) -> Assessment:
     """The judgement without its names: they fit, but held-out recordings are predicted worse than by the bench file."""
     forms = free_forms(problem, nothing)
-    dropped = (*assessment.dropped, *assessment.fit.claims)
+    dropped = (*assessment.dropped, *assessment.fit.judged)
     remainder = tuple(locate(problem, nothing.residual, forms)) or assessment.places
     return Assessment("unknown", nothing, remainder, remainder, tuple(forms[:6]), dropped)
 
