@@ -104,7 +104,7 @@ def test_names_that_predict_the_held_out_recordings_worse_than_the_bench_file_ar
         report = json.loads((tmp_path / held / "report.json").read_text(encoding="utf-8"))
         assert report["verdict"] == verdict
         assert [effect["id"] for effect in report["effects"]] == names
-        assert [number["name"] for number in report["estimated"] ] == ["moving_mass"], report["estimated"]
+        assert [number["name"] for number in report["estimated"]] == ["moving_mass"], report["estimated"]
         assert ("  note: friction_viscous would explain" in capsys.readouterr().out) == (held == "without")
         errors = report["fit"]["holdout"].values()
         assert all(error["rmse_after"] <= 1.1 * error["rmse_before"] + error["noise_floor"] for error in errors)
