@@ -15,12 +15,11 @@ import argparse
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.model_mismatch import SHIPPED
 from hydro_bridge.cli.console import Table, add_json_argument, command, progress
 from hydro_bridge.safety.guard import GuardSettings
 from hydro_bridge.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, FloatArray
@@ -137,8 +136,7 @@ def good(policy: Policy, seed: int) -> Watch:
 
 def cases(runs: int) -> Iterator[tuple[Group, bool]]:
     """All rows, and whether their runs trip."""
-    shipped = Path(str(resources.files("hydro_policy"))) / "data" / "pretrained_wide" / "policy.safetensors"
-    policy, _, _ = load_policy(shipped)
+    policy, _, _ = load_policy(SHIPPED)
     yield Group("policy behind the filter", [good(policy, seed) for seed in range(runs)]), False
     sine = EvaluationSettings(frequencies=(1.0,), settle=20.0, measure=0.1)
     for name in ("fixed gains", "drawn gains"):

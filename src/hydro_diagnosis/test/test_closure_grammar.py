@@ -15,7 +15,7 @@ from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.path_memory import limited
+from hydro_diagnosis.effects.path_memory import limited, turning
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -46,17 +46,27 @@ def problem_of(states: StateArray) -> Problem:
 
 def test_a_lag_of_limited_rate_is_that_of_its_differential_equation() -> None:
     signal = np.concatenate([np.zeros(2), np.ones(12), np.full(12, -0.4), np.full(12, -0.3)])
-    step, rate, time, parts = 1e-3, 300.0, 7e-4, 4000
+    step, rate, rising, falling, parts = 1e-3, 300.0, 7e-4, 2e-3, 4000
     now, wanted = 0.0, []
     for held in signal:
         course = np.empty(parts)
         for k in range(parts):
+            time = rising if held > now else falling
             now += step / parts * min(max((held - now) / time, -rate), rate)
             course[k] = now
         wanted.append(course.mean())
-    np.testing.assert_allclose(limited(signal, step, rate, time, time), wanted, atol=2e-4)
-    slow = limited(signal, step, 1e6, time, 1.0)  # no limit: an exponential
-    assert slow[2] == pytest.approx(1.0 - time / step * (1.0 - np.exp(-step / time)))
+    np.testing.assert_allclose(limited(signal, step, rate, rising, falling), wanted, atol=2e-4)
+    slow = limited(signal, step, 1e6, rising, falling)  # no limit: an exponential
+    assert slow[2] == pytest.approx(1.0 - rising / step * (1.0 - np.exp(-step / rising)))
+
+
+def test_a_lag_that_turns_follows_a_ramp_by_its_time_late() -> None:
+    """Closed form: w = m (t - T (1 - exp(-t / T))), with the T of the direction."""
+    step, rising, falling, slope = 1e-3, 3e-3, 5e-4, 40.0
+    seconds = step * np.arange(50)
+    for sign, time in ((1.0, rising), (-1.0, falling)):
+        wanted = sign * slope * (seconds - time * (1.0 - np.exp(-seconds / time)))
+        np.testing.assert_allclose(turning(sign * slope * seconds, step, rising, falling), wanted, atol=1e-12)
 
 
 def test_what_motion_warms_begins_cold_and_settles_at_speed_times_time_over_path() -> None:
@@ -215,6 +225,7 @@ def test_a_curved_gauge_is_undone() -> None:
         ("actuation", "rounded gain", {"coefficient": -1.0, "level": 4e-3}, 0.2),
         ("load", "stiffness, times |v|", {"coefficient": 1e4}, 0.05),
         ("pressure_b", "flow, fading from the start", {"coefficient": -3e-7, "time": 4.0}, 0.05),
+        ("pressure_a", "flow of the port, below a place", {"coefficient": 10.0, "threshold": 0.037}, 0.05),
         ("actuation", "falling supply", {"coefficient": 8e5, "time": 4.0}, 0.05),
     ],
 )

@@ -81,20 +81,23 @@ def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) 
     def opened(at: Signals, n: Any, to: float) -> Symbol:
         return n.valve_gain * np.fmax(to * side * at.current, 0.0)
 
+    def supplied(at: Signals, n: Any) -> Symbol:
+        return opened(at, n, 1.0) * _root(n.supply_pressure - pressure(at))
+
+    def returned(at: Signals, n: Any) -> Symbol:
+        return -opened(at, n, -1.0) * _root(pressure(at) - n.tank_pressure)
+
     return (
         _flow(equation, "flow of the supply's edge", "m3/s", f"K max({fed}, 0) sqrt(p_s - p_{chamber})",
               f"The edge from the supply to chamber {big} passes less than the others: typical of one that is silted "
-              "up or worn", 5e-6, f"current {equation}", 1.5,
-              lambda at, n: opened(at, n, 1.0) * _root(n.supply_pressure - pressure(at))),
+              "up or worn", 5e-6, f"current {equation}", 1.5, supplied),
         _flow(equation, "flow of the tank's edge", "m3/s", f"-K max({drained}, 0) sqrt(p_{chamber} - p_t)",
               f"The edge from chamber {big} to the tank passes less than the others: typical of one that is silted "
-              "up or worn", 5e-6, f"current {equation}", 1.5,
-              lambda at, n: -opened(at, n, -1.0) * _root(pressure(at) - n.tank_pressure)),
+              "up or worn", 5e-6, f"current {equation}", 1.5, returned),
         _flow(equation, "flow of the port", "m3/s", f"q_{chamber}",
               f"Chamber {big} gets less of the valve's flow q_{chamber} than its edges pass: typical of a port that "
               "the piston covers", 5e-6, f"current {equation}", 1.5,
-              lambda at, n: opened(at, n, 1.0) * _root(n.supply_pressure - pressure(at))
-              - opened(at, n, -1.0) * _root(pressure(at) - n.tank_pressure)),
+              lambda at, n: supplied(at, n) + returned(at, n)),
         _flow(equation, "leak from the supply", "Pa", f"-(p_s - p_{chamber})",
               f"A leak from the supply into chamber {big}", 5e6, equation, 1.0,
               lambda at, n: pressure(at) - n.supply_pressure),
