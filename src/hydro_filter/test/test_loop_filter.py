@@ -7,6 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
 
 from hydro_bridge.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
 from hydro_filter.controller import loop_decision
@@ -18,6 +20,10 @@ from hydro_sim.learned.plant import LearnedPlant
 from hydro_sim.model.bench import Bench
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=1.0)
+NOMINAL = Bench.nominal()
+SMALL_AREA = NOMINAL.area_ratio * NOMINAL.piston_area
+U_MAX = NOMINAL.valve_current_max
+MADE = default_filter(NOMINAL)
 
 
 @pytest.fixture(scope="module")
@@ -76,6 +82,22 @@ def test_what_is_not_finite_gets_no_correction_and_is_forgotten(bench: Bench, st
         assert made.correct(good._replace(state=x)).delta_u == 0.0
         assert np.isfinite(made.correct(good).after)
     assert made.correct(good._replace(reference_rate=np.nan)).status is CorrectionStatus.NAN
+
+
+@given(
+    values=st.lists(st.floats(width=64), min_size=8, max_size=8),
+    others=st.lists(st.floats(width=64), min_size=5, max_size=5),
+)
+@example(values=[0.0] * 6 + [-NOMINAL.dead_volume_a / NOMINAL.piston_area, 0.0], others=[0.0] * 5)
+@example(values=[0.0] * 6 + [NOMINAL.stroke + NOMINAL.dead_volume_b / SMALL_AREA, 0.0], others=[0.0] * 5)
+@settings(max_examples=300, deadline=None)
+def test_it_never_raises_and_never_leaves_the_valve(values: list[float], others: list[float]) -> None:
+    """Also where a chamber has no volume, by which the equations divide."""
+    sample = Sample(np.array(values), *others)
+    result = MADE.correct(sample)
+    assert np.isfinite(result.delta_u)
+    if result.delta_u != 0.0:
+        assert abs(sample.nominal_current + result.delta_u) <= U_MAX + 1e-9 * abs(sample.nominal_current)
 
 
 def test_a_disarmed_bench_and_an_old_state_are_left_alone(bench: Bench, states: StateArray) -> None:

@@ -114,7 +114,7 @@ def _source(names: tuple[str, ...], packages: tuple[Path, ...]) -> Path | None:
 
 
 def _compiled_modules(package: Path) -> list[Path]:
-    return [path for path in sorted(package.rglob("*.py")) if b"numba" in path.read_bytes()]
+    return [path for path in sorted(package.rglob("*.py")) if b"njit" in path.read_bytes()]
 
 
 def _forget(module: Path) -> None:

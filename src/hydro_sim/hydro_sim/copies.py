@@ -8,17 +8,17 @@ be as long as the values.
 
 from __future__ import annotations
 
-from numba import njit
+from hydro_sim.jit import njit
 
 
-@njit(cache=True)
+@njit
 def vector(into, values):
     """into[i] = values[i] for all values."""
     for i in range(len(values)):
         into[i] = values[i]
 
 
-@njit(cache=True)
+@njit
 def matrix(into, values):
     """into[i, j] = values[i, j] for all values."""
     for i in range(values.shape[0]):

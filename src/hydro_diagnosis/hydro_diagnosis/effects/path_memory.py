@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.jit import njit
 
 
-@njit(cache=True)
+@njit
 def along(position, stiffness, limit):
     """Force at each of the positions, shape (n,), at rest at the first; `limit`: shape (n,), where it yields.
 
@@ -24,7 +24,7 @@ def along(position, stiffness, limit):
     return force
 
 
-@njit(cache=True)
+@njit
 def limited(signal, step, rate, rising, falling):
     """Means over each step [s], shape (n,), of w' = (s - w) / T within +-rate, for a held signal; at rest first.
 
@@ -47,7 +47,7 @@ def limited(signal, step, rate, rising, falling):
     return mean
 
 
-@njit(cache=True)
+@njit
 def turning(signal, step, rising, falling):
     """Lag w' = (s - w) / T of a signal that is straight between samples, shape (n,).
 
@@ -77,7 +77,7 @@ def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tupl
     return begins, means
 
 
-@njit(cache=True)
+@njit
 def _lagged(signal, decay, share, now):
     begins, means = np.empty(len(signal)), np.empty(len(signal))
     for k in range(len(signal)):

@@ -4,9 +4,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_diagnosis.effects.base import FloatArray
+from hydro_sim.jit import njit
 from hydro_sim.model.tables import KNOTS
 
 _LAST = KNOTS - 3
@@ -20,7 +20,7 @@ def splined(variable: FloatArray, low: float, high: float, values: FloatArray) -
     return found
 
 
-@njit(cache=True)
+@njit
 def _splined(found, variable, low, scale, values):
     for k in range(len(variable)):
         along = (variable[k] - low) * scale

@@ -9,13 +9,13 @@ overhead does: so results are written into arrays that are passed. The equations
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
 from hydro_sim.model.hydraulics import pressure_rates
 
 
-@njit(cache=True)
+@njit
 def edge_flows(into_a, into_b, supply_a, a_tank, supply_b, b_tank, p_a, p_b, supply, tank):
     """Write the flows [m3/s] through the edges into both chambers; `tank` [Pa] is a number, all else (n,)."""
     for k in range(len(p_a)):
@@ -24,7 +24,7 @@ def edge_flows(into_a, into_b, supply_a, a_tank, supply_b, b_tank, p_a, p_b, sup
         into_b[k] = supply_b[k] * eq.signed_root(back[1]) - b_tank[k] * eq.signed_root(out[1])
 
 
-@njit(cache=True)
+@njit
 def _flows(positive, negative, p_a, p_b, supply, tank):
     """Flows into both chambers with all edges open [m3/s/sqrt(Pa)] that drive the piston out, and back."""
     out, back = eq.edge_drops(supply, tank, p_a, p_b)
@@ -38,7 +38,7 @@ def _flows(positive, negative, p_a, p_b, supply, tank):
     return a, b
 
 
-@njit(cache=True)
+@njit
 def nominal_flows(into_a, into_b, gain, spool, p_a, p_b, supply, tank):
     """The same of a zero-lapped valve; `spool` [A] has shape (n, substeps), `gain`, `supply` and `tank` are numbers."""
     share = gain / spool.shape[1]
@@ -50,7 +50,7 @@ def nominal_flows(into_a, into_b, gain, spool, p_a, p_b, supply, tank):
         into_a[k], into_b[k] = _flows(positive, negative, p_a[k], p_b[k], supply, tank)
 
 
-@njit(cache=True)
+@njit
 def first_moments(gain, moment, spool, p_a, p_b, supply, tank):
     """Sums over the substeps of `moment` (substeps,) times the flow [m3/s] into chamber A and into chamber B."""
     into_a, into_b = np.empty_like(p_a), np.empty_like(p_b)
@@ -63,7 +63,7 @@ def first_moments(gain, moment, spool, p_a, p_b, supply, tank):
     return into_a, into_b
 
 
-@njit(cache=True)
+@njit
 def innovations(recorded, built, gain):
     """What a recorded signal has beyond the sum of what each sample has `built`, minus its slow part, shape (n,).
 
@@ -82,7 +82,7 @@ def innovations(recorded, built, gain):
     return beyond
 
 
-@njit(cache=True)
+@njit
 def fading_sums(built, keep):
     """Sum of what the earlier samples have `built`, of which each sample keeps that share: shape (terms, n).
 
@@ -97,7 +97,7 @@ def fading_sums(built, keep):
     return sums
 
 
-@njit(cache=True)
+@njit
 def derivatives(rates, bench, state, flows_a, flows_b, stiff_a, stiff_b, against, load):
     """Write d/dt of [x_p, x_p', p_a, p_b], shape (4, n); `load` and what is `against` the motion in N, shape (n,)."""
     for k in range(state.shape[1]):
@@ -109,7 +109,7 @@ def derivatives(rates, bench, state, flows_a, flows_b, stiff_a, stiff_b, against
         rates[2, k], rates[3, k] = eq.pressure_rates(bench, stiff, flows, v)
 
 
-@njit(cache=True)
+@njit
 def runge_kutta(after, state, first, second, third, fourth, step):
     """Write the state after a step of the classical method, shape (4, n)."""
     for j in range(state.shape[0]):
@@ -118,14 +118,14 @@ def runge_kutta(after, state, first, second, third, fourth, step):
             after[j, k] = state[j, k] + step / 6.0 * slope
 
 
-@njit(cache=True)
+@njit
 def _nominal(bench, x, v, p_a, p_b, current):
     rate_a, rate_b = pressure_rates(bench, p_a, p_b, x, v, current)
     driven = eq.hydraulic_force(bench, p_a, p_b) - bench.viscous_friction * v - eq.spring_force(bench, x)
     return v, driven / bench.moving_mass, rate_a, rate_b
 
 
-@njit(cache=True)
+@njit
 def nominal_run(states, bench, state, begins, spool, step):
     """Write the states of windows of the bench without any effect, shape (length, 4, n), from `state`, shape (4, n).
 

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from numba import njit
 from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from hydro_bridge.signals import FloatArray
 from hydro_diagnosis.effects.path_memory import along, held_lag, turning
+from hydro_sim.jit import njit
 
 
 class RecordMemory:
@@ -113,7 +113,7 @@ class StepMemory:
         return present
 
 
-@njit(cache=True)
+@njit
 def _play(position, half):
     dragged = position.copy()
     for k in range(1, len(position)):

@@ -12,11 +12,11 @@ from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from scipy.ndimage import correlate1d
 from scipy.signal import oaconvolve
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.jit import njit
 
 KINEMATIC_WIDTH = 1.0
 """Width [recorded rows] of the Gaussian behind position, velocity and acceleration."""
@@ -89,7 +89,7 @@ def smooth_at(signal: FloatArray, rows: npt.NDArray[np.int64], spacing: int = 1)
     return np.asarray(_correlated_at(signal, _taps(TOTAL_WIDTH * spacing, 0), rows))
 
 
-@njit(cache=True)
+@njit
 def _correlated_at(signal, taps, rows):
     reach, last = len(taps) // 2, len(signal) - 1
     found = np.empty(len(rows))

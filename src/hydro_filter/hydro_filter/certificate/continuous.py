@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
 from hydro_filter.metric.constant import Metric
@@ -31,6 +30,7 @@ from hydro_filter.model.dynamics import Dynamics
 from hydro_filter.model.force_law import Controller
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import LOAD_FORCE, STATES
+from hydro_sim.jit import njit
 
 
 class HalfLine(NamedTuple):
@@ -83,7 +83,7 @@ class Certificate:
         return HalfLine(a, b)
 
 
-@njit(cache=True)
+@njit
 def dead_zone(error, floor):
     """Return the error [N], zero up to `floor` and unchanged from twice the floor, with a continuous slope between."""
     size = abs(error)
@@ -95,7 +95,7 @@ def dead_zone(error, floor):
     return error * share * share * (3.0 - 2.0 * share)
 
 
-@njit(cache=True)
+@njit
 def half_line(metric, metric_rate, state_matrix, input_vector, gradient, scale, v, contraction_rate):
     """Return a and b; M, M' on normalized states, A, B, K in SI units, v normalized."""
     moved = scale * v  # v in SI units

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 import osqp
-from numba import njit
 from scipy.sparse import csc_matrix
 
 from hydro_bridge.signals import CorrectionStatus
+from hydro_sim.jit import njit
 
 PASS, MODIFIED, RELAXED, INFEASIBLE, NAN = (
     int(status)
@@ -66,7 +66,7 @@ def closed_form(a: float, b: float, low: float, high: float) -> Correction:
     return Correction(delta_u, CorrectionStatus(status))
 
 
-@njit(cache=True)
+@njit
 def closed_form_kernel(a, b, low, high):
     """Return the result of `closed_form`, for compiled code: du [A] and the status' number."""
     if not (math.isfinite(a) and math.isfinite(b) and -math.inf < low <= 0.0 <= high < math.inf):

@@ -17,13 +17,12 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.loop_model import LOOP
+from hydro_sim.jit import njit
 
 
-@njit(cache=True)
+@njit
 def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
     """Return bent, slope and level of M_c(du) T = bent du^2 + 2 slope du + level, and v_1'Mv_1.
 
@@ -34,7 +33,7 @@ def quadratic(step, value, v, known, asked, contraction_rate, next_v, after_v):
     return _quadratic(len(v), step, value, v, known, asked, contraction_rate, next_v, after_v)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _quadratic(count, step, value, v, known, asked, contraction_rate, next_v, after_v):
     feedback = known
     for i in range(count):
@@ -68,7 +67,7 @@ def _quadratic(count, step, value, v, known, asked, contraction_rate, next_v, af
     return bent, slope, level - math.exp(-2.0 * contraction_rate * SAMPLE_PERIOD) * size, size
 
 
-@njit(cache=True)
+@njit
 def half_line(bent, slope, level):
     """Return a, b of the half-line with the smallest du of bent du^2 + 2 slope du + level <= 0, and the nearest du.
 
@@ -85,13 +84,13 @@ def half_line(bent, slope, level):
     return (-1.0, -end, best) if end > 0.0 else (1.0, end, best)
 
 
-@njit(cache=True)
+@njit
 def excess_integral(term, allowance):
     """Return the part of the law's integral I [N/s] beyond `allowance` [N/s]."""
     return term - min(max(term, -allowance), allowance)
 
 
-@njit(cache=True)
+@njit
 def displacement_share(size, floor):
     """Return the weight, 0 to 1, of a displacement with v'Mv = size: 0 up to `floor`, 1 from twice that."""
     if size <= floor:

@@ -11,19 +11,19 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.bench_displacement import CREEP
 from hydro_filter.model.bench_parts import NONE
 from hydro_filter.model.bench_states import held_rates, hydraulic_slopes, model_state
 from hydro_filter.model.state import POSITION, PRESSURE_A, PRESSURE_B, STATES
+from hydro_sim.jit import njit
 
 F_H, F_L, P_A, P_B, X_P = range(5)
 """Readings stored by the monitor."""
 
 
-@njit(cache=True)
+@njit
 def load_cell_reading(model, m, x, hidden):
     """Return the load-cell reading at the middle sample; a valve without lag steps there, and its mean is used."""
     p, n = model, len(model.rest)
@@ -32,7 +32,7 @@ def load_cell_reading(model, m, x, hidden):
         m.hidden[n] = 0.5 * (m.hidden[n] + hidden[n])
 
 
-@njit(cache=True)
+@njit
 def errors(model, m, x, error, size):
     """Return each equation's error at the middle sample and the scale of its left-hand side; both shape (5,)."""
     p, n, readings = model, len(model.rest), m.middle

@@ -17,7 +17,6 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
 from hydro_filter.certificate import continuous, qp
@@ -27,6 +26,7 @@ from hydro_filter.model import analytic_kernels, force_law
 from hydro_filter.model.dynamics import AnalyticDynamics
 from hydro_filter.model.force_law import ForceLaw
 from hydro_filter.model.state import LOAD_FORCE, STATES
+from hydro_sim.jit import njit
 
 
 class FilterParts(NamedTuple):
@@ -77,7 +77,7 @@ def filter_parts(source: Certificate) -> FilterParts:
     )
 
 
-@njit(cache=True)
+@njit
 def half_line(parts, x, nominal, reference, gain):
     """Return a and b of `Certificate.evaluate`, at x (8,), u_nom [A], f_r [N], K_p [1/s]."""
     state_matrix, input_vector = np.empty((STATES, STATES)), np.empty(STATES)
@@ -91,7 +91,7 @@ def half_line(parts, x, nominal, reference, gain):
     )
 
 
-@njit(cache=True)
+@njit
 def decide(parts, x, nominal, reference, gain):
     """Return delta_u [A], M_c before and after [1/s] and status, as `ContractionFilter.correct` of one sample."""
     finite = math.isfinite(nominal)

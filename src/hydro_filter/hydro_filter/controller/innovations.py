@@ -26,7 +26,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 from numba.extending import overload
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
@@ -36,6 +35,7 @@ from hydro_filter.model.hidden_states import BRISTLE_STATE, HIDDEN, SPOOL, SPOOL
 from hydro_filter.model.loop import Loop, is_bench_file_loop
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
 from hydro_sim.structured import physics, rollout
 from hydro_sim.structured.integration import STATES
@@ -108,7 +108,7 @@ def monitor_of(loop: Loop) -> npt.NDArray[np.void]:
     return np.zeros(1, BENCH_MONITOR_DTYPE if isinstance(loop, BenchLoop) else MONITOR_DTYPE)
 
 
-@njit(cache=True)
+@njit
 def reset(m):
     """Reset at the start or after a gap; a reported fault is kept. `m`: one record of `MONITOR_DTYPE`."""
     m.seen = m.held = 0
@@ -116,7 +116,7 @@ def reset(m):
     m.runs[:] = 0
 
 
-@njit(cache=True)
+@njit
 def update(model, limit, m, x, hidden):
     """Process sample x, shape (8,), with its hidden states (3,); `limit` scales the allowed errors.
 
@@ -151,7 +151,7 @@ def _found(model, m, x, error, size):
     return (bench_errors.errors if is_bench_file_loop(model) else errors).py_func
 
 
-@njit(cache=True)
+@njit
 def amplifier_reading(model, m, x, hidden):
     """Return the output of the load cell's amplifier at the middle sample."""
     c = model[0]
@@ -162,7 +162,7 @@ def amplifier_reading(model, m, x, hidden):
         m.cell, m.cell_rate = lag(c[CELL_OMEGA], c[CELL_DAMPING], spring, m.cell, m.cell_rate)
 
 
-@njit(cache=True)
+@njit
 def errors(model, m, x, error, size):
     """Return each equation's error at the middle sample and the scale of its left-hand side; both shape (5,)."""
     c, layers, center, scale, _ = model
@@ -190,7 +190,7 @@ def errors(model, m, x, error, size):
     size[4] = SAMPLE_PERIOD * abs(slope[1]) + displaced_b
 
 
-@njit(cache=True)
+@njit
 def _judge(model, limit, m, x):
     """Update the sums and the alarm."""
     error, size = np.empty(COUNT), np.empty(COUNT)

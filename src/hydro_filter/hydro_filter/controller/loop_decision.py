@@ -20,7 +20,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.certificate import qp, sampled
@@ -30,6 +29,7 @@ from hydro_filter.model import displacement, overlap
 from hydro_filter.model.loop import Loop, Step, displace, follow, linearize, settle, step_of
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
+from hydro_sim.jit import njit
 from hydro_sim.model.hydraulics import input_gain, velocity_term
 
 
@@ -97,7 +97,7 @@ def workspace(parts: LoopParts) -> Workspace:
     return Workspace(step_of(parts.loop), metric_value(parts.metric), *displacements)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def integral_term(bench, gain_floor, x, nominal_current, reference, reference_rate, proportional_gain):
     """Return I [N/s] of `hydro_sim.box.force_law`, of either form, and g [N/s/A], from the law's current."""
     position = min(max(x[POSITION], 0.0), bench.stroke)
@@ -106,7 +106,7 @@ def integral_term(bench, gain_floor, x, nominal_current, reference, reference_ra
     return driven - reference_rate - proportional_gain * (reference - x[LOAD_FORCE]), gain
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def build_problem(parts, memory, x, nominal, current, reference, reference_rate, gain, workspace):
     """Build the QP of one finite sample of an armed bench, and advance the memory."""
     loop, value, step = parts.loop, workspace.value, workspace.step
@@ -134,7 +134,7 @@ def build_problem(parts, memory, x, nominal, current, reference, reference_rate,
     return Problem(a, b, -limit - applied, limit - applied, bent, slope, level, best, applied)
 
 
-@njit(cache=True)
+@njit
 def certificate_before_after(of, problem, change):
     """Return M_c [1/s] before and with a change of the current [A], through an `Overlap`."""
     moved = overlap.passed_change(of, problem.applied, change)
@@ -142,13 +142,13 @@ def certificate_before_after(of, problem, change):
     return problem.level / SAMPLE_PERIOD, after / SAMPLE_PERIOD
 
 
-@njit(cache=True)
+@njit
 def correction_of(nominal, change, limit):
     """Return delta_u [A] such that sat(u_nom + delta_u) = sat(u_nom) + change."""
     return change + (min(max(nominal, -limit), limit) - nominal) if change != 0.0 else 0.0
 
 
-@njit(cache=True)
+@njit
 def least_violation(of, problem):
     """Return the change [A] with the smallest M_c, if none restores the certificate, and its status."""
     change = min(max(problem.best, problem.low), problem.high)
@@ -159,7 +159,7 @@ def least_violation(of, problem):
     return change, qp.RELAXED
 
 
-@njit(cache=True)
+@njit
 def finite(x, nominal, current, reference, reference_rate, gain):
     """Return whether all inputs of a decision are finite."""
     good = math.isfinite(nominal) and math.isfinite(current) and math.isfinite(reference)
@@ -169,7 +169,7 @@ def finite(x, nominal, current, reference, reference_rate, gain):
     return good
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def decide(parts, memory, x, nominal, current, reference, reference_rate, gain, armed, workspace):
     """Decide the correction of one sample.
 

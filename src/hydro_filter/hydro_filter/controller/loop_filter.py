@@ -21,7 +21,6 @@ from typing import Annotated
 
 import numba
 import numpy as np
-from numba import njit
 
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import CorrectionStatus
@@ -35,6 +34,7 @@ from hydro_filter.model.bench_loop import overlap_of
 from hydro_filter.model.loop import coordinates_of, loop_of, memories
 from hydro_filter.model.overlap import Overlap
 from hydro_filter.model.sample import Sample
+from hydro_sim.jit import njit
 from hydro_sim.learned.model import Learned
 from hydro_sim.model.bench import Bench
 from hydro_sim.structured.model import StructuredModel
@@ -72,7 +72,7 @@ NOT_FINITE, FITS, BROKEN = range(3)
 """Results of `propose` for a sample: a number is not finite; the model holds; it does not."""
 
 
-@njit(cache=True)
+@njit
 def packed(parts, workspace, monitor, limit):
     """Pack all arguments into memory for compiled code: passing seventy arrays takes as long as the decision."""
     box = numba.typed.List()
@@ -80,7 +80,7 @@ def packed(parts, workspace, monitor, limit):
     return box
 
 
-@njit(cache=True)
+@njit
 def propose(box, memory, x, nominal, current, reference, reference_rate, gain):
     """Return the validity of a sample and its `Problem`; advances the memory, shape (1,), and the monitor."""
     parts, workspace, monitor, limit = box[0]

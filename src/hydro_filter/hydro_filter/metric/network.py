@@ -23,11 +23,11 @@ from math import isqrt
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
 from hydro_filter.model.loop_model import LOOP
 from hydro_filter.model.state import STATES
+from hydro_sim.jit import njit
 from hydro_sim.neural import mlp
 
 INPUTS = STATES + 2
@@ -100,13 +100,13 @@ def metric_value(parts: MetricParts) -> MetricValue:
     return MetricValue(*(np.zeros(shape) for shape in shapes))
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def uncertified(parts, gain):
     """Return whether K_p [1/s] is outside of the certified range; true for NaN."""
     return not parts.gains[0] <= gain <= parts.gains[-1]
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def evaluate(parts, x, state_rate, gain, value):
     """Fill `value` at x (8,) along x' (8,), both in SI units, for K_p [1/s]."""
     layers, outside = parts.layers, uncertified(parts, gain)
@@ -126,7 +126,7 @@ def evaluate(parts, x, state_rate, gain, value):
     _square(value.factor, value.factor_nudge, parts.floor, value.matrix, value.rate)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _add_table(parts, gain, outside, factor):
     """Add L_0, interpolated linearly between the table's factors."""
     rows = len(parts.gains)
@@ -142,7 +142,7 @@ def _add_table(parts, gain, outside, factor):
         factor[i] += (1.0 - share) * parts.table[low, i] + share * parts.table[low + 1, i]
 
 
-@njit(cache=True, fastmath=mlp.LOOSE)
+@njit(fastmath=mlp.LOOSE)
 def _affine(w, b, x, dx, y, dy):
     """Compute y = x W + b and its derivative dy along dx, in one pass over the weights."""
     for j in range(y.shape[0]):
@@ -155,14 +155,14 @@ def _affine(w, b, x, dx, y, dy):
                 dy[j] += w[i, j] * nudge
 
 
-@njit(cache=True)
+@njit
 def _relu(y, dy):
     for i in range(y.shape[0]):
         if y[i] <= 0.0:
             y[i] = dy[i] = 0.0
 
 
-@njit(cache=True)
+@njit
 def _square(factor, nudge, floor, matrix, rate):
     """Compute M and M' from the factor's entries and their derivatives."""
     if len(matrix) == LOOP:  # a count that the compiler knows
@@ -171,7 +171,7 @@ def _square(factor, nudge, floor, matrix, rate):
         _square_of(len(matrix), factor, nudge, floor, matrix, rate)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _square_of(count, factor, nudge, floor, matrix, rate):
     for i in range(count):
         for j in range(i + 1):

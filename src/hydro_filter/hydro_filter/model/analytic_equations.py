@@ -8,17 +8,17 @@ drop no steeper than at `SMALLEST_DROP`. Source: paper eq. q13-q15 with physics.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 
 from hydro_filter.model.state import HYDRAULIC_FORCE, LOAD_FORCE_RATE, POSITION, VELOCITY
+from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
 
 SMALLEST_DROP = 1e3
 """Pa; the slope of a square root is taken no nearer to zero pressure drop than this: it is infinite there."""
 
 
-@njit(cache=True)
+@njit
 def root_slopes(bench, pressure_a, pressure_b, opening):
     """Roots of the pressure drops at A and at B under an opening; their first and second slopes by the pressures."""
     out, back = eq.edge_drops(bench.supply_pressure, bench.tank_pressure, pressure_a, pressure_b)

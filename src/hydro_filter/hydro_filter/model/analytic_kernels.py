@@ -6,12 +6,11 @@ Written by `python -m hydro_filter.model.generate` from `analytic_equations`: ed
 
 from __future__ import annotations
 
-from numba import njit
-
 from hydro_filter.model.analytic_equations import root_slopes
+from hydro_sim.jit import njit
 
 
-@njit(cache=True)
+@njit
 def state_rate(constants, state, current, out):
     """Write x' into `out`, shape (8,); `constants` of shape (1,)."""
     bench = constants[0]
@@ -50,7 +49,7 @@ def state_rate(constants, state, current, out):
     out[7] = a11
 
 
-@njit(cache=True)
+@njit
 def linearize(constants, state, current, state_matrix, input_vector):
     """Write A, shape (8, 8), and B, shape (8,); `constants` of shape (1,)."""
     bench = constants[0]
@@ -162,7 +161,7 @@ def linearize(constants, state, current, state_matrix, input_vector):
     input_vector[7] = 0.0
 
 
-@njit(cache=True)
+@njit
 def force_rate_slopes(bench, state, current):
     """Slopes of F(x, u) = h + g u, f_h' of eq. q13: dF/dx_p, dF/dx_p', dF/dp_a, dF/dp_b."""
     root_a, root_b, slope_a, slope_b, _, _ = root_slopes(bench, state[4], state[5], current)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.bench_parts import NONE
@@ -33,12 +32,13 @@ from hydro_filter.model.state import (
     LOAD_FORCE,
     LOAD_FORCE_RATE,
 )
+from hydro_sim.jit import njit
 
 CREEP = 2e-3
 """m/s, below which the sign of a measured velocity is noise: dry friction that holds counts by its share of this."""
 
 
-@njit(cache=True)
+@njit
 def position_at(p, force):
     """Position [m] at which the load is a force [N], and its stiffness there [N/m]."""
     i = min(max(np.searchsorted(p.forces, force) - 1, 0), len(p.forces) - 2)
@@ -46,7 +46,7 @@ def position_at(p, force):
     return p.positions[i] + (force - p.forces[i]) / stiffness, stiffness
 
 
-@njit(cache=True)
+@njit
 def load_at(p, position):
     """Load [N] at a position [m]."""
     step = p.positions[1] - p.positions[0]
@@ -54,7 +54,7 @@ def load_at(p, position):
     return p.forces[i] + (p.forces[i + 1] - p.forces[i]) * (position - p.positions[i]) / step
 
 
-@njit(cache=True)
+@njit
 def displace(loop, memory, x, reference, reference_rate, v):
     """Write v, of each coordinate, of a sample x, shape (8,), at f_r [N] and f_r' [N/s]: see `displacement`."""
     p, n, bent = loop.model, len(loop.model.rest), second_derivative(memory, reference_rate)
@@ -91,7 +91,7 @@ def displace(loop, memory, x, reference, reference_rate, v):
         v[i] /= loop.scale[i]
 
 
-@njit(cache=True)
+@njit
 def _displace_shown(p, y, v, soft_a, soft_b, force_rate):
     """What lagging pressure sensors show, and its rate; `force_rate`: f_h' [N/s] of the reference, of its spring."""
     total = p.area * (soft_a + p.ratio * soft_b)
@@ -103,7 +103,7 @@ def _displace_shown(p, y, v, soft_a, soft_b, force_rate):
         v[LOOP + 2 * i + 1] = y[rate] - share * force_rate
 
 
-@njit(cache=True)
+@njit
 def _displace_commands(p, memory, y, v, closed, wanted, wanted_rate, slopes):
     """Currents on their way; `closed`: f_h' [N/s] of the closed valve, `wanted`: the reference's, and its rate."""
     first, begin = len(v) - p.on_their_way, len(y) - p.past
@@ -113,7 +113,7 @@ def _displace_commands(p, memory, y, v, closed, wanted, wanted_rate, slopes):
         v[first + i] = driven - wanted - ahead * wanted_rate
 
 
-@njit(cache=True)
+@njit
 def dry_force(p, y, state, slopes):
     """Force [N] of the disturbances against the motion, from the difference of both models' accelerations.
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.bench_parts import NONE
 from hydro_filter.model.bench_states import hydraulic_slopes, model_state, set_opening
@@ -35,10 +33,11 @@ from hydro_filter.model.state import (
     VELOCITY,
 )
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.model import machine_code
 
 
-@njit(cache=True)
+@njit
 def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
     """Linearize at x (8,) and the simulated states, for the nominal current and the applied one [A], into `step`."""
     p, scale, n, whole = loop.model, loop.scale, len(loop.model.from_whole), len(loop.model.rest)
@@ -73,7 +72,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
         step.feedback[column] = step.law[PRESSURE_A + chamber] * p.gain[2 + chamber] * scale[column]
 
 
-@njit(cache=True)
+@njit
 def _advance(p, step, opening, side, current):
     """Advance the loop's model and its Jacobian by a sample; an opening near zero is moved to its side of zero."""
     copies.vector(step.after, step.before)
@@ -92,7 +91,7 @@ def _advance(p, step, opening, side, current):
     )
 
 
-@njit(cache=True)
+@njit
 def _embed(p, scale, share_a, share_b, gain, embedded):
     """Tangents of the loop's states for the coordinates; of the current in the box's column, `INPUT`."""
     embedded[:] = 0.0
@@ -111,7 +110,7 @@ def _embed(p, scale, share_a, share_b, gain, embedded):
     embedded[len(embedded) - 1, INPUT] = 1.0
 
 
-@njit(cache=True)
+@njit
 def _read(p, scale, gain, later, step):
     """F and G from the tangents a sample later; `gain`, `later`: g before and after the sample."""
     moved, embedded, F, n = step.moved, step.embedded, step.transition, len(step.before)
@@ -142,7 +141,7 @@ def _read(p, scale, gain, later, step):
     F[Q_BOX_VELOCITY, Q_BOX_VELOCITY] = memory  # the differentiator's
 
 
-@njit(cache=True)
+@njit
 def _state_rate(p, x, step):
     """x' over the model's sample, free of measurement noise."""
     rate, before, after = step.state_rate, step.before, step.after

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model.bench_parts import NONE
@@ -30,13 +29,14 @@ from hydro_filter.model.state import (
     VELOCITY,
 )
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.model import machine_code
 
 PROBE = 0.1
 """m/s, over which the velocity's part of the flows is taken; they are linear in it."""
 
 
-@njit(cache=True)
+@njit
 def model_state(p, hidden, x, y, cell):
     """Write the full model's state y from simulated states and a measurement; `cell`: also f_l and its rate.
 
@@ -56,7 +56,7 @@ def model_state(p, hidden, x, y, cell):
             y[p.cell_rate] = x[LOAD_FORCE_RATE] / p.gain[1]
 
 
-@njit(cache=True)
+@njit
 def observe(p, predicted, y):
     """Correct the pressures behind lagging sensors, and these sensors; y holds readings, `predicted`: p_a, p_b, x_p."""
     count, shown = len(p.lagging), (y[0], y[1])
@@ -70,7 +70,7 @@ def observe(p, predicted, y):
         _correct(p, y, i, errors[i])
 
 
-@njit(cache=True)
+@njit
 def _correct(p, y, row, error):
     """Add a row of the observer's gains times an error."""
     for j in range(len(p.lagging)):
@@ -79,7 +79,7 @@ def _correct(p, y, row, error):
         y[p.lagging[j, 1]] += p.observer[row, 3 * j + 2] * error
 
 
-@njit(cache=True)
+@njit
 def set_opening(p, y, spool, spool_rate, opening):
     """Set a state's spool, and the currents on their way to it, to the opening [A]; returns the current for it."""
     for i in range(len(y) - p.past, len(y)):
@@ -92,7 +92,7 @@ def set_opening(p, y, spool, spool_rate, opening):
     return opening - p.after - p.before
 
 
-@njit(cache=True)
+@njit
 def held_rates(p, y, opening, whole, slopes):
     """Rates y' of the full or the loop's model with the valve held at `opening` [A]; returns f_h' [N/s]."""
     current = np.empty(1)
@@ -105,7 +105,7 @@ def held_rates(p, y, opening, whole, slopes):
     return p.area * (slopes[0] - p.ratio * slopes[1])
 
 
-@njit(cache=True)
+@njit
 def hydraulic_slopes(p, state, opening):
     """Sensitivities of f_h' of the loop's model at a state.
 
@@ -126,7 +126,7 @@ def hydraulic_slopes(p, state, opening):
     return max(gain, p.least_gain), stiffness, closed + stiffness * y[3], soft_a, soft_b
 
 
-@njit(cache=True)
+@njit
 def settle(loop, memory, x, current, reference_rate):
     """Initialise from the first sample, with the spool in equilibrium with the present current."""
     if not memory.running:
@@ -143,7 +143,7 @@ def settle(loop, memory, x, current, reference_rate):
         memory.reference_rate, memory.current, memory.running = reference_rate, current, True
 
 
-@njit(cache=True)
+@njit
 def follow(loop, memory, x, current, reference_rate):
     """Advance the memory by one sample, during which the valve holds `current` [A]."""
     p, n, z = loop.model, len(loop.model.rest), np.empty(5)

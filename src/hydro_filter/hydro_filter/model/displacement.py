@@ -15,7 +15,6 @@ piston's velocity. The present friction is used, so that it causes no displaceme
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model import hidden_states
@@ -41,6 +40,7 @@ from hydro_filter.model.state import (
     PRESSURE_B,
     VELOCITY,
 )
+from hydro_sim.jit import njit
 from hydro_sim.structured import physics
 from hydro_sim.structured.physics import (
     BIAS_H,
@@ -64,14 +64,14 @@ BEND_MAX = 2e5
 """N/s^2, limit of f_r'': 300 N at 4 Hz; that of a switched reference is arbitrary."""
 
 
-@njit(cache=True)
+@njit
 def reset(memory):
     """Reset at the start or after a gap; `memory`: one record of `MEMORY_DTYPE`."""
     memory.hidden[:] = 0.0
     memory.reference_rate, memory.running = 0.0, False
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def settle(loop, memory, x, current, reference_rate):
     """Initialise from the first sample, with hidden states in equilibrium."""
     if not memory.running:
@@ -79,20 +79,20 @@ def settle(loop, memory, x, current, reference_rate):
         memory.reference_rate, memory.running = reference_rate, True
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def follow(loop, memory, x, current, reference_rate):
     """Advance the memory by one sample, during which the valve holds `current` [A]."""
     hidden_states.follow(loop.model[0], x[VELOCITY], current, memory.hidden)
     memory.reference_rate = reference_rate
 
 
-@njit(cache=True)
+@njit
 def second_derivative(memory, reference_rate):
     """Return f_r'' [N/s^2] from two samples of f_r'."""
     return min(max((reference_rate - memory.reference_rate) / SAMPLE_PERIOD, -BEND_MAX), BEND_MAX)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def displace(loop, memory, x, reference, reference_rate, v):
     """Write v, shape (8,), of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
     c, bent, hidden = loop.model[0], second_derivative(memory, reference_rate), memory.hidden

@@ -20,13 +20,13 @@ from __future__ import annotations
 from typing import Protocol
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
 from hydro_filter.model.analytic_kernels import force_rate_slopes
 from hydro_filter.model.sample import Sample
 from hydro_filter.model.state import LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATES, VELOCITY
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.hydraulics import input_gain
 
@@ -68,7 +68,7 @@ class ForceLaw:
         return out
 
 
-@njit(cache=True)
+@njit
 def gradient(constants, state, current, proportional_gain, gain_floor, out):
     """Write K, shape (8,), for the law's own current [A] and gain [1/s]; `constants` of shape (1,)."""
     bench = constants[0]

@@ -33,9 +33,8 @@ Written by `python -m hydro_filter.model.generate` from `analytic_equations`: ed
 
 from __future__ import annotations
 
-from numba import njit
-
 from hydro_filter.model.analytic_equations import root_slopes
+from hydro_sim.jit import njit
 '''
 
 

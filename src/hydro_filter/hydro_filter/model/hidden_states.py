@@ -4,8 +4,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from hydro_sim.jit import njit
 from hydro_sim.structured import integration
 from hydro_sim.structured.integration import STEP, SUBSTEPS
 from hydro_sim.structured.physics import BRISTLE, COULOMB, SPOOL_DAMPING, SPOOL_OMEGA, STRIBECK, STRIBECK_VELOCITY
@@ -14,7 +14,7 @@ SPOOL, SPOOL_RATE, BRISTLE_STATE = range(3)
 HIDDEN = 3
 
 
-@njit(cache=True)
+@njit
 def steady(c, velocity, current, hidden):
     """Equilibrium of the hidden states, shape (3,), under a constant current [A] and velocity [m/s]."""
     level = c[COULOMB] + c[STRIBECK] * np.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))
@@ -22,7 +22,7 @@ def steady(c, velocity, current, hidden):
     hidden[BRISTLE_STATE] = np.sign(velocity) * level / c[BRISTLE]
 
 
-@njit(cache=True)
+@njit
 def follow(c, velocity, current, hidden):
     """Advance the hidden states by one sample, in place.
 
@@ -36,7 +36,7 @@ def follow(c, velocity, current, hidden):
     )
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def lag(w, d, target, position, rate):
     """Position and rate of `y'' = w (w (target - y) - 2 d y')` one sample later, the target held."""
     for _ in range(SUBSTEPS):

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 
 from hydro_filter.model import bench_displacement, bench_linearization, bench_states, displacement, loop_model
@@ -20,6 +20,7 @@ from hydro_filter.model.bench_parts import BENCH_MEMORY_DTYPE, BenchLoop, BenchP
 from hydro_filter.model.displacement import MEMORY_DTYPE
 from hydro_filter.model.loop_model import LoopModel, LoopStep
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.structured.model import StructuredModel
 
@@ -119,25 +120,25 @@ def _linearize_of(loop, hidden, x, nominal_current, current, proportional_gain, 
     return _bench_linearize if is_bench_file_loop(loop) else loop_model.linearize.py_func
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def settle(loop, memory, x, current, reference_rate):
     """Initialise from the first sample."""
     _settle(loop, memory, x, current, reference_rate)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def follow(loop, memory, x, current, reference_rate):
     """Advance the memory by one sample, during which the valve holds `current` [A]."""
     _follow(loop, memory, x, current, reference_rate)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def displace(loop, memory, x, reference, reference_rate, v):
     """Write v, of each coordinate, of a sample x, shape (8,), at f_r [N] and f_r' [N/s]."""
     _displace(loop, memory, x, reference, reference_rate, v)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
     """Fill `step` at x, shape (8,), and a memory's `hidden`, for a nominal current and the valve's [A], and K_p."""
     _linearize(loop, hidden, x, nominal_current, current, proportional_gain, step)

@@ -25,7 +25,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_filter.model import force_law, structured_kernels
@@ -34,6 +33,7 @@ from hydro_filter.model.state import FORCE_SCALE, LOAD_FORCE, POSITION, PRESSURE
 from hydro_filter.model.tangent import SOURCES, WIDTH
 from hydro_sim import copies
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.compiled_equations import equations as eq
 from hydro_sim.structured import physics
@@ -129,7 +129,7 @@ def loop_step() -> LoopStep:
     return LoopStep(*(np.zeros(shape) for shape in shapes))
 
 
-@njit(cache=True)
+@njit
 def shares(c, position):
     """Return the changes of p_a and p_b [Pa] for a change of f_h by 1 N, apportioned by the chambers' stiffnesses."""
     by_a, by_b = eq.pressure_rates(physics.numbers(c), physics.stiffnesses(c, position), (0.0, 0.0), 1.0)
@@ -137,7 +137,7 @@ def shares(c, position):
     return by_a / total, by_b / total
 
 
-@njit(cache=True)
+@njit
 def hydraulic_slopes(c, pressure_a, pressure_b, position, spool):
     """g [N/s/A] on the spool's side, and what f_h' loses per velocity [N/m], of the learned model."""
     n, stiff = physics.numbers(c), physics.stiffnesses(c, position)
@@ -146,13 +146,13 @@ def hydraulic_slopes(c, pressure_a, pressure_b, position, spool):
     return max(eq.force_rate(n, stiff, (into_a, into_b), 0.0), least), -eq.force_rate(n, stiff, (0.0, 0.0), 1.0)
 
 
-@njit(cache=True)
+@njit
 def least_gain(area, stiffness_a, valve_gain, supply):
     """Smallest g [N/s/A] of a linearization: a chamber at its limit has none."""
     return 0.1 * area * stiffness_a * valve_gain * math.sqrt(0.5 * supply)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step):
     """Fill `step` at x (8,), hidden states (3,), for a nominal current and the one that the valve got [A]."""
     c, scale = loop.model[0], loop.scale
@@ -177,7 +177,7 @@ def linearize(loop, hidden, x, nominal_current, current, proportional_gain, step
     law_feedback(loop, x, math.copysign(nominal_current, side), proportional_gain, share_a, share_b, step)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def law_feedback(loop, x, nominal_current, proportional_gain, share_a, share_b, step):
     """Feedback K [A] of the force law into `step`; a change of f_h is `share_a`, `share_b` of the pressures [Pa/N]."""
     law, feedback, scale = step.law, step.feedback, loop.scale
@@ -189,7 +189,7 @@ def law_feedback(loop, x, nominal_current, proportional_gain, share_a, share_b, 
     feedback[Q_BOX_VELOCITY] = law[VELOCITY] * scale[Q_BOX_VELOCITY]
 
 
-@njit(cache=True)
+@njit
 def _embed(c, scale, share_a, share_b, gain, nudges):
     """Nudges of the learned state for the first seven coordinates, and for the current in the last column."""
     nudges[:] = 0.0
@@ -200,7 +200,7 @@ def _embed(c, scale, share_a, share_b, gain, nudges):
     nudges[CURRENT, INPUT] = 1.0
 
 
-@njit(cache=True)
+@njit
 def _read(c, scale, gain, nudges, rates, transition, push):
     """F but for the box's memory, and G, from the nudges a sample later."""
     area, ratio = c[GAIN_H] * c[AREA] / scale[Q_HYDRAULIC], c[RATIO]
@@ -217,7 +217,7 @@ def _read(c, scale, gain, nudges, rates, transition, push):
         push[i], transition[i, INPUT] = transition[i, INPUT], 0.0
 
 
-@njit(cache=True)
+@njit
 def _state_rate(c, before, after, rate):
     """x' over the model's sample, without the readings' noise."""
     area = c[GAIN_H] * c[AREA]

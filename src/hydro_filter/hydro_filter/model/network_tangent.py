@@ -7,13 +7,13 @@ Where a ReLU bends the derivative is that of the side the model is on.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from hydro_sim.jit import njit
 from hydro_sim.neural import mlp
 from hydro_sim.structured.rollout import INPUTS, OUTPUT_SCALES, OUTPUTS
 
 
-@njit(cache=True)
+@njit
 def network_slopes(layers, x, a1, a2, y, slopes):
     """y, shape (m,), of `mlp.forward`, and dy/dx, shape (m, n): one pass back for each output."""
     mlp.forward(layers, x, a1, a2, y)
@@ -35,7 +35,7 @@ def network_slopes(layers, x, a1, a2, y, slopes):
             slopes[row, i] = total
 
 
-@njit(cache=True)
+@njit
 def residual(layers, center, scale, s, r, slopes):
     """`structured.residual` and dr/d(p_a, p_b, x_p, x_p', spool), shape (3, 5); whether there is anything."""
     r[:] = 0.0

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
+from hydro_sim.jit import njit
 
 
 class Overlap(NamedTuple):
@@ -32,19 +32,19 @@ class Overlap(NamedTuple):
     """A, half width on the other side, 0 or more."""
 
 
-@njit(cache=True)
+@njit
 def lost(overlap, current):
     """Return the part of a current [A] that does not pass."""
     return min(max(current - overlap.closing, -overlap.back), overlap.out)
 
 
-@njit(cache=True)
+@njit
 def passed_change(overlap, current, change):
     """Return how much more passes [A] after a change [A] of a current [A]."""
     return change - (lost(overlap, current + change) - lost(overlap, current))
 
 
-@njit(cache=True)
+@njit
 def change_for(overlap, current, passing):
     """Return the smallest change [A] of a current [A] after which `passing` [A] more of it passes."""
     if passing == 0.0 or (overlap.back == 0.0 and overlap.out == 0.0):

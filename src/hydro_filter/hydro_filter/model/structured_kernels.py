@@ -14,7 +14,6 @@ x does not hold the spool, its rate and the bristle: these are `hidden`, shape (
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_filter.model import network_tangent, tangent
@@ -30,6 +29,7 @@ from hydro_filter.model.state import (
 )
 from hydro_filter.model.tangent import WIDTH
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.structured import rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.physics import AREA, BIAS_L, GAIN_H, GAIN_L, RATIO
@@ -39,7 +39,7 @@ NUDGED = 7
 """Columns that a measured state needs: f_l, f_l', p_a, p_b, x_p, x_p' and the current; f_h and f_h' move nothing."""
 
 
-@njit(cache=True)
+@njit
 def full_state(c, x, hidden, full):
     """Full state, shape (12,), from a measurement: each quantity from its best sensor."""
     full[0], full[1], full[2], full[3] = x[PRESSURE_A], x[PRESSURE_B], x[POSITION], x[VELOCITY]
@@ -48,7 +48,7 @@ def full_state(c, x, hidden, full):
     full[9], full[10], full[11] = x[HYDRAULIC_FORCE_RATE], x[LOAD_FORCE_RATE], x[VELOCITY]
 
 
-@njit(cache=True)
+@njit
 def _lift_nudges(c, d):
     """Nudges of s for columns f_l, f_l', p_a, p_b, x_p, x_p' of x, in this order, then of the current."""
     d[:] = 0.0
@@ -56,7 +56,7 @@ def _lift_nudges(c, d):
     d[0, 2] = d[1, 3] = d[2, 4] = d[3, 5] = d[9, 6] = 1.0
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def advance_tangents(model, full, current, d, rates):
     """`structured.advance_full` of the full state, shape (12,), in place, with tangents d, shape (10, 8), of s and u.
 
@@ -80,7 +80,7 @@ def advance_tangents(model, full, current, d, rates):
     _shown(c, d, memories, 1.0, rates)
 
 
-@njit(cache=True, inline="always")
+@njit(inline="always")
 def _added(layers, center, scale, s, d, r, dr):
     """What the network adds, r, and its nudges dr, shape (3, 8), zero before."""
     slopes = np.empty((OUTPUTS, INPUTS))
@@ -91,7 +91,7 @@ def _added(layers, center, scale, s, d, r, dr):
                     dr[i, k] += slopes[i, j] * d[j, k]
 
 
-@njit(cache=True)
+@njit
 def _shown(c, d, memories, sign, rates):
     """Nudges of the box's differences of f_h, f_l, x_p before (sign -1: set) and after a sample (sign 1: added)."""
     force, velocity = sign * (1.0 - memories[0]) / SAMPLE_PERIOD, sign * (1.0 - memories[1]) / SAMPLE_PERIOD

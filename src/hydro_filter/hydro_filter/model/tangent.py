@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hydro_filter.model.tangent_rates import PARTIALS, level_slope, rates
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.structured import integration
 from hydro_sim.structured.integration import STATES, STEP, SUBSTEPS
 from hydro_sim.structured.physics import BRISTLE, COULOMB, SPOOL_OMEGA, STRIBECK, STRIBECK_VELOCITY
@@ -31,7 +31,7 @@ WIDTH = 8
 """Columns of d."""
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(fastmath={"contract"})
 def accumulate(p, spool_square, at, d, dr, weight, reach, total, ahead):
     """m = d(y')/d... @ at: total += weight m, and the nudges one stage ahead are d + reach m.
 
@@ -68,7 +68,7 @@ def accumulate(p, spool_square, at, d, dr, weight, reach, total, ahead):
         ahead[7 * WIDTH + k] = d[7 * WIDTH + k] + reach * m7
 
 
-@njit(cache=True)
+@njit
 def half_bristle(c, state, d):
     """`integration.half_bristle` of the state and its tangents, in place."""
     velocity, deflection = state[3], state[8]
@@ -89,7 +89,7 @@ def half_bristle(c, state, d):
         d[8, k] = kept * d[8, k] + by_velocity * d[3, k]
 
 
-@njit(cache=True)
+@njit
 def advance(c, state, current, r, d, dr):
     """`integration.advance` by one sample of 1 ms, of the state, shape (9,), and its tangents, in place."""
     square = c[SPOOL_OMEGA] ** 2

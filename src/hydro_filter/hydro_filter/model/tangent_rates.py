@@ -7,8 +7,7 @@ their friction. Where a slope jumps the derivative is that of the side the model
 
 from __future__ import annotations
 
-from numba import njit
-
+from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
 from hydro_sim.structured import derivatives, physics
 from hydro_sim.structured.integration import STATES
@@ -19,7 +18,7 @@ PARTIALS = STATES + OUTPUTS
 """Columns of the derivatives: y, z, and what the network adds."""
 
 
-@njit(cache=True)
+@njit
 def rates(c, y, z, current, r, slope, p):
     """`physics.rates`, y' into `slope`, and d(y')/d(y, z, r) into `p`, shape (8, 12), zero where it always is.
 
@@ -36,7 +35,7 @@ def rates(c, y, z, current, r, slope, p):
         p[3, 8] = -by_bristle / c[MASS]
 
 
-@njit(cache=True)
+@njit
 def _add(c, force, by_position, by_velocity, slope, p):
     """A force [N] against the motion, with its slopes."""
     slope[3] -= force / c[MASS]
@@ -44,7 +43,7 @@ def _add(c, force, by_position, by_velocity, slope, p):
     p[3, 3] -= by_velocity / c[MASS]
 
 
-@njit(cache=True)
+@njit
 def level_slope(c, velocity, share):
     """Slope of the friction level [N] by the velocity."""
     return -2.0 * velocity / c[STRIBECK_VELOCITY] ** 2 * c[STRIBECK] * share

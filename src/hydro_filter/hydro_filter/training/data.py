@@ -23,7 +23,6 @@ from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hydro_bridge.settings import quantity
 from hydro_bridge.signals import Flag, FloatArray, ReferenceSignal, StateArray, matrix
@@ -31,6 +30,7 @@ from hydro_filter.model.bench_parts import BenchLoop
 from hydro_filter.model.loop import Loop, displace, follow, linearize, memories, settle, step_of
 from hydro_filter.model.state import STATES
 from hydro_sim.excitation import drawn
+from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 from hydro_sim.simulation.offline import Schedule, simulate
@@ -193,7 +193,7 @@ def _between_stops(
     return np.array([bool(inside[k : k + span].all()) for k in starts], np.bool_)
 
 
-@njit(cache=True)
+@njit
 def _follow(loop, x, signals, starts, memory, step, xs, rates, vs, transitions, pushes, feedbacks):
     """Follow a run with the filter's memory and record the samples of every window."""
     span = xs.shape[1]

@@ -18,7 +18,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hydro_bridge.signals import (
     SAMPLE_PERIOD,
@@ -34,6 +33,7 @@ from hydro_policy.envs.vector_filter import FleetFilter, NoFilter
 from hydro_policy.envs.vector_plants import PlantRows
 from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command
+from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
 
@@ -121,7 +121,7 @@ class VectorBench:
         return self.samples
 
 
-@njit(cache=True)
+@njit
 def _exchange(bench, settings, box, command, filters, i, measurement, sample):
     """Run one sample of the box: command in, state out, and the filter's correction for the next command."""
     time = box[0].sequence * SAMPLE_PERIOD
@@ -130,7 +130,7 @@ def _exchange(bench, settings, box, command, filters, i, measurement, sample):
     command[0].delta_u = vector_filter.correct(filters, i, measurement, sample[0])
 
 
-@njit(cache=True)
+@njit
 def _step(benches, settings, boxes, commands, filters, plants, links, changes, noise, samples):
     count, length = samples.shape
     for i in range(count):
@@ -147,10 +147,10 @@ def _step(benches, settings, boxes, commands, filters, plants, links, changes, n
 
 
 # Kinds defined elsewhere (in a benchmark): the cache's index would name a module that others cannot import.
-_step_foreign = njit(_step.py_func)
+_step_foreign = njit(_step.py_func, cache=False)
 
 
-@njit(cache=True)
+@njit
 def _delayed(link, current):
     """Return the current that reaches the valve when `current` leaves the box."""
     late = link.dead_time

@@ -16,10 +16,10 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hydro_policy.sac import network_kernel
 from hydro_policy.sac.network_kernel import Floats
+from hydro_sim.jit import njit
 from hydro_sim.neural import adam_kernel, block_mlp, dense
 from hydro_sim.neural.mlp import Layers
 
@@ -57,7 +57,7 @@ class Draw(NamedTuple):
     inside: Floats
 
 
-@njit(cache=True)
+@njit
 def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places, noise, losses):
     """Make one update for each row of `places`, shape (updates, batch): indices into the replay buffer's `rows`.
 
@@ -86,7 +86,7 @@ def learn(networks, actor_adam, critic_adam, entropy_adam, numbers, rows, places
         network_kernel.soft_update(networks.target_parameters, critic_adam.parameters, numbers.target_rate)
 
 
-@njit(cache=True)
+@njit
 def _gather(numbers, rows, places, now, following, reward, end):
     """Transpose the drawn rows of the replay buffer into buffers."""
     n, m = numbers.observations, numbers.actions
@@ -100,7 +100,7 @@ def _gather(numbers, rows, places, now, following, reward, end):
         reward[k], end[k] = row[2 * n + m], row[2 * n + m + 1]
 
 
-@njit(cache=True)
+@njit
 def _targets(networks, numbers, following, noise, reward, end, alpha, actor_pass, first, second, draw, target):
     """y = c r + gamma (1 - d) (min_i Q_target,i(o', a') - alpha log pi(a'|o'))."""
     kind = target.dtype.type
@@ -113,7 +113,7 @@ def _targets(networks, numbers, following, noise, reward, end, alpha, actor_pass
         target[k] = scale * reward[k] + discount * (one - end[k]) * value
 
 
-@njit(cache=True)
+@njit
 def _critics(networks, now, target, first, second):
     """Gradients of 1/2 sum_i mean (Q_i(o, a) - y)^2, and its value."""
     count, squares = len(target), 0.0
@@ -131,7 +131,7 @@ def _critics(networks, now, target, first, second):
     return 0.5 * squares / count
 
 
-@njit(cache=True)
+@njit
 def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw):
     """Gradient of mean(alpha log pi(a|o) - min_i Q_i(o, a)), and its value; draws a into the inputs' action rows."""
     count, actions, n = len(draw.log_probability), numbers.actions, numbers.observations
@@ -163,7 +163,7 @@ def _actor(networks, numbers, now, noise, alpha, actor_pass, first, second, draw
     return loss / count
 
 
-@njit(cache=True)
+@njit
 def _sample(layers, numbers, inputs, noise, buffers, draw):
     """a = tanh(u), u = mu + sigma eps, into `draw` and into the inputs' action rows; log pi."""
     count, actions = len(draw.log_probability), numbers.actions
@@ -189,7 +189,7 @@ def _sample(layers, numbers, inputs, noise, buffers, draw):
             inputs[(numbers.observations + j) * network_kernel.ROW + k] = a
 
 
-@njit(cache=True)
+@njit
 def _draw(actions, count, kind):
     shape = (actions, count)
     return Draw(np.zeros(shape, kind), np.zeros(count, kind), np.zeros(shape, kind), np.zeros(shape, kind))

@@ -13,9 +13,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.neural import block_mlp, dense
 from hydro_sim.neural.dense import four
 from hydro_sim.neural.mlp import LOOSE
@@ -42,7 +42,7 @@ class PassBuffers(NamedTuple):
     g2: Floats
 
 
-@njit(cache=True)
+@njit
 def forward(layers, x, buffers, count):
     """Evaluate a padded network on `count` transitions; the outputs go to `buffers.y`."""
     for block in range(_blocks(count)):
@@ -50,7 +50,7 @@ def forward(layers, x, buffers, count):
         block_mlp.forward(layers, x, buffers.a1, buffers.a2, buffers.y, at)
 
 
-@njit(cache=True)
+@njit
 def backpropagate(layers, buffers, count):
     """Backpropagate `buffers.g`, the outputs' gradient, to both hidden layers' pre-activations: `buffers.g2`, `g1`."""
     w3, w2 = layers.w3.T.copy(), layers.w2.T.copy()
@@ -59,7 +59,7 @@ def backpropagate(layers, buffers, count):
         block_mlp.backward(w3, w2, buffers.g, buffers.a1, buffers.a2, buffers.g1, buffers.g2, at)
 
 
-@njit(cache=True)
+@njit
 def backward(layers, x, buffers, count, gradient):
     """Write the weights' gradients into `gradient` (not padded), from those of the outputs, `buffers.g`."""
     backpropagate(layers, buffers, count)
@@ -75,7 +75,7 @@ def backward(layers, x, buffers, count, gradient):
     copies.vector(gradient.b3, sums.b3[:m])
 
 
-@njit(cache=True)
+@njit
 def product(w, x, y, count):
     """Add w^T x to y, for whole buffers; w of shape (rows of x, rows of y)."""
     for block in range(_blocks(count)):
@@ -83,7 +83,7 @@ def product(w, x, y, count):
         dense.product(w, x, at, y, at)
 
 
-@njit(cache=True)
+@njit
 def input_rows(w1, first, count):
     """Return the transposed and padded rows of the first layer for some inputs, shape (h1, count)."""
     result = np.zeros((four(w1.shape[1]), four(count)), w1.dtype)
@@ -92,7 +92,7 @@ def input_rows(w1, first, count):
     return result
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def soft_update(targets, parameters, rate):
     """Apply Polyak averaging: targets += rate (parameters - targets)."""
     share = targets.dtype.type(rate)
@@ -100,18 +100,18 @@ def soft_update(targets, parameters, rate):
         targets[i] += share * (parameters[i] - targets[i])
 
 
-@njit(cache=True)
+@njit
 def _blocks(count):
     return (count + dense.BLOCK - 1) // dense.BLOCK
 
 
-@njit(cache=True)
+@njit
 def buffer(rows, kind):
     """Allocate a buffer of this many rows, all zero."""
     return np.zeros(rows * dense.ROW, kind)
 
 
-@njit(cache=True)
+@njit
 def pass_buffers(layers, kind):
     """Allocate the buffers of one network."""
     h1, h2, m = four(layers.w1.shape[1]), four(layers.w3.shape[0]), four(layers.w3.shape[1])

@@ -13,16 +13,15 @@ iteration.
 
 from __future__ import annotations
 
-from numba import njit
-
 from hydro_bridge.serial.frames import INTEGRAL_FORMS
+from hydro_sim.jit import njit
 from hydro_sim.model import hydraulics
 
 BUMPLESS = INTEGRAL_FORMS.index("bumpless")
 """Number of the bumpless form; any other is the paper's."""
 
 
-@njit(cache=True)
+@njit
 def nominal_current(bench, measurement, error, integral_action, reference_rate, proportional_gain, gain_floor):
     """u_nom [A] before correction and saturation.
 
@@ -51,13 +50,13 @@ def nominal_current(bench, measurement, error, integral_action, reference_rate, 
     return driven_rate / max(gain, gain_floor)
 
 
-@njit(cache=True)
+@njit
 def integral_action(form, integral, integral_gain):
     """Integral action I [N/s]: the integrator's state or, in the paper's form, K_i [1/s^2] times it [N s]."""
     return integral if form == BUMPLESS else integral_gain * integral
 
 
-@njit(cache=True)
+@njit
 def integrate(form, integral, error, integral_gain, unlimited_current, current, period):
     """The integrator's state after one period [s], in N/s, or N s in the paper's form.
 

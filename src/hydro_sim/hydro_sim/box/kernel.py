@@ -9,10 +9,10 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, Flag, Waveform
 from hydro_sim.box import force_law, reference
+from hydro_sim.jit import njit
 
 ARMED, SATURATED, WATCHDOG = int(Flag.ARMED), int(Flag.SATURATED), int(Flag.WATCHDOG)
 TRIPPED, SENSOR_FAULT = int(Flag.TRIPPED), int(Flag.SENSOR_FAULT)
@@ -52,7 +52,7 @@ RECOVERY_MARGIN = 20.0
 """Initial rise [N] allowed to such a force: the load cell's noise and the oil's last swing."""
 
 
-@njit(cache=True)
+@njit
 def reset(states):
     """Reset to power-on; `states` of shape (1,)."""
     state = states[0]
@@ -67,7 +67,7 @@ def reset(states):
     reference.begin(state.reference, 0.0, 0.0)
 
 
-@njit(cache=True)
+@njit
 def receive(settings, states, commands, time):
     """Take in a command at box time [s]; all arrays of shape (1,)."""
     state, limits, command = states[0], settings[0], commands[0]
@@ -88,7 +88,7 @@ def receive(settings, states, commands, time):
         state.refused_references += 1
 
 
-@njit(cache=True)
+@njit
 def _admitted(state, value, low, high):
     """The value clamped, or zero if it is not finite; either is counted."""
     if low <= value <= high:
@@ -97,7 +97,7 @@ def _admitted(state, value, low, high):
     return min(max(value, low), high) if math.isfinite(value) else 0.0
 
 
-@njit(cache=True)
+@njit
 def _playable(signal, force_range):
     """Return whether the reference stays within what the load cell can show [N]; false of anything that is not finite.
 
@@ -110,7 +110,7 @@ def _playable(signal, force_range):
     return levels and shape and 0.0 < signal.frequency < 1.0 / SAMPLE_PERIOD
 
 
-@njit(cache=True)
+@njit
 def tick(bench, settings, states, measurement, time, outputs):
     """One sample: `measurement` x, shape (8,), at box time [s]; fills `outputs`, shape (1,), of BenchState."""
     state, limits, output = states[0], settings[0], outputs[0]
@@ -126,7 +126,7 @@ def tick(bench, settings, states, measurement, time, outputs):
     state.sequence = np.uint32(state.sequence + 1)
 
 
-@njit(cache=True)
+@njit
 def _watch(state, limits, time):
     """Return whether commands are late; if they are gone for good, the box trips and wants to see a disarm."""
     age = time - state.received_at
@@ -136,7 +136,7 @@ def _watch(state, limits, time):
     return age > limits.hold_timeout
 
 
-@njit(cache=True)
+@njit
 def _follow_disarm(state):
     """A disarm that was seen ends a trip and forgets its causes; if one is still there, `_check` finds it again."""
     if not state.arm_wanted:
@@ -146,7 +146,7 @@ def _follow_disarm(state):
             state.faults = np.uint32(0)
 
 
-@njit(cache=True)
+@njit
 def _check(state, limits, measurement, time):
     """Trip on what cannot be or must not be; the causes stay until the disarm."""
     for i in range(8):
@@ -158,7 +158,7 @@ def _check(state, limits, measurement, time):
         state.tripped = True
 
 
-@njit(cache=True)
+@njit
 def _allowance(state, time):
     """Allowed excess [N] of the force beyond its limit: as at arming, falling to zero within `RECOVERY`.
 
@@ -167,7 +167,7 @@ def _allowance(state, time):
     return state.excess * max(0.0, 1.0 - (time - state.armed_at) / RECOVERY)
 
 
-@njit(cache=True)
+@njit
 def _follow_arm(state, limits, measurement, time):
     """Arm if the diagram in `hydro_sim.box.box` allows it: the reference then fades in from the measured force."""
     if state.tripped:
@@ -181,7 +181,7 @@ def _follow_arm(state, limits, measurement, time):
         reference.begin(state.reference, measurement[limits.feedback_channel], time)
 
 
-@njit(cache=True)
+@njit
 def _control(bench, limits, state, measurement, late, time, output):
     """Reference, force law and saturation into `output`; whether the current stands at its limit."""
     force = measurement[limits.feedback_channel]
@@ -206,7 +206,7 @@ def _control(bench, limits, state, measurement, late, time, output):
     return current != unlimited
 
 
-@njit(cache=True)
+@njit
 def _show_measurement(measurement, output):
     output.hydraulic_force, output.hydraulic_force_rate = measurement[0], measurement[1]
     output.load_force, output.load_force_rate = measurement[2], measurement[3]
@@ -214,14 +214,14 @@ def _show_measurement(measurement, output):
     output.piston_position, output.piston_velocity = measurement[6], measurement[7]
 
 
-@njit(cache=True)
+@njit
 def _show_gains(state, limits, late, output):
     """The gains in force: late commands leave the base gains."""
     output.proportional_gain = limits.base_kp if late else limits.base_kp + state.delta_kp
     output.integral_gain = limits.base_ki if late else limits.base_ki + state.delta_ki
 
 
-@njit(cache=True)
+@njit
 def _flags(state, late, saturated):
     flags = state.faults
     if state.armed:

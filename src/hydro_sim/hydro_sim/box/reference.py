@@ -19,9 +19,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray, ReferenceSignal, Waveform
+from hydro_sim.jit import njit
 
 FADE = 0.3
 """Length [s] of a cross-fade."""
@@ -48,7 +48,7 @@ REFERENCE_DTYPE = np.dtype(
 HOLD, SINE, MULTISINE = int(Waveform.HOLD), int(Waveform.SINE), int(Waveform.MULTISINE)
 
 
-@njit(cache=True)
+@njit
 def signal(parameters, time):
     """Value [N] and rate [N/s] of one `SIGNAL_DTYPE` record at box time [s]."""
     omega = 2.0 * math.pi * parameters.frequency
@@ -64,7 +64,7 @@ def signal(parameters, time):
     return parameters.offset + parameters.amplitude * shape, parameters.amplitude * omega * slope
 
 
-@njit(cache=True)
+@njit
 def _multisine(angle, phase):
     shape, slope = 0.0, 0.0
     for i in range(4):
@@ -74,7 +74,7 @@ def _multisine(angle, phase):
     return shape, slope
 
 
-@njit(cache=True)
+@njit
 def _smooth_step(angle):
     """Shape, and its slope by the angle: from -1 to 1 at angle 0, back at pi."""
     turn = (angle / (2.0 * math.pi)) % 1.0
@@ -85,34 +85,34 @@ def _smooth_step(angle):
     return -side * math.cos(math.pi * share), side * math.sin(math.pi * share) / (2.0 * EDGE)
 
 
-@njit(cache=True)
+@njit
 def copy_signal(source, target):
     """Copy all but the start."""
     target.waveform, target.amplitude, target.offset = source.waveform, source.amplitude, source.offset
     target.frequency, target.phase = source.frequency, source.phase
 
 
-@njit(cache=True)
+@njit
 def _same(one, other):
     levels = one.waveform == other.waveform and one.amplitude == other.amplitude and one.offset == other.offset
     return levels and one.frequency == other.frequency and one.phase == other.phase
 
 
-@njit(cache=True)
+@njit
 def begin(state, force, time):
     """Start the wanted signal from a held force [N] at box time [s]: value and rate begin at (force, 0)."""
     state.old.waveform, state.old.amplitude, state.old.offset = HOLD, 0.0, force
     _take_up(state, time)
 
 
-@njit(cache=True)
+@njit
 def _take_up(state, time):
     copy_signal(state.wanted, state.new)
     state.new.start = time
     state.fade_start = time
 
 
-@njit(cache=True)
+@njit
 def advance(state, time):
     """f_r [N] and f_r' [N/s] at box time [s]; a fade that has ended gives way to what is wanted by now."""
     if time - state.fade_start >= FADE and not _same(state.wanted, state.new):
@@ -139,7 +139,7 @@ def sample(reference: ReferenceSignal, times: FloatArray) -> tuple[FloatArray, F
     return values, rates
 
 
-@njit(cache=True)
+@njit
 def _sample(record, times, values, rates):
     for i in range(len(times)):
         values[i], rates[i] = signal(record[0], times[i])

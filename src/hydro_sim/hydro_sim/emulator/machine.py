@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hydro_bridge.signals import PLANT_FIELDS, SAMPLE_PERIOD, STATE_DTYPE, Command, FloatArray, StateArray
 from hydro_sim import copies
@@ -16,11 +15,12 @@ from hydro_sim.box import kernel
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.truth import plant as truth
 from hydro_sim.emulator.truth.config import TruthConfig
+from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.sensors import Sensors
 
 
-@njit(cache=True)
+@njit
 def exchange(bench, settings, box, plant, scratch, noise, time, sample, clean, physical):
     """Advance box and plant by one sample, in place.
 
@@ -145,7 +145,7 @@ class Machine:
         return states, clean, physical
 
 
-@njit(cache=True)
+@njit
 def _run(box, plant, scratch, noise, first, commands, which, states, clean, physical):
     bench, settings, memory = box
     for k in range(len(which)):

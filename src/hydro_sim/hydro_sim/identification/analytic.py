@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim import copies
 from hydro_sim.files.recordings import Run
+from hydro_sim.jit import njit
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.compiled_equations import equations
@@ -49,13 +50,13 @@ class AnalyticModel:
         return np.asarray(_rollout(self.constants, self.memories, starts, np.ascontiguousarray(currents)))
 
 
-@njit(cache=True)
+@njit
 def _read(bench, y, reading):
     reading[0] = equations.hydraulic_force(bench, y[0], y[1])
     reading[1], reading[2], reading[3], reading[4] = y[4], y[0], y[1], y[2]
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def _rollout(constants, memories, starts, currents):
     n, horizon = currents.shape
     measured = np.empty((n, horizon, 8))

@@ -11,9 +11,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.jit import njit
 from hydro_sim.learned import region
 from hydro_sim.learned.model import Learned, Model
 from hydro_sim.model import sensors
@@ -135,7 +135,7 @@ def _deep_step(model: DeepModel) -> Step:
     return advance
 
 
-@njit(cache=True)
+@njit
 def advance_network(layers, step, center, scale, state, current, x, a1, a2, y, measured):
     """One sample of the network from `state`, in place; `measured` is what comes out of it."""
     z = ((state - center) / scale).astype(np.float32)
@@ -145,7 +145,7 @@ def advance_network(layers, step, center, scale, state, current, x, a1, a2, y, m
         measured[i] = state[i]
 
 
-@njit(cache=True)
+@njit
 def _errors(sensor, noise, clean, raw):
     """Errors that the sensors add to the five readings."""
     raw[0], raw[1], raw[2], raw[3], raw[4] = clean[0], clean[2], clean[4], clean[5], clean[6]
@@ -157,14 +157,14 @@ def _errors(sensor, noise, clean, raw):
     raw[4] -= clean[6]
 
 
-@njit(cache=True)
+@njit
 def _begin_error(sensor, noise, clean, last, error):
     raw = np.empty(5)
     _errors(sensor[0], noise, clean, raw)
     sensors.restart(last[0], raw, error)
 
 
-@njit(cache=True)
+@njit
 def next_error(sensor, noise, clean, last, error):
     """The sensors' error of the next sample, rates included, in place."""
     raw = np.empty(5)

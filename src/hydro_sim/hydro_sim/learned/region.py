@@ -10,9 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.jit import njit
 
 COLUMNS = (2, 3, 4, 5)
 """Columns of x that define the region; the valve current is the fifth coordinate."""
@@ -45,7 +45,7 @@ class Region:
         return np.asarray(np.linalg.norm((np.column_stack((x[:, COLUMNS], u)) - self.center) @ self.whiten.T, axis=1))
 
 
-@njit(cache=True)
+@njit
 def outside(center, whiten, x, u):
     """Return whether one sample, x of shape (8,), lies outside."""
     total = 0.0

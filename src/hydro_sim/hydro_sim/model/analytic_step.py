@@ -11,10 +11,10 @@ Nothing here or in `deep` is compiled with fastmath: numba would compile, and ca
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.model import hydraulics
 from hydro_sim.model.compiled_equations import equations
 
@@ -27,7 +27,7 @@ NUDGES: FloatArray = np.array([0.0, 0.0, 1e-3, 1e-1, 1e2, 1e2, 1e-8, 1e-6])
 """Steps of the finite differences that give the gradient, units of x."""
 
 
-@njit(cache=True)
+@njit
 def gain(physics, x, current, moved):
     """Write into `moved`, shape (8,), what x, shape (8,), gains in a sample at a held current [A].
 
@@ -48,7 +48,7 @@ def gain(physics, x, current, moved):
         moved[4 + i] = y[i] - x[4 + i]
 
 
-@njit(cache=True)
+@njit
 def add_gradient(physics, x, current, after, before):
     """Add to `before` what a gradient `after`, both by x and of shape (8,), is by way of `gain`."""
     moved, nudged, lagging = np.empty(STATES), np.empty(STATES), physics[0][0].load_cell_omega > 0.0

@@ -13,9 +13,9 @@ Source: paper eq. q13-q15 and q4, physics.md; `input_gain` carries the erratum's
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
 
 STATES = 6
@@ -25,7 +25,7 @@ SUBSTEPS = 20
 """Runge-Kutta steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""
 
 
-@njit(cache=True)
+@njit
 def flow_gains(bench, pressure_a, pressure_b, opening):
     """q_a/u and q_b/u [m3/s/A] of an opened valve; `opening`: any current of the same sign."""
     out, back = eq.edge_drops(bench.supply_pressure, bench.tank_pressure, pressure_a, pressure_b)
@@ -33,40 +33,40 @@ def flow_gains(bench, pressure_a, pressure_b, opening):
     return bench.valve_gain * eq.signed_root(drop_a), bench.valve_gain * eq.signed_root(drop_b)
 
 
-@njit(cache=True)
+@njit
 def chamber_flows(bench, pressure_a, pressure_b, current):
     """Flows [m3/s] into chamber A and into chamber B at valve current [A]."""
     gain_a, gain_b = flow_gains(bench, pressure_a, pressure_b, current)
     return gain_a * current, -gain_b * current
 
 
-@njit(cache=True)
+@njit
 def stiffnesses(bench, position):
     """beta/V [Pa/m3] of both chambers at piston position [m]."""
     return eq.stiffnesses(bench, (bench.bulk_modulus, bench.bulk_modulus), position)
 
 
-@njit(cache=True)
+@njit
 def pressure_rates(bench, pressure_a, pressure_b, position, velocity, current):
     """p_a', p_b' [Pa/s] at valve current [A]."""
     flows = chamber_flows(bench, pressure_a, pressure_b, current)
     return eq.pressure_rates(bench, stiffnesses(bench, position), flows, velocity)
 
 
-@njit(cache=True)
+@njit
 def velocity_term(bench, position, velocity):
     """h [N/s] (eq. q14): effect of the motion on the hydraulic force."""
     return eq.force_rate(bench, stiffnesses(bench, position), (0.0, 0.0), velocity)
 
 
-@njit(cache=True)
+@njit
 def input_gain(bench, position, pressure_a, pressure_b, opening):
     """g [N/s/A] (eq. q15 with a plus, see the erratum in physics.md), for currents with the sign of `opening`."""
     gain_a, gain_b = flow_gains(bench, pressure_a, pressure_b, opening)
     return eq.force_rate(bench, stiffnesses(bench, position), (gain_a, -gain_b), 0.0)
 
 
-@njit(cache=True)
+@njit
 def rates(bench, y, current, out):
     """Write y' at a valve current [A] into `out`, shape (6,)."""
     out[0], out[1] = pressure_rates(bench, y[0], y[1], y[2], y[3], current)
@@ -78,7 +78,7 @@ def rates(bench, y, current, out):
     out[5] = eq.amplifier(bench.load_cell_omega, force, y[4], y[5])
 
 
-@njit(cache=True)
+@njit
 def advance(bench, y, current, duration, steps):
     """Integrate y, shape (6,), in place over `duration` [s] at a held current [A] by `steps` steps of classic RK4.
 

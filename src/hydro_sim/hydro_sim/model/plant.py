@@ -11,9 +11,9 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import FloatArray
+from hydro_sim.jit import njit
 from hydro_sim.model import machine_code, sensors
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK, BenchModel
@@ -91,14 +91,14 @@ class AnalyticPlant:
         self.constants["address"] = self.model.address
 
 
-@njit(cache=True)
+@njit
 def begin(sensor_constants, state, noise, readings):
     """First sample: `sensor_constants`, `state` of shape (1,), `noise` and true `readings` of shape (5,)."""
     sensors.sense(sensor_constants[0], noise, readings)
     sensors.restart(state[0].last, readings, state[0].x)
 
 
-@njit(cache=True)
+@njit
 def advance(constants, sensor_constants, state, noise, valve_current):
     """One sample of 1 ms in place; `constants` as `MODEL_DTYPE`, shapes as in `begin`. Every simulation runs this."""
     raw = np.empty(5)

@@ -61,7 +61,7 @@ def formatted(head: str, functions: Sequence[tuple[str, str, Sequence[str]]], fi
     text = head
     for signature, docstring, lines in functions:
         body = "\n    ".join(lines)
-        text += f'\n\n@njit(cache=True)\ndef {signature}:\n    """{docstring}"""\n    {body}\n'
+        text += f'\n\n@njit\ndef {signature}:\n    """{docstring}"""\n    {body}\n'
     command = [sys.executable, "-m", "ruff", "format", "-", "--stdin-filename", str(file)]
     return subprocess.run(command, input=text, text=True, capture_output=True, check=True).stdout
 

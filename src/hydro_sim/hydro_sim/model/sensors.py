@@ -19,10 +19,10 @@ from typing import Annotated
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hydro_bridge.settings import check, quantity
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_sim.jit import njit
 
 RAW_FIELDS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 """Sensor readings, in the order of every raw array here."""
@@ -94,7 +94,7 @@ class Noise:
         return np.concatenate((kept[:count], fresh))
 
 
-@njit(cache=True)
+@njit
 def sense(sensors, noise, raw):
     """Make true values `raw`, shape (5,), into readings, in place; `noise`: standard normal numbers, shape (5,)."""
     raw[0] += sensors.force_noise * noise[0]
@@ -105,7 +105,7 @@ def sense(sensors, noise, raw):
         raw[4] = np.rint(raw[4] / sensors.position_step) * sensors.position_step
 
 
-@njit(cache=True)
+@njit
 def restart(last, raw, measurement):
     """Begin conditioning at readings `raw`: rates are zero; a reading that is none counts as 0."""
     last.force_h = raw[0] if abs(raw[0]) < READING_MAX else 0.0
@@ -115,7 +115,7 @@ def restart(last, raw, measurement):
     _show(raw, measurement)
 
 
-@njit(cache=True)
+@njit
 def condition(sensors, last, raw, measurement):
     """One sample of the box: readings `raw`, shape (5,), into `measurement`, shape (8,), whose rates are its memory.
 
@@ -134,7 +134,7 @@ def condition(sensors, last, raw, measurement):
     _show(raw, measurement)
 
 
-@njit(cache=True)
+@njit
 def _show(raw, measurement):
     measurement[0], measurement[2] = raw[0], raw[1]
     measurement[4], measurement[5], measurement[6] = raw[2], raw[3], raw[4]

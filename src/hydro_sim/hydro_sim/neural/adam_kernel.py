@@ -13,8 +13,8 @@ import math
 from typing import Any, NamedTuple
 
 import numpy.typing as npt
-from numba import njit
 
+from hydro_sim.jit import njit
 from hydro_sim.neural.mlp import LOOSE
 
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
@@ -32,7 +32,7 @@ class Adam(NamedTuple):
     """Steps done before this call."""
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def step(adam, count):
     """Update the parameters by `adam.gradient`, as torch.optim.Adam does; this is step `adam.steps + count`."""
     kind = adam.parameters.dtype.type

@@ -8,15 +8,15 @@ are read and written at the same `at`.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.neural import dense
 from hydro_sim.neural.dense import four
 from hydro_sim.neural.mlp import LOOSE, Layers
 
 
-@njit(cache=True)
+@njit
 def padded(layers):
     """A copy of `layers` whose sizes are multiples of four."""
     n, h1 = layers.w1.shape
@@ -34,14 +34,14 @@ def padded(layers):
     return Layers(w1, b1, w2, b2, w3, b3)
 
 
-@njit(cache=True)
+@njit
 def unpadded(layers, n, h1, h2):
     """The flat weights of padded `layers` with a multiple of four outputs."""
     w1, w2 = layers.w1[:n, :h1].copy().ravel(), layers.w2[:h1, :h2].copy().ravel()
     return np.concatenate((w1, layers.b1[:h1], w2, layers.b2[:h2], layers.w3[:h2].copy().ravel(), layers.b3))
 
 
-@njit(cache=True)
+@njit
 def zeros(layers):
     """Zeros in the shapes of `layers`."""
     return Layers(
@@ -50,7 +50,7 @@ def zeros(layers):
     )  # fmt: skip
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def forward(layers, x, a1, a2, y, at):
     """y of x; the activations go to a1, a2."""
     dense.fill(a1, at, layers.b1)
@@ -63,7 +63,7 @@ def forward(layers, x, a1, a2, y, at):
     dense.product(layers.w3, a2, at, y, at)
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def backward(w3_transposed, w2_transposed, gy, a1, a2, g1, g2, at):
     """Gradients g2, g1 with respect to the pre-activations of both hidden layers, from gy, that of the output."""
     dense.clear(g2, at, w3_transposed.shape[1])
@@ -74,7 +74,7 @@ def backward(w3_transposed, w2_transposed, gy, a1, a2, g1, g2, at):
     dense.mask(g1, a1, at, w2_transposed.shape[1])
 
 
-@njit(cache=True)
+@njit
 def add_gradient(x, a1, a2, g1, g2, gy, count, gradient):
     """Add the weight gradients, summed over the first `count` numbers of each row, to `gradient` (padded)."""
     dense.outer(a2, gy, gradient.w3, gradient.b3, count)

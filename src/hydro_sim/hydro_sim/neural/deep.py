@@ -19,9 +19,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.model import analytic_step
 from hydro_sim.neural.network import STATES
 
@@ -49,7 +50,7 @@ class Parts(NamedTuple):
     current_scale: float
 
 
-@njit(cache=True)
+@njit
 def layer(parts, index):
     """Weights, shape (n, m), and biases, shape (m,), of a layer: views of the flat vector."""
     flat, sizes, begin = parts.flat, parts.sizes, 0
@@ -59,7 +60,7 @@ def layer(parts, index):
     return flat[begin : begin + n * m].reshape(n, m), flat[begin + n * m : begin + (n + 1) * m]
 
 
-@njit(cache=True)
+@njit
 def _places(sizes, rows):
     """Start of each layer in a buffer of `rows` rows a layer, and the end of the buffer."""
     places = np.zeros(len(sizes) + 1, np.int64)
@@ -68,14 +69,14 @@ def _places(sizes, rows):
     return places
 
 
-@njit(cache=True)
+@njit
 def _rows(buffer, places, sizes, index, begin, end):
     """Rows begin:end of a layer, shape (end - begin, size)."""
     at, size = places[index], sizes[index]
     return buffer[at + begin * size : at + end * size].reshape(end - begin, size)
 
 
-@njit(cache=True)
+@njit
 def _advance(parts, kept, places, row, z, v):
     """z, shape (n, 8), a sample later, in place, under v, shape (n,); the layers' inputs stay in `kept` from `row`."""
     n, last, zero = len(z), len(parts.sizes) - 2, z.dtype.type(0.0)
@@ -100,7 +101,7 @@ def _advance(parts, kept, places, row, z, v):
             z[k, i] += parts.step[i] * (y[k, i] + b[i])
 
 
-@njit(cache=True)
+@njit
 def _gain(parts, z, v):
     """Add the analytic model's gain to z, shape (n, 8)."""
     x, moved, physics = np.empty(STATES), np.empty(STATES), (parts.constants, parts.memories)
@@ -112,7 +113,7 @@ def _gain(parts, z, v):
             z[k, i] += moved[i] / parts.scale[i]
 
 
-@njit(cache=True)
+@njit
 def _gain_back(parts, z, v, after, before):
     """Backpropagate the gain: add its part of the gradient by z after a sample to that before it, shapes (n, 8)."""
     x, g, back = np.empty(STATES), np.empty(STATES), np.empty(STATES)
@@ -126,7 +127,7 @@ def _gain_back(parts, z, v, after, before):
             before[k, i] += back[i] * parts.scale[i]
 
 
-@njit(cache=True)
+@njit
 def roll(parts, starts, currents, states):
     """z after each sample into `states`, shape (n, H, 8): one block, one thread."""
     n, horizon = currents.shape
@@ -137,7 +138,7 @@ def roll(parts, starts, currents, states):
         copies.matrix(states[:, h], z)
 
 
-@njit(cache=True)
+@njit
 def _back(parts, kept, places, slopes, slope_places, row, v, gz):
     """gz, shape (n, 8), by z after a sample becomes that by z before it; the layers' gradients go to `slopes`."""
     n, last, before = len(gz), len(parts.sizes) - 2, gz.copy()
@@ -164,7 +165,7 @@ def _back(parts, kept, places, slopes, slope_places, row, v, gz):
     copies.matrix(gz, before)
 
 
-@njit(cache=True)
+@njit
 def _block(parts, starts, currents, targets, gradient):
     """Summed loss of a block of windows; its gradient is added to `gradient`, flat."""
     n, horizon = currents.shape
@@ -201,7 +202,7 @@ def _block(parts, starts, currents, targets, gradient):
     return loss
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def rollout(
     flat, sizes, step, residual, constants, memories, center, scale, current_scale, starts, currents
 ):  # parallel loops take no tuples
@@ -215,7 +216,7 @@ def rollout(
     return states
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def loss_and_gradient(
     flat, sizes, step, residual, constants, memories, center, scale, current_scale, starts, currents, targets, threads
 ):

@@ -16,8 +16,8 @@ times and `outer` three times as fast as BLAS, which copies its operands before 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from hydro_sim.jit import njit
 from hydro_sim.neural.mlp import LOOSE
 
 BLOCK = 128
@@ -35,27 +35,27 @@ _0, _1, _2, _3, _4 = _U(0), _U(1), _U(2), _U(3), _U(4)
 _WINDOWS, _ROW, _ROW2, _ROW3 = _U(BLOCK), _U(ROW), _U(2 * ROW), _U(3 * ROW)
 
 
-@njit(cache=True)
+@njit
 def four(count):
     """`count` rounded up to a multiple of four."""
     return (count + 3) // 4 * 4
 
 
-@njit(cache=True)
+@njit
 def row(buffer, j, at):
     """Row j of a buffer at one step, a view of shape (BLOCK,)."""
     begin = _U(j) * _ROW + at
     return buffer[begin : begin + _WINDOWS]
 
 
-@njit(cache=True)
+@njit
 def clear(y, at, rows):
     """y = 0."""
     for j in range(rows):
         row(y, j, at)[:] = y.dtype.type(0.0)
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def fill(y, at, b):
     """y = b for every window."""
     for j in range(_U(b.shape[0])):
@@ -64,7 +64,7 @@ def fill(y, at, b):
             y[begin + k] = value
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def relu(y, at, rows):
     """y = max(y, 0); NaN stays."""
     zero = y.dtype.type(0.0)
@@ -74,7 +74,7 @@ def relu(y, at, rows):
             y[begin + k] = zero if y[begin + k] < zero else y[begin + k]
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def mask(g, a, at, rows):
     """g = 0 where the activation `a` is."""
     zero = g.dtype.type(0.0)
@@ -84,7 +84,7 @@ def mask(g, a, at, rows):
             g[begin + k] = g[begin + k] if a[begin + k] > zero else zero
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def product(w, x, x_at, y, y_at):
     """y += w^T x, for w of shape (n, m), n and m multiples of four; adds for n rows of x and m of y."""
     n, m = _U(w.shape[0]), _U(w.shape[1])
@@ -105,7 +105,7 @@ def product(w, x, x_at, y, y_at):
                 y[q + k], y[q + _ROW + k], y[q + _ROW2 + k], y[q + _ROW3 + k] = y0, y1, y2, y3
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def outer(x, g, gw, gb, count):
     """gw += x g^T, gb += g 1 over the first `count` numbers of each row; gw of shape (n, m), multiples of four."""
     n, m, zero = _U(gw.shape[0]), _U(gw.shape[1]), gw.dtype.type(0.0)

@@ -18,7 +18,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from hydro_sim.jit import njit
 
 LOOSE = {"reassoc", "contract"}
 """Sums may be reordered and fused, which vectorizes them; NaN and infinity keep their meaning."""
@@ -62,7 +63,7 @@ def initial(
     return flat
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def forward(layers, x, a1, a2, y):
     """y, shape (m,), of x, shape (n,); leaves the activations in a1, a2."""
     _affine(layers.w1, layers.b1, x, a1)
@@ -74,7 +75,7 @@ def forward(layers, x, a1, a2, y):
     _affine(layers.w3, layers.b3, a2, y)
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def _affine(w, b, x, y):
     for j in range(y.shape[0]):
         y[j] = b[j]
@@ -84,7 +85,7 @@ def _affine(w, b, x, y):
             y[j] += w[i, j] * scale
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def backward(layers, x, a1, a2, gy, gradient, g1, g2, gx):
     """Add d/dweights to `gradient` (Layers) and set gx = d/dx, for gy = d/dy; activations as `forward` left them."""
     _affine_back(layers.w3, a2, gy, gradient.w3, gradient.b3, g2)
@@ -98,7 +99,7 @@ def backward(layers, x, a1, a2, gy, gradient, g1, g2, gx):
     _affine_back(layers.w1, x, g1, gradient.w1, gradient.b1, gx)
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def _affine_back(w, x, gy, gw, gb, gx):
     for j in range(gy.shape[0]):
         gb[j] += gy[j]

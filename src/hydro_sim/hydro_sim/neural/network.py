@@ -15,9 +15,10 @@ Source: paper eq. state, eq. loss, Table training; learned_model.md says why the
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.neural import block_mlp, mlp, network_block
 from hydro_sim.neural.dense import BLOCK, CHUNK
 from hydro_sim.neural.mlp import LOOSE
@@ -26,7 +27,7 @@ from hydro_sim.neural.network_block import STATES as STATES
 INPUTS = STATES + 1
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def advance(layers, step, z, current, x, a1, a2, y):
     """One sample of z, shape (8,), in place; `x`, shape (9,), and activations are left as the network saw them."""
     for i in range(STATES):
@@ -37,7 +38,7 @@ def advance(layers, step, z, current, x, a1, a2, y):
         z[i] += step[i] * y[i]
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def rollout(layers, step, starts, currents):
     """z after each sample, shape (n, H, 8), from `starts`, shape (n, 8), under scaled currents, shape (n, H)."""
     n, horizon = currents.shape
@@ -48,7 +49,7 @@ def rollout(layers, step, starts, currents):
     return states
 
 
-@njit(cache=True)
+@njit
 def _rollout_block(layers, step, starts, currents, states):
     count, horizon = currents.shape
     filled = block_mlp.padded(layers)
@@ -60,7 +61,7 @@ def _rollout_block(layers, step, starts, currents, states):
             copies.vector(states[:, h, i], network_block.states_at(work, i, h + 1)[:count])
 
 
-@njit(cache=True)
+@njit
 def _share(layers, step, starts, currents, targets, printed):
     """Loss of a thread's windows, block by block, and its gradient by the flat weights."""
     n, horizon = currents.shape
@@ -81,7 +82,7 @@ def _share(layers, step, starts, currents, targets, printed):
     return loss, block_mlp.unpadded(gradient, INPUTS, len(layers.b1), len(layers.b2))
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def loss_and_gradient(layers, step, starts, currents, targets, printed, threads):
     """Loss of a batch and its gradient by the flat weights; float32 or float64, as the arrays are.
 

@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from hydro_sim.jit import njit
 from hydro_sim.neural import block_mlp, dense
 from hydro_sim.neural.dense import BLOCK, CHUNK, ROW
 from hydro_sim.neural.mlp import LOOSE
@@ -38,7 +38,7 @@ class Workspace(NamedTuple):
     """(H, 8, BLOCK)."""
 
 
-@njit(cache=True)
+@njit
 def workspace(layers, horizon, trained):
     """Allocate the workspace; without `trained`, only what a roll-out needs."""
     chunks, kind = horizon // CHUNK + 1, layers.b1.dtype
@@ -51,14 +51,14 @@ def workspace(layers, horizon, trained):
     return Workspace(x, a1, a2, y, g1, g2, np.empty(STATES * ROW, kind), np.zeros((horizon, STATES, BLOCK), kind))
 
 
-@njit(cache=True)
+@njit
 def states_at(work, i, h):
     """State i of all windows before sample h: a view of shape (BLOCK,)."""
     begin = i * ROW + h % CHUNK * BLOCK
     return work.x[h // CHUNK, begin : begin + BLOCK]
 
 
-@njit(cache=True)
+@njit
 def load(work, starts, currents):
     """Copy in first states and currents of up to BLOCK windows; the last window is repeated to fill the block."""
     count, horizon = currents.shape
@@ -72,7 +72,7 @@ def load(work, starts, currents):
             v[k] = currents[min(k, count - 1), h]
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def advance(layers, step, work, h):
     """Advance the states by sample h; the activations are kept for the backward pass."""
     at, kept = np.uint64(h % CHUNK * BLOCK), h // CHUNK % len(work.a1)
@@ -84,7 +84,7 @@ def advance(layers, step, work, h):
             then[k] = z[k] + step[i] * y[k]
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def errors(work, targets, printed):
     """Loss of a block for targets of shape (count, H, 8); its gradient by the states goes to `work.errors`.
 
@@ -115,7 +115,7 @@ def errors(work, targets, printed):
     return loss
 
 
-@njit(cache=True, fastmath=LOOSE)
+@njit(fastmath=LOOSE)
 def step_backward(transposed, step, work, h):
     """Backpropagate through sample h: gradients with respect to states and pre-activations."""
     at, start = np.uint64(h % CHUNK * BLOCK), np.uint64(0)
@@ -129,7 +129,7 @@ def step_backward(transposed, step, work, h):
     dense.product(transposed[0], work.g1, at, work.gz, start)
 
 
-@njit(cache=True)
+@njit
 def add_weights(work, horizon, c, gradient):
     """Add the weight gradients of the steps of chunk c to `gradient` (Layers)."""
     count = min(CHUNK, horizon - c * CHUNK) * BLOCK

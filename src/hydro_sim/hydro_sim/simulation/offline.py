@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from hydro_bridge.signals import (
     SAMPLE_PERIOD,
@@ -28,6 +27,7 @@ from hydro_bridge.signals import (
 )
 from hydro_sim.box import kernel
 from hydro_sim.box.box import Box, BoxConfig, fill_command
+from hydro_sim.jit import njit
 from hydro_sim.model import plant as plants
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
@@ -115,7 +115,7 @@ def _compiled(
     return output
 
 
-@njit(cache=True)
+@njit
 def _loop(constants, sensors, plant_state, bench, settings, box_state, command, gains, correction, noise, output):
     for k in range(len(output)):
         row = min(k // SAMPLES_PER_STEP, len(gains) - 1)

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from hydro_sim.jit import njit
 from hydro_sim.structured.physics import (
     AREA,
     BRISTLE,
@@ -43,7 +42,7 @@ from hydro_sim.structured.physics import (
 )
 
 
-@njit(cache=True)
+@njit
 def partials(c, y, current, r, slope, p):
     """y' and, in rows 0, 1, 3, 5, 7 of p, d(y')/d(y, z, r): both without dry friction."""
     a0 = 1.0 / (c[DEAD_A] + c[AREA] * y[2])
@@ -113,7 +112,7 @@ def partials(c, y, current, r, slope, p):
     p[3, 11] = a28
 
 
-@njit(cache=True)
+@njit
 def friction_partials(c, velocity, z):
     """Dry friction [N]; its slopes by velocity, bristle."""
     a0 = 1.0 / c[DAMPING_VELOCITY]
@@ -135,7 +134,7 @@ def friction_partials(c, velocity, z):
     return dry, by_velocity, by_bristle
 
 
-@njit(cache=True)
+@njit
 def rates_back(c, y, z, current, r, g, gy, gr, gc):
     """Add to gy, gr, gc the gradients of g . y' by y, r, c; returns that by z."""
     a0 = y[0] - y[1]

@@ -30,7 +30,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from hydro_sim.jit import njit
 
 from hydro_sim.structured.physics import ('''
 

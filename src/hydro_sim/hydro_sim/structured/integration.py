@@ -11,9 +11,9 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD, FloatArray
+from hydro_sim.jit import njit
 from hydro_sim.structured import derivatives, physics
 from hydro_sim.structured.physics import BRISTLE, COULOMB, STRIBECK, STRIBECK_VELOCITY
 
@@ -33,7 +33,7 @@ class Scratch(NamedTuple):
     gprobe: FloatArray  # (4, 8)
 
 
-@njit(cache=True)
+@njit
 def scratch():
     """New work space."""
     return Scratch(
@@ -46,7 +46,7 @@ def scratch():
     )
 
 
-@njit(cache=True)
+@njit
 def half_bristle(c, bristle, velocity):
     """Return the deflection [m] half a step later."""
     level = c[COULOMB] + c[STRIBECK] * math.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))
@@ -55,7 +55,7 @@ def half_bristle(c, bristle, velocity):
     return bristle * kept + 0.5 * STEP * velocity * _filling(decay, kept)[0]
 
 
-@njit(cache=True)
+@njit
 def _filling(decay, kept):
     """(1 - exp(-d)) / d and its slope."""
     if decay < 1e-4:
@@ -63,7 +63,7 @@ def _filling(decay, kept):
     return (1.0 - kept) / decay, (kept * (1.0 + decay) - 1.0) / (decay * decay)
 
 
-@njit(cache=True)
+@njit
 def half_bristle_back(c, bristle, velocity, g, gc):
     """Gradients by deflection and velocity of g times the new deflection; adds those by c."""
     share = math.exp(-((velocity / c[STRIBECK_VELOCITY]) ** 2))
@@ -79,7 +79,7 @@ def half_bristle_back(c, bristle, velocity, g, gc):
     return kept * g, gvelocity
 
 
-@njit(cache=True)
+@njit
 def advance(c, state, current, r, work):
     """Advance by one sample of 1 ms in place; leave in `work` the start of each step."""
     y = state[:8]
@@ -95,7 +95,7 @@ def advance(c, state, current, r, work):
         state[8] = half_bristle(c, state[8], state[3])
 
 
-@njit(cache=True)
+@njit
 def _runge_kutta(c, y, z, current, r, work):
     """The four slopes at y."""
     for stage in range(4):
@@ -105,7 +105,7 @@ def _runge_kutta(c, y, z, current, r, work):
         physics.rates(c, work.probes[stage], z, current, r, work.slopes[stage])
 
 
-@njit(cache=True)
+@njit
 def advance_back(c, current, r, gstate, gr, gc, work):
     """Gradient of a sample: `gstate` by the state after it becomes that by the state before; adds those by r and c.
 
@@ -125,7 +125,7 @@ def advance_back(c, current, r, gstate, gr, gc, work):
         gstate[3] += gvelocity
 
 
-@njit(cache=True)
+@njit
 def _runge_kutta_back(c, z, current, r, gstate, gr, gc, work):
     """Turns gstate[:8] from after to before the step; returns the gradient by z."""
     gz = 0.0

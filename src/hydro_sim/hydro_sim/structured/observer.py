@@ -10,10 +10,11 @@ finite differences.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from hydro_bridge.signals import FloatArray
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.structured import integration, rollout
 from hydro_sim.structured.integration import STATES
 from hydro_sim.structured.rollout import INPUTS, OUTPUTS, READINGS
@@ -42,7 +43,7 @@ def constants(trust: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatAr
     return SPREAD, NUDGES, trust * MISSED, READING_NOISE
 
 
-@njit(cache=True)
+@njit
 def _reading_matrix(c):
     """Readings as row @ s + bias: shapes (5, 9) and (5,)."""
     row, bias, unit, reading = np.empty((READINGS, STATES)), np.empty(READINGS), np.zeros(STATES), np.empty(READINGS)
@@ -56,7 +57,7 @@ def _reading_matrix(c):
     return row, bias
 
 
-@njit(cache=True)
+@njit
 def _correct(s, p, row, bias, reading, noise):
     """Take in five readings, one after the other: their noises are independent."""
     for j in range(READINGS):
@@ -66,7 +67,7 @@ def _correct(s, p, row, bias, reading, noise):
         p -= np.outer(gain, ph)
 
 
-@njit(cache=True)
+@njit
 def follow(model, readings, currents, start, settings, states):
     """Filter one run: `states`, shape (n, 12), become the full states at the samples of `readings`, shape (n, 5).
 
@@ -101,7 +102,7 @@ def follow(model, readings, currents, start, settings, states):
         copies.vector(states[k], full)
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def follow_chunks(
     c, layers, center, scale, memories, readings, currents, starts, spread, nudges, missed, noise, begins, ends, states
 ):

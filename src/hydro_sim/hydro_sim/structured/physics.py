@@ -25,9 +25,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numba.extending import register_jitable
 
+from hydro_sim.jit import njit
 from hydro_sim.model.compiled_equations import equations as eq
 
 (
@@ -119,13 +119,13 @@ def rates_under(c, y, current, r, against, slope):
     slope[6], slope[7] = y[7], lag(c[CELL_OMEGA], c[CELL_DAMPING], spring, y[6], y[7])
 
 
-@njit(cache=True)
+@njit
 def rates(c, y, z, current, r, slope):
     """y' into `slope`, shape (8,)."""
     rates_under(c, y, current, r, friction(c, y[3], z) + eq.stop_force(numbers(c), y[2], y[3]), slope)
 
 
-@njit(cache=True)
+@njit
 def level_back(c, velocity, share, glevel, gc):
     """Gradient of the friction level: adds those by its constants, returns that by velocity."""
     ratio_v = velocity / c[STRIBECK_VELOCITY]

@@ -16,10 +16,11 @@ Everything is float64: pressures of 1e7 Pa and spool travels of 1e-6 A meet here
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim import copies
+from hydro_sim.jit import njit
 from hydro_sim.neural import mlp
 from hydro_sim.structured import integration
 from hydro_sim.structured.integration import STATES
@@ -30,7 +31,7 @@ OUTPUT_SCALES = (0.02, 0.02, 5.0)
 """Scales of the network's outputs: relative flow into A, out of B, force [N]."""
 
 
-@njit(cache=True)
+@njit
 def read(c, s, reading):
     """The five readings of a state."""
     reading[0] = c[GAIN_H] * c[AREA] * (s[0] - c[RATIO] * s[1]) + c[BIAS_H]
@@ -38,7 +39,7 @@ def read(c, s, reading):
     reading[2], reading[3], reading[4] = s[0], s[1], s[2]
 
 
-@njit(cache=True)
+@njit
 def _read_back(c, s, g, gs, gc):
     """Add to gs, gc the gradients of g . reading."""
     difference = s[0] - c[RATIO] * s[1]
@@ -54,7 +55,7 @@ def _read_back(c, s, g, gs, gc):
     gs[2] += g[4]
 
 
-@njit(cache=True)
+@njit
 def residual(layers, center, scale, s, x, a1, a2, r):
     """Output of the network at state s: r, shape (3,)."""
     for i in range(INPUTS):
@@ -64,14 +65,14 @@ def residual(layers, center, scale, s, x, a1, a2, r):
         r[i] *= OUTPUT_SCALES[i]
 
 
-@njit(cache=True)
+@njit
 def advance(c, layers, center, scale, s, current, work, x, a1, a2, r):
     """Advance s, shape (9,), by one sample of 1 ms in place."""
     residual(layers, center, scale, s, x, a1, a2, r)
     integration.advance(c, s, current, r, work)
 
 
-@njit(cache=True)
+@njit
 def bound(c, s):
     """Bound s to what a bench can reach, whatever was commanded: the simulation stays finite."""
     s[0] = min(max(s[0], 0.0), 2.0 * c[SUPPLY])
@@ -80,7 +81,7 @@ def bound(c, s):
     s[3] = min(max(s[3], -5.0), 5.0)
 
 
-@njit(cache=True)
+@njit
 def advance_full(c, layers, center, scale, memories, full, current, work, x, a1, a2, r, measured):
     """Advance the full state, shape (12,), by one sample of 1 ms in place; `measured`, shape (8,), becomes the box's x.
 
@@ -96,7 +97,7 @@ def advance_full(c, layers, center, scale, memories, full, current, work, x, a1,
     show(after, full[STATES:], measured)
 
 
-@njit(cache=True)
+@njit
 def differentiate(memories, before, after, rates):
     """The box's three rates a sample later (hydro_sim.model.sensors.condition, without noise)."""
     force, velocity = memories[0], memories[1]
@@ -105,14 +106,14 @@ def differentiate(memories, before, after, rates):
     rates[2] = velocity * rates[2] + (1.0 - velocity) * (after[4] - before[4]) / SAMPLE_PERIOD
 
 
-@njit(cache=True)
+@njit
 def show(reading, rates, measured):
     """Five readings and three rates in the order of x, shape (8,)."""
     measured[0], measured[2], measured[4], measured[5], measured[6] = reading
     measured[1], measured[3], measured[7] = rates
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def rollout(c, layers, center, scale, memories, starts, currents):
     """x after each sample, shape (n, H, 8), from full states, shape (n, 12), under currents [A], shape (n, H)."""
     n, horizon = currents.shape
@@ -126,7 +127,7 @@ def rollout(c, layers, center, scale, memories, starts, currents):
     return measured
 
 
-@njit(cache=True)
+@njit
 def window(c, layers, center, scale, start, currents, targets, weights, gc, glayers):
     """Loss of one window and its gradients, added to gc and glayers.
 
@@ -164,7 +165,7 @@ def window(c, layers, center, scale, start, currents, targets, weights, gc, glay
     return loss
 
 
-@njit(cache=True, parallel=True)
+@njit(parallel=True)
 def loss_and_gradients(c, layers, center, scale, starts, currents, targets, weights, threads):
     """Mean loss per sample of many windows, and its gradients by c, shape (CONSTANTS,), and by the flat network.
 

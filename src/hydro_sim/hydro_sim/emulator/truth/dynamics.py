@@ -12,11 +12,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.truth import friction, load, oil, valve
 from hydro_sim.emulator.truth.parameters import DELAY_SAMPLES, LUGRE, SUBSTEP, SUBSTEPS
+from hydro_sim.jit import njit
 
 STANDSTILL = 1e-5  # m/s, below which a direction of motion says nothing
 
@@ -43,7 +43,7 @@ STATE = np.dtype(
 """State of the physical plant."""
 
 
-@njit(cache=True)
+@njit
 def rest_state(p, state):
     """Put the bench at rest: spring relaxed, spool at null, pressures where small motions to both sides leave them."""
     ratio = p.area_b / p.area_a
@@ -63,7 +63,7 @@ def rest_state(p, state):
     state.hydraulic_force_rate = state.load_force_rate = state.friction_force = state.draw = 0.0
 
 
-@njit(cache=True)
+@njit
 def _settle(p, state):
     """Pressures and forces that belong to y."""
     y = state.y
@@ -74,7 +74,7 @@ def _settle(p, state):
     state.load_force = load.load_force(p, y[POSITION], state.spring_end, y[HYSTERESIS])
 
 
-@njit(cache=True)
+@njit
 def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
     """Slope of y at pressures that belong to y; leaves friction force and draw in `state`."""
     spool = y[SPOOL] if p.spool_order > 0.0 else command + p.valve_offset
@@ -96,7 +96,7 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
     slope[VELOCITY] = _acceleration(p, state, y, pressure_a, pressure_b, time)
 
 
-@njit(cache=True)
+@njit
 def _acceleration(p, state, y, pressure_a, pressure_b, time):
     position, velocity = y[POSITION], y[VELOCITY]
     force = p.area_a * pressure_a - p.area_b * pressure_b - p.viscous * velocity
@@ -111,7 +111,7 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
     return (force + dry) / p.mass
 
 
-@njit(cache=True)
+@njit
 def _heun_step(p, state, time, command, work):
     y, guess, slope, slope_ahead = state.y, work[0], work[1], work[2]
     if p.friction_form == LUGRE:
@@ -133,7 +133,7 @@ def _heun_step(p, state, time, command, work):
     state.spring_end = load.dragged(p, y[POSITION], state.spring_end)
 
 
-@njit(cache=True)
+@njit
 def hold_command(p, state, current, walk_noise):
     """Begin a sample: store its valve current [A] and draw the random force's next value."""
     state.commands[state.sample % DELAY_SAMPLES] = current
@@ -142,7 +142,7 @@ def hold_command(p, state, current, walk_noise):
         state.walk = kept * state.walk + math.sqrt(1.0 - kept * kept) * walk_noise
 
 
-@njit(cache=True)
+@njit
 def advance_substep(p, state, index, work):
     """Advance by substep `index` of the present sample, in place; `work` is scratch space, shape (3, 8)."""
     elapsed = index * SUBSTEP

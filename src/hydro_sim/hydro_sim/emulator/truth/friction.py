@@ -9,14 +9,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from hydro_sim.emulator.truth.parameters import LUGRE, SMOOTH, SUBSTEP
+from hydro_sim.jit import njit
 
 ROUNDING = 1e-3  # m/s, over which the smooth form turns the sign
 
 
-@njit(cache=True)
+@njit
 def friction_level(p, velocity, position, pressure_drop):
     """Strength g [N] of dry friction at a velocity [m/s], a position [m] and a pressure across the seal [Pa]."""
     level = p.coulomb_positive if velocity >= 0.0 else p.coulomb_negative
@@ -27,7 +26,7 @@ def friction_level(p, velocity, position, pressure_drop):
     return level + p.seal_friction * abs(pressure_drop)
 
 
-@njit(cache=True)
+@njit
 def advance_bristle(p, bristle, velocity, level):
     """Deflection z [m] one substep later: exact at constant velocity, so that no velocity makes it stiff."""
     if level <= 0.0:
@@ -39,7 +38,7 @@ def advance_bristle(p, bristle, velocity, level):
     return steady + (bristle - steady) * math.exp(-decay * SUBSTEP)
 
 
-@njit(cache=True)
+@njit
 def dry_friction(p, velocity, bristle, level, other_force):
     """Force [N] on the mass, against motion; `other_force` [N] sums all others, which sticking must balance."""
     if level <= 0.0:

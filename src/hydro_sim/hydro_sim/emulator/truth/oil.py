@@ -15,14 +15,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
 from hydro_sim.emulator.truth.parameters import ATMOSPHERE
+from hydro_sim.jit import njit
 
 VAPOR_PRESSURE = -0.95 * ATMOSPHERE  # Pa, gauge: below it a cavity opens instead
 
 
-@njit(cache=True)
+@njit
 def specific_volume(p, pressure):
     """Volume per content v(p), and its slope dv/dp [1/Pa]."""
     oil = (1.0 - p.air_fraction) * math.exp(-pressure / p.bulk_modulus)
@@ -32,7 +31,7 @@ def specific_volume(p, pressure):
     return oil + air, -oil / p.bulk_modulus - air / (p.air_exponent * (ATMOSPHERE + pressure))
 
 
-@njit(cache=True)
+@njit
 def pressure_of(p, content, volume, guess):
     """Pressure [Pa] of `content` [m3] in `volume` [m3]; `guess` [Pa] is where Newton's iteration begins."""
     if p.air_fraction == 0.0 and p.wall_compliance == 0.0:
@@ -48,7 +47,7 @@ def pressure_of(p, content, volume, guess):
     return max(pressure, VAPOR_PRESSURE)
 
 
-@njit(cache=True)
+@njit
 def content_of(p, pressure, volume):
     """Content [m3] that gives `pressure` [Pa] in `volume` [m3]."""
     v, _ = specific_volume(p, pressure)

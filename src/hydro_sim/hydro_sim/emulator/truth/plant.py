@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_bridge.signals import PLANT_FIELDS, FloatArray
 from hydro_sim.emulator.truth import dynamics, sensing
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.emulator.truth.parameters import SUBSTEPS, compile_parameters
+from hydro_sim.jit import njit
 from hydro_sim.model.sensors import Sensors
 
 NOISE_COLUMNS = 5  # f_h, f_l, p_a, p_b, random force
@@ -24,7 +24,7 @@ TRUTH_FIELDS = (
 """Columns of the physical log: the state before any sensor, then what no sensor sees."""
 
 
-@njit(cache=True)
+@njit
 def advance(p, box, state, chain, work, noise, current):
     """Advance by one sample of 1 ms in place: physics, amplifiers, reading. Every path through the emulator runs it.
 
@@ -46,14 +46,14 @@ def advance(p, box, state, chain, work, noise, current):
     sensing.read(p[0], box[0], chain[0], noise)
 
 
-@njit(cache=True)
+@njit
 def start(p, box, state, chain, noise):
     """Set the bench at rest, with its first reading; shapes as in `advance`."""
     dynamics.rest_state(p[0], state[0])
     sensing.start(p[0], box[0], state[0], chain[0], noise)
 
 
-@njit(cache=True)
+@njit
 def physical(state, row):
     """Copy the physical quantities into `row`, shape (len(`TRUTH_FIELDS`),)."""
     s = state[0]
@@ -62,7 +62,7 @@ def physical(state, row):
     row[8], row[9], row[10], row[11] = s.y[4], s.friction_force, s.y[6], s.draw
 
 
-@njit(cache=True)
+@njit
 def _run(p, box, state, chain, work, noise, currents, noisy, clean, truth):
     for k in range(len(currents)):
         advance(p, box, state, chain, work, noise[k], currents[k])

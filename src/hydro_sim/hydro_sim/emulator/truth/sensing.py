@@ -8,10 +8,10 @@ noise-free log, for scoring only). Differentiation is the box's own code, `hydro
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from hydro_sim import copies
 from hydro_sim.emulator.truth.parameters import SUBSTEP
+from hydro_sim.jit import njit
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, condition, restart
 
 CHAIN = np.dtype(
@@ -29,7 +29,7 @@ CHAIN = np.dtype(
 """State of the sensors."""
 
 
-@njit(cache=True)
+@njit
 def _collect(p, state, readings):
     a, b = state.pressure_a, state.pressure_b
     readings[0] = state.hydraulic_force + p.crosstalk_hydraulic_force_a * a + p.crosstalk_hydraulic_force_b * b
@@ -39,7 +39,7 @@ def _collect(p, state, readings):
     readings[4] = state.y[2]
 
 
-@njit(cache=True)
+@njit
 def start(p, box, state, chain, noise):
     """First reading of a bench at rest; `noise`: standard normal numbers, the first four are used."""
     _collect(p, state, chain.before)
@@ -52,7 +52,7 @@ def start(p, box, state, chain, noise):
     restart(chain.noisy_last, raw, chain.measurement)
 
 
-@njit(cache=True)
+@njit
 def follow(p, state, chain):
     """Advance the amplifiers by one substep, by the trapezoidal rule."""
     _collect(p, state, chain.now)
@@ -73,7 +73,7 @@ def follow(p, state, chain):
         chain.before[i] = chain.now[i]
 
 
-@njit(cache=True)
+@njit
 def _read(p, chain, noise, noisy, raw):
     for i in range(5):
         raw[i] = p.sensor_gain[i] * chain.lagged[i] + p.sensor_bias[i]
@@ -87,7 +87,7 @@ def _read(p, chain, noise, noisy, raw):
         raw[4] = np.floor(raw[4] / p.encoder_step + 0.5) * p.encoder_step
 
 
-@njit(cache=True)
+@njit
 def read(p, box, chain, noise):
     """Read one sample of the box into `measurement` and `clean` of `chain`."""
     raw = np.empty(5)

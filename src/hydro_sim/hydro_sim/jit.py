@@ -1,0 +1,15 @@
+# SPDX-License-Identifier: Apache-2.0
+"""numba's `njit` as all kernels of hydro use it: cached, and dividing as IEEE 754 does.
+
+numba's own default follows Python: a division by zero raises. At the valve nothing may raise on a sample, and a sample
+can make a divisor zero: at some position a chamber's volume vanishes. Here this gives an infinity or NaN, which every
+caller has to reject anyway. Used bare (`@njit`) or with more options (`@njit(inline="always")`).
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numba
+
+njit = partial(numba.njit, cache=True, error_model="numpy")
