@@ -55,6 +55,7 @@ TEXTS = {
     "(p_b - w), w' = (p_b - w) / time": _form("pressure_b", 1.0, memory=True),
     "w, w' = (u' - |u'| w) / path": _form("current", 1.0, memory=True),
     "w, w' = (v - |v| w) / path": _form("position velocity", 1.0, memory=True),
+    "(v - w), w' = (v - w) / time": _form("velocity", 1.0, memory=True),
     "(x - w), w' = (x - w) / time": _form("position", 1.0, memory=True),
     "(w - x_rest), w' = (x - w) / time": _form("position", 1.0, memory=True),
     "w, w' = (f_h - w) / time": _form("hydraulic_force", 1.0, memory=True),

@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 from hydro_bridge.process import endings
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.closure.admission import Admitted, admitted, reports
+from hydro_diagnosis.closure.foretold import foretold
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.dataset.loading import load_dataset
 from hydro_diagnosis.effects import CANDIDATES
@@ -166,7 +167,8 @@ def _diagnosed(
     if assessment.remainder and not late:
         progress(stage_bar.MODELLING)
         names = [effect for effect in search.library if effect.named]
-        closed = admitted(problem, unseen, closures(problem, assessment, names), models, proof, simulated)
+        candidates = (foretold(one, unseen) for one in closures(problem, assessment, names))
+        closed = admitted(problem, unseen, candidates, models, proof, simulated)
         within = intervals(closed.closed.problem, closed.closed.fit) if closed else []
         if closed and all_hold(closed.closed.fit.claims, within):
             problem, bounds, before = closed.closed.problem, within, _names(assessment)

@@ -192,6 +192,7 @@ def test_a_curved_gauge_is_undone() -> None:
         ("load", "rubbing by deflection, reversing over turn", {"coefficient": 570.0, "turn": 5e-3}, 0.1),
         ("motion", "friction by pressure difference, reversing over turn", {"coefficient": 4e-6, "turn": 5e-3}, 0.2),
         ("motion", "creeping stiffness", {"coefficient": 2000.0, "time": 0.2}, 0.05),
+        ("motion", "fading drag", {"coefficient": 300.0, "time": 0.1}, 0.05),
         ("motion", "drag, fading from the start", {"coefficient": 300.0, "time": 4.0}, 0.05),
         ("load", "inertia", {"coefficient": 1.5}, 0.03),
         ("pressure", "leak, since a reversal", {"coefficient": 3e-13, "path": 5e-4}, 0.05),

@@ -71,18 +71,32 @@ def grown_by_law(problem: Problem, base: Fit, rounds: Rounds, names: Sequence[Ef
             current = fit(weighed, taken.claims)
     if count_terms(current) == count_terms(base):
         return Closed(base, "law", 0.0, problem)
-    current = paying(weighed, _exchanged(weighed, current, rounds))  # what stood for another's numbers goes
+    current = paying(weighed, _exchanged(weighed, current, rounds, names))  # what stood for another's numbers goes
     return Closed(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed)
 
 
-def _exchanged(problem: Problem, found: Fit, rounds: Rounds) -> Fit:
-    """The fit with another in place of a law that does better beside all that came after, or as well and is simpler."""
-    for claim in found.claims if len(found.claims) > 1 else ():
-        if isinstance(claim.effect, Closure):
-            others = fit(problem, tuple(one for one in found.claims if one is not claim))
+def _exchanged(problem: Problem, found: Fit, rounds: Rounds, names: Sequence[Effect]) -> Fit:
+    """The fit with another in place of a law that does better beside all that came after, or as well and is simpler.
+
+    A name gives way to another that does better, or as well with fewer numbers.
+    """
+    for claim in found.judged if len(found.claims) > 1 else ():
+        law = isinstance(claim.effect, Closure)
+        if law or names:
+            rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)
+            others = fit(problem, rest) if law else fit(problem, rest, iterations=0)  # the laws keep their numbers
             tried = {plain(one.effect.label) for one in found.claims}
-            found = _simplest(problem, [found, *rounds.fits(problem, others, tried)], claim)
+            instead = rounds.fits(problem, others, tried) if law else _names_fitted(problem, others, names)
+            found = _simplest(problem, [found, *instead], claim) if law else _fewest(problem, [found, *instead])
     return turned(problem, found)
+
+
+def _fewest(problem: Problem, fits: Sequence[Fit]) -> Fit:
+    """Of the fits with nearly as much evidence as the best: that of the fewest numbers."""
+    best = min(score(problem, one) for one in fits)
+    return min(
+        (one for one in fits if score(problem, one) <= best + CHANCE), key=lambda one: (one.free, score(problem, one))
+    )
 
 
 def _names_fitted(problem: Problem, current: Fit, names: Sequence[Effect]) -> list[Fit]:

@@ -56,7 +56,7 @@ class Rounds:
             enough = ALIKE * prospects[0].gain if clean else 0.0 if fits else (1.0 - CONDENSED) * disguised
             if one.gain < max(toll, LEAST * there_is, enough):
                 break
-            better = _from_starts(problem, current, one.starts)
+            better = from_starts(problem, current, one.starts)
             if noticeable(problem, better.residual):
                 better = newest_turned(problem, better)
             tried.add(one.effect.label)
@@ -72,7 +72,7 @@ class Rounds:
         return fits
 
 
-def _from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
+def from_starts(problem: Problem, current: Fit, starts: Sequence[Claim]) -> Fit:
     """The fit with a term from the first start at which its further numbers come to be known, else from the best."""
     fits = []
     for start in starts:

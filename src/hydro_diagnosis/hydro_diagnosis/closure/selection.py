@@ -17,6 +17,7 @@ import numpy as np
 from hydro_diagnosis.closure.candidates import PROMISING, Candidates, laws, tables
 from hydro_diagnosis.closure.disguise import barred, in_disguise
 from hydro_diagnosis.closure.growth import TERMS, Closed, count_terms, grown_by_law
+from hydro_diagnosis.closure.merging import merged
 from hydro_diagnosis.closure.openings import openings
 from hydro_diagnosis.closure.renaming import renamed
 from hydro_diagnosis.closure.rounds import CONDENSED, LEAST, Rounds
@@ -44,7 +45,7 @@ def closures(problem: Problem, assessment: Assessment, names: Sequence[Effect] =
     by_law = _by_law(problem, assessment.fit, names, closed)
     left = noticeable(by_law.problem, by_law.fit.residual)
     if not left and by_law.gain > 0.0:
-        by_law = renamed(by_law, names)
+        by_law = renamed(merged(by_law), names)
         yield by_law
     by_table = _by_table(by_law if left else Closed(assessment.fit, "smooth", 0.0, problem), closed)
     both = (by_law, by_table) if by_law.gain >= (1.0 - CONDENSED) * by_table.gain else (by_table, by_law)

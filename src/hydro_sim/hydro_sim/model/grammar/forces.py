@@ -50,6 +50,9 @@ LAWS: tuple[Law, ...] = (
         "Force against motion that relaxes where the piston is held: typical of a bellows that breathes by a small "
         "hole, or rubber along the rod.",
         1e3, lambda at, n: at.position - at.memory, creep("position"), LAG),
+    Law("motion", "fading drag", "N s/m", "(v - w), w' = (v - w) / time",
+        "Force against motion that fades where the motion goes on: typical of oil that is dragged along.",
+        50.0, lambda at, n: at.velocity - (at.position - at.memory) / at.number, creep("position"), LAG),
     *(Law(equation, "late stiffness", "N/m", "(w - x_rest), w' = (x - w) / time",
           f"{whose} of which a part follows the position late: typical of a mount or a joint that gives slowly.",
           100.0, lambda at, n: at.memory - n.spring_rest_position, creep("position"), LAG)
@@ -77,7 +80,7 @@ LAWS: tuple[Law, ...] = (
     Law("motion", "drag past its peak", "N s/m", "v / (1 + (v / level)^2)",
         "Force against motion that grows up to a speed and falls beyond it: typical of eddy currents in a wall.",
         100.0, lambda at, n: at.velocity / (1.0 + (at.velocity / at.number) * (at.velocity / at.number)),
-        numbers=(Number("level", "m/s", (0.01, 0.03, 0.1, 0.3)),)),
+        numbers=(Number("level", "m/s", (0.01, 0.02, 0.04, 0.08, 0.16, 0.3)),)),
     Law("motion", "drag towards the outer end", "N s/m2", "v max(x - threshold, 0)",
         "Viscous friction that begins at a place: typical of a throttle that closes towards the end of the stroke.",
         1e4, lambda at, n: at.velocity * above(at.position, at.number), numbers=PLACE),
