@@ -31,7 +31,6 @@ from __future__ import annotations
 import math
 
 from hydro_sim.jit import njit
-
 from hydro_sim.structured.physics import ('''
 
 
