@@ -17,6 +17,7 @@ from hydro_diagnosis.estimation.fit import Fit
 from hydro_diagnosis.estimation.free_form import variable_of
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_sim.model import grammar
+from hydro_sim.model.law_signals import SIGN_VELOCITY
 from hydro_sim.model.laws import Law
 from hydro_sim.model.tables import SETTLING, Table
 
@@ -26,6 +27,8 @@ QUANTILES = (0.05, 0.15, 0.25, 0.35, 0.5, 0.65, 0.75, 0.85, 0.95)
 """Of a threshold's signal: where thresholds are looked for."""
 EDGE = 0.02
 """Share of a threshold's signal that is left on either side of it."""
+SLOWEST = 3.0 * SIGN_VELOCITY
+"""Least threshold of a speed [m/s]: drag up to less is dry friction, drag above less is viscous friction."""
 PROMISING = 4
 """Laws that a joint search with names tries, beside names alone and beside the laws that were found first."""
 
@@ -46,7 +49,9 @@ def _placed(law: Law, problem: Problem) -> Closure | None:
     if not over or not _visible(effect, problem):
         return effect if not over and _visible(effect, problem) else None
     low, *probes, high = np.quantile(_recorded(problem, over), (EDGE, *QUANTILES, 1.0 - EDGE)).tolist()
-    return closure(law, problem.bench, (low, high), tuple(probes)) if high > low else None
+    if over == "speed":
+        low, probes = max(low, SLOWEST), [one for one in probes if one > SLOWEST]
+    return closure(law, problem.bench, (low, high), tuple(probes)) if high > low and probes else None
 
 
 def tables(problem: Problem) -> list[Claim]:
