@@ -200,7 +200,8 @@ def _channel(name: str, seen: Sequence[_Seen], noise: dict[str, float]) -> Chann
 
 
 def _rms(parts: list[FloatArray]) -> float:
-    mean = float(np.mean(np.square(np.concatenate([part.ravel() for part in parts]))))
+    with np.errstate(over="ignore"):  # a model that runs away
+        mean = float(np.mean(np.square(np.concatenate([part.ravel() for part in parts]))))
     return float(np.sqrt(mean)) if np.isfinite(mean) else float("inf")
 
 
