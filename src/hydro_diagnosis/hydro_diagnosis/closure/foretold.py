@@ -14,6 +14,7 @@ from hydro_diagnosis.closure.growth import Closed
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.selection.effect_summary import holdout_gain
 from hydro_diagnosis.selection.localisation import noticeable
 
 WORSE = 0.01
@@ -24,22 +25,14 @@ def foretold(closed: Closed, unseen: Problem) -> Closed:
     """The model without names that make the held-out residual larger, the worst first; as it is if nothing remains."""
     problem = closed.problem
     while noticeable(problem, closed.fit.residual):
-        names = [claim for claim in closed.fit.judged if not isinstance(claim.effect, Closure)]
+        names = [claim for claim in closed.fit.removable if not isinstance(claim.effect, Closure)]
         fewer = [_without(problem, closed.fit, claim.effect.label) for claim in names]
-        losses = [_loss(unseen, one, closed.fit) for one in fewer]
-        if not losses or min(losses) >= -WORSE:
+        gains = [holdout_gain(unseen, one, closed.fit) for one in fewer]
+        if not gains or min(gains) >= -WORSE:
             break
-        closed = replace(closed, fit=fewer[int(np.argmin(losses))])
+        closed = replace(closed, fit=fewer[int(np.argmin(gains))])
     return closed
 
 
 def _without(problem: Problem, found: Fit, label: str) -> Fit:
     return fit(problem, tuple(claim for claim in found.claims if claim.effect.label != label))
-
-
-def _loss(unseen: Problem, fewer: Fit, found: Fit) -> float:
-    """Share of the held-out square which all claims explain that fewer claims leave."""
-    nothing, without, everything = (
-        float(np.sum(np.square(unseen.residual(claims)))) for claims in ((), fewer.claims, found.claims)
-    )
-    return (without - everything) / max(nothing - everything, 1e-12)

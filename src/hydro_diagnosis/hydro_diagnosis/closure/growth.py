@@ -80,7 +80,7 @@ def _exchanged(problem: Problem, found: Fit, rounds: Rounds, names: Sequence[Eff
 
     A name gives way to another that does better, or as well with fewer numbers.
     """
-    for claim in found.judged if len(found.claims) > 1 else ():
+    for claim in found.removable if len(found.claims) > 1 else ():
         law = isinstance(claim.effect, Closure)
         if law or names:
             rest = tuple(one for one in found.claims if one.effect.label != claim.effect.label)

@@ -8,7 +8,7 @@ equation are taken out, some of the names put back, and the best law beside thes
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import chain, combinations
 
@@ -58,7 +58,8 @@ def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
             continue
         others = tuple(claim for claim in found.claims if claim not in shared)
         kept = chain.from_iterable(combinations(names, count) for count in range(min(len(names), len(shared) - 2) + 1))
-        for base, prospect in _openings(problem, screen, [(*others, *some) for some in kept]):
+        bases = [claims for some in kept if _complete(claims := (*others, *some))]
+        for base, prospect in _openings(problem, screen, bases):
             made = from_starts(problem, base, prospect.starts)
             if noticeable(problem, made.residual):
                 made = newest_turned(problem, made)
@@ -67,6 +68,11 @@ def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
                 continue
             if definite(problem, made, new) and not in_disguise(problem, made, new):
                 yield made
+
+
+def _complete(claims: Sequence[Claim]) -> bool:
+    """Whether each claim stands beside those that it needs."""
+    return {name for claim in claims for name in claim.effect.needs} <= {claim.effect.id for claim in claims}
 
 
 def _openings(problem: Problem, screen: Screen, bases: list[tuple[Claim, ...]]) -> list[tuple[Fit, Prospect]]:

@@ -45,8 +45,7 @@ def together(problem: Problem, names: Sequence[Effect], laws: Sequence[Effect]) 
 def paying(problem: Problem, found: Fit, names_stay: bool = False) -> Fit:
     """The fit without claims that do not pay beside the others, the idlest dropped first; names, unless they stay."""
     while True:
-        needed = {name for claim in found.claims for name in claim.effect.needs}
-        open_ = [one for one in found.judged if one.effect.id not in needed and not (names_stay and one.effect.named)]
+        open_ = [one for one in found.removable if not (names_stay and one.effect.named)]
         fewer = [(claim, fit(problem, _others(found, claim))) for claim in open_]
         idle = [one for claim, one in fewer if not _pays(problem, one, found, claim)]
         if not idle:

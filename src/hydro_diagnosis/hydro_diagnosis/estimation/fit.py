@@ -40,6 +40,12 @@ class Fit:
         return tuple(claim for claim in self.claims if not claim.effect.estimated)
 
     @property
+    def removable(self) -> tuple[Claim, ...]:
+        """Judged claims that no other needs."""
+        needed = {name for claim in self.claims for name in claim.effect.needs}
+        return tuple(claim for claim in self.judged if claim.effect.id not in needed)
+
+    @property
     def free(self) -> int:
         """Number of fitted parameters."""
         return self.jacobian.shape[1]

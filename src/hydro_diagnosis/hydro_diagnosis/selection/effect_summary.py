@@ -59,15 +59,15 @@ def _report(
         parameters=parameters,
         evidence={
             "delta_bic": score(problem, without) - score(problem, found),
-            "holdout_gain": _holdout_gain(held, without, found),
+            "holdout_gain": holdout_gain(held, without, found),
         },
         rivals=rivals,
         look_alikes=look_alikes,
     )
 
 
-def _holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
-    """Share of the held-out squared residual, beyond that of all claims, that a claim removes."""
+def holdout_gain(held: Problem, without: Fit, found: Fit) -> float:
+    """Share of the held-out squared residual, beyond that of all claims, that a claim removes; below 0: it adds."""
     squares = [float(np.sum(np.square(held.residual(claims)))) for claims in ((), without.claims, found.claims)]
     nothing, fewer, everything = squares
     return (fewer - everything) / max(nothing - everything, 1e-12)

@@ -141,8 +141,7 @@ def _without_minor(problem: Problem, found: Fit, nothing: Fit, suspects: set[str
     gap = float(np.sum(np.square(nothing.residual[judged])) - np.sum(np.square(found.residual[judged])))
     current = found
     while True:
-        needed = {name for claim in current.claims for name in claim.effect.needs}
-        open_ = [one for one in current.claims if one.effect.label in suspects and one.effect.id not in needed]
+        open_ = [one for one in current.removable if one.effect.label in suspects]
         if not open_ or len(current.judged) == 1:
             return current, False
         smaller = [fit(problem, tuple(one for one in current.claims if one is not claim)) for claim in open_]
