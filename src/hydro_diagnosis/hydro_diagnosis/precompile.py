@@ -7,9 +7,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hydro_diagnosis.effects import substeps
 from hydro_diagnosis.effects.base import Claim
 from hydro_diagnosis.effects.leakage import LeakageInternal
 from hydro_diagnosis.effects.path_memory import limited
+from hydro_diagnosis.effects.soft_edges import opened
 from hydro_diagnosis.effects.splines import splined
 from hydro_diagnosis.effects.valve import ValveGain
 from hydro_diagnosis.model.kernels import fading_sums
@@ -29,6 +31,9 @@ def _memory() -> None:
     record.turning(path, 0.1, 0.2)
     limited(path, 1e-3, 1.0, 0.1, 0.1)
     fading_sums(path[None], 0.9)
+    substeps.mean(np.zeros((10, 4)))
+    substeps.mean_beyond(np.zeros((10, 4)), 1.0)
+    opened(np.zeros((10, 4)), 1e-3, 1e-4)
     splined(path, 0.0, 1.0, np.zeros(KNOTS))
 
 

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 
 from hydro_diagnosis.closure.gauge_responses import GaugeWays
+from hydro_diagnosis.effects import substeps
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.effects.closure import (
     AcrossClosure,
@@ -54,7 +55,7 @@ class Responses:
             self.oil = model.oil(claims)
             self.stiff = chambers.compliances(self.bench, self.oil, claims)
             p_a, p_b = self.oil.pressures
-            extends = self.oil.spool.mean(axis=-1) >= 0.0
+            extends = substeps.mean(self.oil.spool) >= 0.0
             drops = zip(*eq.edge_drops(self.bench.supply_pressure, self.bench.tank_pressure, p_a, p_b), strict=True)
             self.roots = [eq.signed_root(np.where(extends, out, back)) for out, back in drops]
         if "motion" in problem.blocks:
@@ -102,7 +103,7 @@ class Responses:
         if spool.shape[-1] == 1:
             spool = np.repeat(spool, chambers.SUBSTEPS, axis=1)
         moved = claim.effect.command(spool, self.model.step / spool.shape[-1], claim.values) - spool
-        return np.asarray(moved.mean(axis=-1))
+        return substeps.mean(moved)
 
     def _kept(self, signals: FloatArray) -> FloatArray:
         return signals[:, self.model.rows]

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from hydro_diagnosis.effects import substeps
 from hydro_diagnosis.effects.base import (
     LOAD,
     MOTION,
@@ -187,7 +188,7 @@ class FlowClosure(Closure):
 
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        at = Signals(oil.position, oil.velocity, *oil.pressures, oil.spool.mean(axis=-1))
+        at = Signals(oil.position, oil.velocity, *oil.pressures, substeps.mean(oil.spool))
         out = self.given(self._remembering(at, memory, values), values, self.numbers)
         by_a, by_b = {"pressure": (-1.0, 1.0), "pressure_a": (-1.0, 0.0), "pressure_b": (0.0, -1.0)}[self.law.equation]
         return flows[0] + by_a * out, flows[1] + by_b * out
@@ -202,9 +203,9 @@ class EdgeClosure(Closure):
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
         bench = self.numbers
         assert bench is not None
-        opened, closed = (np.fmax(sign * oil.spool, 0.0).mean(axis=-1) for sign in (1.0, -1.0))
+        opened, closed = (substeps.mean_beyond(oil.spool, sign) for sign in (1.0, -1.0))
         openings = bench.valve_gain * opened, bench.valve_gain * closed
-        past = self._remembering(Signals(current=oil.spool.mean(axis=-1)), memory, values).memory
+        past = self._remembering(Signals(current=substeps.mean(oil.spool)), memory, values).memory
         lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(replace(at, memory=past), values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
@@ -214,7 +215,7 @@ class AcrossClosure(Closure):
 
     def inflows(self, flows: tuple[FloatArray, FloatArray], oil: Oil, memory: Memory,
                 values: Values) -> tuple[FloatArray, FloatArray]:  # fmt: skip
-        spool = oil.spool.mean(axis=-1)
+        spool = substeps.mean(oil.spool)
         at = Signals(oil.position, oil.velocity, *oil.pressures, spool)
         lost = shifted(self.numbers, spool, self.given(at, values), oil.pressures)
         return flows[0] - lost[0], flows[1] - lost[1]

@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hydro_diagnosis.effects import substeps
 from hydro_diagnosis.effects.base import PRESSURE, Effect, FitParameter, FloatArray, Openings, Values, changed
+from hydro_diagnosis.effects.soft_edges import opened
 from hydro_sim.model.bench import Bench
 
 
@@ -69,9 +71,7 @@ class ValveDeadbandSoft(_Valve):
     )
 
     def command(self, current: FloatArray, substep: float, values: Values) -> FloatArray:
-        width, soft = values["half_width"], values["softness"]
-        ratio, edge = current / soft, width / soft
-        return soft * (np.logaddexp(0.0, ratio - edge) - np.logaddexp(0.0, -ratio - edge))
+        return opened(current, values["half_width"], values["softness"])
 
     def sentence(self, values: Values) -> str:
         return (
@@ -162,7 +162,7 @@ class ValveNullLeakage(_Valve):
     def openings(self, edges: Openings, spool: FloatArray, time: FloatArray, values: Values) -> Openings:
         ratio = np.abs(spool) / values["width"]
         shape = _PROFILES[self.options["form"]](ratio)
-        wear = values["coefficient"] * shape.mean(axis=-1)
+        wear = values["coefficient"] * substeps.mean(shape)
         return Openings(edges.supply_a + wear, edges.a_tank + wear, edges.supply_b + wear, edges.b_tank + wear)
 
     def sentence(self, values: Values) -> str:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.signal import lfilter
 
+from hydro_diagnosis.effects import substeps
 from hydro_diagnosis.effects.base import Claim, FloatArray
 from hydro_diagnosis.estimation.layout import CHANNELS
 from hydro_diagnosis.estimation.problem import Problem
@@ -36,7 +37,7 @@ class Responses:
             for model, bench in zip(problem.models, self._benches, strict=True):
                 oil = model.oil(everything)
                 self._stiff.append(chambers.compliances(bench, oil, everything))
-                opened = oil.spool.mean(axis=-1) >= 0
+                opened = substeps.mean(oil.spool) >= 0
                 drops = zip(*eq.edge_drops(bench.supply_pressure, bench.tank_pressure, *oil.pressures), strict=True)
                 root_a, root_b = (eq.signed_root(np.where(opened, out, back)) for out, back in drops)
                 self._roots.append((root_a, root_b))
