@@ -260,3 +260,48 @@ def seen(position: FloatArray) -> FloatArray:
     force, grown = BENCH.spring_stiffness * (position - REST), 2.0 / PERIOD / CORNER
     ahead = [1.0 + math.sqrt(2.0) * grown + grown**2, 2.0 - 2.0 * grown**2, 1.0 - math.sqrt(2.0) * grown + grown**2]
     return np.asarray(lfilter([1.0, 2.0, 1.0], ahead, force))
+
+
+def strained(pressure: FloatArray, seconds: float) -> FloatArray:
+    """By how much [Pa] a pressure is above what a lip has flowed to."""
+    return np.asarray(pressure - followed(pressure, pressure[0], lambda p, w: (p - w) / seconds))
+
+
+def pocketed(pressure: FloatArray, filling: float, emptying: float) -> FloatArray:
+    """Rate [Pa/s] of the pressure in a pocket that fills fast and empties slowly."""
+
+    def rate(p: float, w: float) -> float:
+        return (p - w) / (filling if p > w else emptying)
+
+    inside = followed(pressure, pressure[0], rate)
+    return np.array([rate(p, w) for p, w in zip(pressure, inside, strict=True)])
+
+
+def late(current: FloatArray, seconds: float) -> FloatArray:
+    """Mean from row to row of what follows a held current late."""
+    return one_sided(current, seconds, seconds)
+
+
+def drawn_down(s: Signals, sag: float, period: float) -> FloatArray:
+    """Flow into A [m3/s] that a supply does not give whose pressure another consumer lowers now and then."""
+    busy = np.arange(len(s.a)) * PERIOD % period >= 0.5 * period - 1e-9
+    above = BENCH.supply_pressure - s.a
+    return np.asarray(GAIN * np.maximum(s.u, 0.0) * (np.sqrt(above) - np.sqrt(above - sag * busy)))
+
+
+def run_along(velocity: FloatArray, taken: float, stopped: float) -> FloatArray:
+    """Velocity [m/s] of a flywheel that only a faster rod drives."""
+    return followed(velocity, 0.0, lambda v, w: max(v - w, 0.0) / taken - w / stopped)
+
+
+def unrippled(read: FloatArray, size: float, pitch: float) -> FloatArray:
+    """Position [m] whose scale reads this, by iteration."""
+    position = read
+    for _ in range(30):
+        position = read - size * np.sin(2.0 * np.pi * position / pitch)
+    return position
+
+
+def held(signal: FloatArray, rows: int) -> FloatArray:
+    """What a converter shows that converts every so many rows."""
+    return np.asarray(signal[np.arange(len(signal)) // rows * rows])

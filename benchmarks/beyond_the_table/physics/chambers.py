@@ -17,13 +17,16 @@ from benchmarks.beyond_the_table.physics.places import (
     HOT_LEAK,
     LEAK_BY_MOTION,
     LEAK_ORIFICE,
+    LIP_POCKET,
     LIPS_CLOSE,
     LIPS_LIFT,
     MEMORY,
     OIL_EXPANDS,
+    PILOT_CHECK,
     PISTON_TILTS,
     PORT_RELIEF,
     ROD_FILM,
+    ROD_SCUFFED,
     SLOW_RELIEF,
     TANK_WARMS,
     WEEPING_FITTING,
@@ -36,6 +39,8 @@ WORN = 0.045
 """m, where the barrel is worn most."""
 POPPET = 0.04
 """s, lag of a relief valve's poppet."""
+FILLED = 0.02
+"""s in which a pocket fills over its lip."""
 
 
 @njit
@@ -62,8 +67,21 @@ def lost_flows(kind, size, shape, bench, time, state):
         return -size * root(bench.supply_pressure - a), 0.0
     if kind == OIL_EXPANDS:
         return 0.0, -size * math.exp(-time / shape)
+    if kind == PILOT_CHECK:
+        return 0.0, size * max(a - shape, 0.0) * root(b - bench.tank_pressure)
+    if kind == ROD_SCUFFED:
+        return 0.0, size * max(shape - state[POSITION], 0.0) * (b - bench.tank_pressure)
+    if kind == LIP_POCKET:
+        return size * pocket_rate(shape, state), 0.0
     flow = across(kind, size, shape, bench, time, a, b, state)
     return flow, -flow
+
+
+@njit
+def pocket_rate(shape, state):
+    """Rate [Pa/s] of the pressure behind a lip that lets oil in only; by another way it leaks back."""
+    above = state[PRESSURE_A] - state[MEMORY]
+    return above / (FILLED if above > 0.0 else shape)
 
 
 @njit
@@ -92,7 +110,7 @@ def across(kind, size, shape, bench, time, a, b, state):
 
 @njit
 def memory_rate(kind, size, shape, bench, current, state):
-    """Rate of a hose's, a damper's or a late poppet's pressure [Pa/s], of oil's warmth, of a ring in its groove."""
+    """Rate of the pressure in a hose, damper or pocket or of a late poppet [Pa/s], of oil's warmth, of a loose ring."""
     if kind == HOSE:
         return (state[PRESSURE_A] - state[MEMORY]) / shape
     if kind == HOT_LEAK:
@@ -101,4 +119,6 @@ def memory_rate(kind, size, shape, bench, current, state):
         return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
     if kind == DAMPER_STUB:
         return size * root(state[PRESSURE_B] - state[MEMORY]) / shape
+    if kind == LIP_POCKET:
+        return pocket_rate(shape, state)
     return (max(state[PRESSURE_B] - shape, 0.0) - state[MEMORY]) / POPPET if kind == SLOW_RELIEF else 0.0

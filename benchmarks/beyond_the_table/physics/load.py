@@ -10,7 +10,9 @@ from numba import njit
 from benchmarks.beyond_the_table.physics.places import (
     AIR_SPRING,
     CONICAL_SPRING,
+    CROSS_WIRE,
     FOAM_BLOCK,
+    FREEWHEEL,
     FRICTION_STRUT,
     GRIP_MASS,
     JAWS_SLIP,
@@ -25,12 +27,15 @@ from benchmarks.beyond_the_table.physics.places import (
     SPECIMEN_SOFTENS,
     SPRING_HYSTERESIS,
     STOP_SPRING,
+    UNBALANCED_MOTOR,
     WIRE_ROPE,
 )
 from benchmarks.foreign_truth.equations import CELL_RATE, POLYTROPIC, POSITION, VELOCITY, outside, rub, spring
 
 WORKED = 0.1
 """m/s at which a specimen has warmed by 1 in the end."""
+RUN_DOWN = 0.6
+"""s in which the bearings of a flywheel stop it."""
 
 
 @njit
@@ -66,6 +71,13 @@ def extra_load(kind, size, shape, bench, time, state):
         return size * (position - bench.spring_rest_position) * abs(velocity)
     if kind == MEMORY_FOAM:
         return size * max(position - bench.spring_rest_position - state[MEMORY], 0.0)
+    if kind == CROSS_WIRE:
+        stretch = position - bench.spring_rest_position
+        return size * stretch / math.sqrt(stretch**2 + shape**2)
+    if kind == FREEWHEEL:
+        return size * max(velocity - state[MEMORY], 0.0)
+    if kind == UNBALANCED_MOTOR:
+        return size * math.sin(2.0 * math.pi * time / shape)
     return -size * state[MEMORY] * spring(bench, position) if kind == SPECIMEN_SOFTENS else 0.0
 
 
@@ -86,7 +98,7 @@ def brake(kind, size, bench, state, seconds):
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of a spring's or rope's path, of a mount's or specimen's foot or a foam [m/s], of a specimen's warmth."""
+    """Rate of a spring's or rope's path, of a foot or a foam [m/s], of a flywheel [m/s2], of a specimen's warmth."""
     memory, velocity = state[MEMORY], state[VELOCITY]
     if kind in (SPRING_HYSTERESIS, WIRE_ROPE):
         return (velocity - abs(velocity) * memory) / shape
@@ -95,6 +107,8 @@ def memory_rate(kind, size, shape, bench, state):
         return (size * load / bench.spring_stiffness - memory) / shape
     if kind == MEMORY_FOAM:
         return (state[POSITION] - bench.spring_rest_position - state[MEMORY]) / shape
+    if kind == FREEWHEEL:
+        return max(velocity - memory, 0.0) / shape - memory / RUN_DOWN
     if kind == JAWS_SLIP:
         return size * outside(spring(bench, state[POSITION] - memory), shape)
     return (abs(velocity) / WORKED - memory) / shape if kind == SPECIMEN_SOFTENS else 0.0

@@ -17,16 +17,20 @@ from benchmarks.beyond_the_table.physics.places import (
     DRY_RAIL,
     EDDY_RING,
     FILM_SQUEEZED,
+    FLYWEIGHTS,
     FRICTION_LAG,
     FRICTION_POSITION,
     GLAND_PRESSURE,
     GUIDE_SWELLS,
     HEAT,
+    HONED_WAVES,
     HOSE_STIFFENS,
     LIP_FILM,
+    LIP_RELAXES,
     MEMORY,
     OIL_POT,
     ROD_BELLOWS,
+    SCRAPER_DIGS,
     SEAL,
     SHEAR_THINNING,
     SPRING_BOWS,
@@ -51,6 +55,8 @@ JOINT = 1e-3
 """m about the joint of two rails in which a carriage passes from one to the other."""
 RAIL_TURN = 5e-3
 """m/s over which a dry rail's friction turns its sign round."""
+LIP_TURN = 5e-3
+"""m/s over which the friction of a lip that has yet to flow turns its sign round."""
 RUBBED = 0.1
 """m/s at which a guide has warmed by 1 in the end."""
 
@@ -105,12 +111,20 @@ def extra_force(kind, size, shape, bench, time, state):
         return -size * beyond * math.tanh(velocity / RAIL_TURN)
     if kind == OIL_POT:
         return -size * (velocity - memory)
+    if kind == FLYWEIGHTS:
+        return size * velocity**2
+    if kind == SCRAPER_DIGS:
+        return -size * min(velocity, 0.0)
+    if kind == HONED_WAVES:
+        return -size * math.sin(math.pi * position / shape) ** 2 * velocity
+    if kind == LIP_RELAXES:
+        return -size * max(state[PRESSURE_B] - memory, 0.0) * math.tanh(velocity / LIP_TURN)
     return -size * velocity / (1.0 + abs(velocity) / shape) if kind == SHEAR_THINNING else 0.0
 
 
 @njit
 def memory_rate(kind, shape, bench, state):
-    """Rate of warmth (travelled, or of a guide), of a film's or a pot's velocity [m/s2], of air [m/s], of dry lips."""
+    """Rate of warmth (travelled, or of a guide), of a film's or a pot's velocity [m/s2], of air [m/s], of lips."""
     if kind == HEAT:
         return abs(state[VELOCITY]) / shape - state[MEMORY] / 10.0
     if kind == ROD_BELLOWS:
@@ -119,4 +133,6 @@ def memory_rate(kind, shape, bench, state):
         return (1.0 - state[MEMORY]) / shape - abs(state[VELOCITY]) * state[MEMORY] / DRAWN_IN
     if kind == GUIDE_SWELLS:
         return (abs(state[VELOCITY]) / RUBBED - state[MEMORY]) / shape
+    if kind == LIP_RELAXES:
+        return (state[PRESSURE_B] - state[MEMORY]) / shape
     return (state[VELOCITY] - state[MEMORY]) / shape if kind in (FRICTION_LAG, OIL_POT) else 0.0

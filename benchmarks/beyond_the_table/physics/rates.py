@@ -7,8 +7,16 @@ import math
 
 from numba import njit
 
-from benchmarks.beyond_the_table.physics import chambers, load, motion, sensors, valve
-from benchmarks.beyond_the_table.physics.places import DAMPER_STUB, FILM_SQUEEZED, GAUGE_SNUBBER, HOSE, MEMORY
+from benchmarks.beyond_the_table.physics import chambers, edges, load, motion, sensors, valve
+from benchmarks.beyond_the_table.physics.places import (
+    DAMPER_STUB,
+    FILM_SQUEEZED,
+    GAUGE_SNUBBER,
+    HOSE,
+    LIP_POCKET,
+    LIP_RELAXES,
+    MEMORY,
+)
 from benchmarks.foreign_truth.equations import (
     CELL_RATE,
     POSITION,
@@ -23,11 +31,11 @@ from benchmarks.foreign_truth.equations import (
 @njit
 def rested(kind, bench, start):
     """The kind's own state where chamber A has stood at a pressure [Pa] and B balances it."""
-    if kind in (GAUGE_SNUBBER, DAMPER_STUB):
+    if kind in (GAUGE_SNUBBER, DAMPER_STUB, LIP_RELAXES):
         return start / bench.area_ratio
     if kind == FILM_SQUEEZED:
         return 1.0
-    return start if kind == HOSE else 0.0
+    return start if kind in (HOSE, LIP_POCKET) else 0.0
 
 
 @njit
@@ -47,7 +55,7 @@ def all_rates(kind, size, shape, bench, time, current, slope, state, out):
     volume_a = bench.dead_volume_a + bench.piston_area * state[POSITION]
     volume_b = bench.dead_volume_b + bench.area_ratio * bench.piston_area * (bench.stroke - state[POSITION])
     lost_a, lost_b = chambers.lost_flows(kind, size, shape, bench, time, state)
-    blocked_a, blocked_b = valve.blocked_flows(kind, size, shape, bench, time, given, state)
+    blocked_a, blocked_b = edges.blocked_flows(kind, size, shape, bench, time, given, state)
     out[PRESSURE_A] -= stiffness(bench, state[PRESSURE_A]) / volume_a * (lost_a + blocked_a)
     out[PRESSURE_B] -= stiffness(bench, state[PRESSURE_B]) / volume_b * (lost_b + blocked_b)
     added = load.extra_load(kind, size, shape, bench, time, state)

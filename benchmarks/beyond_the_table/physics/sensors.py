@@ -14,8 +14,10 @@ from benchmarks.beyond_the_table.physics.places import (
     CELL_CREEP,
     CELL_CURVE,
     CELL_GAIN_WARMS,
+    CELL_HOLDS,
     CELL_HYSTERESIS,
     CELL_PICKUP,
+    CELL_RANGES,
     CELL_RECTIFIES,
     CELL_SEATS,
     CELL_SLEW,
@@ -26,13 +28,17 @@ from benchmarks.beyond_the_table.physics.places import (
     GAUGE_SNUBBER,
     GAUGE_WARMS,
     MEMORY,
+    SCALE_RIPPLE,
 )
-from benchmarks.foreign_truth.equations import CELL, CELL_RATE, PRESSURE_A, PRESSURE_B, VELOCITY
+from benchmarks.foreign_truth.box import PERIOD
+from benchmarks.foreign_truth.equations import CELL, CELL_RATE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
 
 RISING = 5e-4
 """s, lag of a snubber whose check valve is open."""
 INPUT = 5e-4
 """s, lag of an input that nothing has limited."""
+LATE = 1e-6
+"""Share of a period by which a conversion may be early: times are sums of steps."""
 
 
 @njit
@@ -43,7 +49,10 @@ def hydraulic_force(bench, state):
 
 @njit
 def misread(kind, size, shape, bench, time, current, state, row):
-    """Add to a row's readings what the kind does to them; `current` [A] acts while they are taken."""
+    """Add to a row's readings what the kind does to them; `current` [A] acts while they are taken.
+
+    A converter's last value is a state that changes here alone.
+    """
     if kind == CELL_CREEP:
         row[0] += size * state[MEMORY]
     if kind == CELL_CURVE:
@@ -76,6 +85,14 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[0] += size * (1.0 - math.exp(-time / shape)) * hydraulic_force(bench, state)
     if kind == BARREL_STRETCHES:
         row[6] -= size * state[PRESSURE_B]
+    if kind == CELL_RANGES and abs(state[CELL]) > shape:
+        row[2] += size * state[CELL]
+    if kind == SCALE_RIPPLE:
+        row[6] += size * math.sin(2.0 * math.pi * state[POSITION] / shape)
+    if kind == CELL_HOLDS and size > 0.0:
+        if math.floor(time / size + LATE) > math.floor((time - PERIOD) / size + LATE):
+            state[MEMORY] = hydraulic_force(bench, state)
+        row[0] += state[MEMORY] - hydraulic_force(bench, state)
     if kind == CELL_SLEW and size > 0.0:
         row[0] += state[MEMORY] - hydraulic_force(bench, state)
 
