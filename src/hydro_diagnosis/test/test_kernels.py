@@ -6,8 +6,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydro_diagnosis.effects import LIBRARY, Claim
+from hydro_diagnosis.effects import LIBRARY, Claim, substeps
 from hydro_diagnosis.effects.path_memory import held_lag
+from hydro_diagnosis.effects.soft_edges import opened
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.kernels import fading_sums
 from hydro_diagnosis.model.simulation import Plant
@@ -71,3 +72,25 @@ def test_a_held_lag_runs_as_its_differential_equation() -> None:
         means.append(np.mean(parts))
         now = parts[-1]
     np.testing.assert_allclose(held_lag(signal, step, time, 0.7), [begins, means], rtol=0.0, atol=1e-3)
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_means_over_substeps_are_those_of_numpy_to_the_bit(count: int) -> None:
+    signal = 1e-2 * np.random.default_rng(3).standard_normal((1000, count))
+    np.testing.assert_array_equal(substeps.mean(signal), signal.mean(axis=-1))
+    for sign in (1.0, -1.0):
+        np.testing.assert_array_equal(substeps.mean_beyond(signal, sign), np.maximum(sign * signal, 0.0).mean(axis=-1))
+
+
+@pytest.mark.parametrize(("width", "soft"), [(1e-3, 1e-4), (0.0, 1e-4), (5e-4, 5e-6), (2e-2, 5e-3)])
+def test_soft_edges_pass_a_softplus_on_either_side(width: float, soft: float) -> None:
+    """Beyond the overlap they pass what exceeds it; within it hardly anything; and both sides alike."""
+    current = np.repeat(1e-2 * np.random.default_rng(4).standard_normal((500, 1)), 4, axis=1)
+    beyond, below = (np.logaddexp(0.0, (sign * current - width) / soft) for sign in (1.0, -1.0))
+    np.testing.assert_allclose(opened(current, width, soft), soft * (beyond - below), rtol=1e-12, atol=1e-18)
+    np.testing.assert_array_equal(opened(-current, width, soft), -opened(current, width, soft))
+
+
+def test_soft_edges_let_no_step_raise() -> None:
+    wild = np.array([[np.nan, np.inf, -np.inf, 1e300]])
+    assert np.array_equal(np.isfinite(opened(wild, 1e-3, 1e-4)), [[False, False, False, True]])

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Second stage: causes of the table are searched for, judged, and tried on the held-out recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydro_diagnosis import stage_bar
+from hydro_diagnosis.estimation.intervals import Interval, intervals, surely
+from hydro_diagnosis.estimation.needed_numbers import rehearsable
+from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.experiment_design.next_recording import next_recording
+from hydro_diagnosis.findings import ClosureReport
+from hydro_diagnosis.model.segment_model import SegmentModel
+from hydro_diagnosis.recording import Segment
+from hydro_diagnosis.selection.current_alignment import current_is_late
+from hydro_diagnosis.selection.foretelling import made_worse, withheld
+from hydro_diagnosis.selection.outcome import Outcome
+from hydro_diagnosis.selection.search import Search
+from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
+from hydro_diagnosis.validation.equations import held_out
+from hydro_diagnosis.validation.heldout import Known
+
+
+@dataclass(frozen=True, kw_only=True)
+class Standing:
+    """What is claimed at the end of a stage, and how it holds."""
+
+    problem: Problem
+    outcome: Outcome
+    assessment: Assessment
+    bounds: list[Interval]
+    """Of the claims' parameters."""
+    models: list[SegmentModel]
+    """Held-out recordings."""
+    unseen: Problem
+    """The same, weighed for the claims."""
+    simulated: Known
+    """Of the held-out recordings."""
+    proof: dict[str, Any]
+    """`fit` of report.json."""
+    late: str | None
+    """Note on a current that was logged after it acted; None where it was not."""
+    taken_back: str = ""
+    """Note on names that make the held-out recordings worse; empty where they do not."""
+    closures: list[ClosureReport] = field(default_factory=list)
+    next_recording: dict[str, Any] | None = None
+    """The recording that separates the closest rivals among the claims."""
+
+    @property
+    def names(self) -> set[str]:
+        """Labels of the named claims."""
+        return {claim.effect.label for claim in self.assessment.fit.claims if claim.effect.named}
+
+
+def named(search: Search, held: Sequence[Segment]) -> Standing:
+    """Names that account for the recordings, unless they make the held-out ones worse."""
+    problem, progress = search.problem, search.progress
+    progress(stage_bar.SEARCHING)
+    outcome = search.run()
+    progress(stage_bar.JUDGING)
+    assessment, bounds = _judged(problem, outcome)
+    late = current_is_late(problem, assessment)
+    models = [SegmentModel(segment, problem.bench) for segment in held]
+    progress(stage_bar.CHECKING)
+    unseen = Problem(held, problem.bench, problem.baseline, noise=problem.sensor_noise)
+    unseen.update_weights(assessment.fit.claims)
+    simulated: Known = {}
+    proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
+    taken_back = ""
+    if assessment.verdict == "explained" and (worse := made_worse(proof)):
+        taken_back = withheld(assessment.fit.judged, worse)
+        assessment = refuted(problem, assessment, outcome.nothing)
+        bounds = intervals(problem, assessment.fit)
+        unseen.update_weights(assessment.fit.claims)
+        proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
+    return Standing(
+        problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, models=models, unseen=unseen,
+        simulated=simulated, proof=proof, late=late, taken_back=taken_back,
+        next_recording=next_recording(problem, outcome, assessment) if rehearsable(problem.bench) else None,
+    )  # fmt: skip
+
+
+def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
+    """Return assessment and intervals; claims whose intervals include neutral are dropped, the rest is judged anew."""
+    assessment = assess(problem, outcome.fit, outcome.nothing)
+    while True:
+        sure, bounds = surely(problem, assessment.fit)
+        if len(sure.claims) == len(assessment.fit.claims):
+            return assessment, bounds
+        assessment = assess(problem, sure, outcome.nothing)
