@@ -15,7 +15,7 @@ from hydro_diagnosis.closure.evidence import HeldOutBlocks, definite
 from hydro_diagnosis.closure.selection import closures
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
-from hydro_diagnosis.effects.path_memory import limited, turning
+from hydro_diagnosis.effects.path_memory import held_lag, limited, turning
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -67,6 +67,39 @@ def test_a_lag_that_turns_follows_a_ramp_by_its_time_late() -> None:
     for sign, time in ((1.0, rising), (-1.0, falling)):
         wanted = sign * slope * (seconds - time * (1.0 - np.exp(-seconds / time)))
         np.testing.assert_allclose(turning(sign * slope * seconds, step, rising, falling), wanted, atol=1e-12)
+
+
+def test_a_held_lag_of_two_times_is_that_of_its_differential_equation() -> None:
+    signal = np.concatenate([np.zeros(2), np.ones(12), np.full(12, -0.4), np.full(12, -0.3)])
+    step, rising, falling, parts = 1e-3, 7e-4, 2e-3, 4000
+    now, wanted = 0.3, []
+    for held in signal:
+        course = np.empty(parts)
+        for k in range(parts):
+            now += step / parts * (held - now) / (rising if held > now else falling)
+            course[k] = now
+        wanted.append((course[0], course.mean()))
+    begins, means = held_lag(signal, step, rising, 0.3, falling)
+    np.testing.assert_allclose(np.column_stack([begins, means]), wanted, atol=4e-4)
+    one_way = held_lag(signal, step, rising, 0.3, rising)
+    np.testing.assert_allclose(one_way, held_lag(signal, step, rising, 0.3), atol=1e-15)
+
+
+def test_a_pocket_takes_what_its_pressure_rises_by_and_gives_it_back() -> None:
+    """Flow is the rate of what follows the pressure, so that over a rise and a fall nothing is lost."""
+    effect, step = closure(law("pressure_a", "pocket"), BENCH), 1e-3
+    pressure = 5e6 + 1e6 * np.concatenate([np.zeros(10), np.ones(400), np.zeros(6000)])
+    values = {"coefficient": 2e-14, "rising": 0.02, "falling": 0.3}
+    flow = effect.given(effect._remembering(Signals(pressure_a=pressure), RecordMemory(step), values), values)
+    taken = step * np.cumsum(flow)
+    assert taken[409] == pytest.approx(2e-14 * 1e6, rel=1e-6)
+    assert taken[-1] == pytest.approx(0.0, abs=1e-15)
+
+
+def test_waves_are_the_square_of_a_sine() -> None:
+    at = Signals(position=np.linspace(0.0, 0.07, 50), velocity=0.1)
+    found = law("motion", "drag, in waves").value(at, BENCH, [250.0, 8e-3, 1.5 * np.pi])
+    np.testing.assert_allclose(found, 25.0 * np.sin(np.pi * at.position / 8e-3) ** 2, atol=1e-12)
 
 
 def test_what_motion_warms_begins_cold_and_settles_at_speed_times_time_over_path() -> None:
@@ -228,6 +261,15 @@ def test_a_curved_gauge_is_undone() -> None:
         ("pressure_b", "flow, fading from the start", {"coefficient": -3e-7, "time": 4.0}, 0.05),
         ("pressure_a", "flow of the port, below a place", {"coefficient": 10.0, "threshold": 0.037}, 0.05),
         ("actuation", "falling supply", {"coefficient": 8e5, "time": 4.0}, 0.05),
+        ("motion", "even drag", {"coefficient": 500.0}, 0.05),
+        ("load", "rounded stiffness", {"coefficient": 4000.0, "level": 6e-3}, 0.05),
+        ("motion", "drag, in waves", {"coefficient": 250.0, "pitch": 8e-3, "phase": 5.0}, 0.05),
+        ("motion", "drag, while B is above its past", {"coefficient": 2e-4, "time": 0.2}, 0.05),
+        ("pressure_a", "pocket", {"coefficient": 3e-14, "rising": 0.02, "falling": 0.3}, 0.1),
+        ("actuation", "late share", {"coefficient": 0.03, "time": 0.05}, 0.05),
+        ("load", "speed ahead outwards", {"coefficient": 300.0, "rising": 0.06, "falling": 0.6}, 0.1),
+        ("motion", "place ahead outwards", {"coefficient": 2000.0, "rising": 0.1, "falling": 0.4}, 0.1),
+        ("sensor", "rises and falls of load_force", {"coefficient": 1.0, "rising": 1e-2, "falling": 2e-3}, 0.1),
     ],
 )
 def test_a_law_is_found_with_all_of_its_numbers(

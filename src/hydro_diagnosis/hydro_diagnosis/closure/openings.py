@@ -20,8 +20,9 @@ from hydro_diagnosis.estimation.score_test import screen as screen_names
 
 LIKELY = 12
 """Names that are looked at beside each set of names, the most promising first."""
-LEFT = 0.2
-"""Share of what is left without them that a name and a law may leave, to first order: the right ones leave nothing."""
+LEFT = 0.6
+"""Share of what is left without them that a name and a law may leave, to first order: once fitted, the right ones leave
+nothing, but further numbers begin on a coarse grid."""
 TRIED = 2
 """Openings that are grown upon at most, the best first."""
 

@@ -66,8 +66,14 @@ class Memory(Protocol):
     beside: Mapping[str, FloatArray]
     """What stands beside a sensor, by the names of `hydro_sim.model.laws.Signals`, where it is read."""
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
-        """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where."""
+    def lag(
+        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
+        falling: float | None = None,
+    ) -> FloatArray:  # fmt: skip
+        """First-order lag of a signal, `time_constant` in s; it begins at the signal unless `start` says where.
+
+        `falling`: the time constant [s] while the signal is below what lags, if it is another.
+        """
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """Second-order low-pass, `bandwidth` in Hz."""

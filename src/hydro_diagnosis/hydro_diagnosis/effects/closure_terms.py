@@ -144,6 +144,9 @@ class Closure(Effect):
         signal = getattr(at, element.signal)
         if element.kind == "lag":
             return replace(at, memory=memory.lag(self.label, signal, values["time"]))
+        if element.kind == "turn":
+            late = memory.lag(self.label, signal, values["rising"], falling=values["falling"])
+            return replace(at, memory=late)
         if element.kind == "heat":
             work = np.abs(at.velocity) * (values["time"] / values["path"])
             return replace(at, memory=memory.lag(self.label, work, values["time"], 0.0))

@@ -70,11 +70,25 @@ def turning(signal, step, rising, falling):
     return out
 
 
-def held_lag(signal: FloatArray, step: float, time: float, start: float) -> tuple[FloatArray, FloatArray]:
-    """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there."""
-    decay = float(np.exp(-step / time))
-    begins, means = _lagged(np.ascontiguousarray(signal), decay, 1.0 - (1.0 - decay) * time / step, start)
+def held_lag(
+    signal: FloatArray, step: float, time: float, start: float, falling: float | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """First-order lag of a held signal, shape (n,), from `start`: where each step [s] begins, and its mean there.
+
+    `falling`: the time [s] while the signal is below what lags, if it is another than `time`.
+    """
+    decay, share = _held(step, time)
+    if falling is None:
+        begins, means = _lagged(np.ascontiguousarray(signal), decay, share, start)
+    else:
+        begins, means = _turned(np.ascontiguousarray(signal), decay, share, *_held(step, falling), start)
     return begins, means
+
+
+def _held(step: float, time: float) -> tuple[float, float]:
+    """What a step leaves of a distance, and the share of it that is gone in the step's mean."""
+    decay = float(np.exp(-step / time))
+    return decay, 1.0 - (1.0 - decay) * time / step
 
 
 @njit
@@ -83,5 +97,17 @@ def _lagged(signal, decay, share, now):
     for k in range(len(signal)):
         begins[k] = now
         means[k] = now + share * (signal[k] - now)
+        now = decay * now + (1.0 - decay) * signal[k]
+    return begins, means
+
+
+@njit
+def _turned(signal, up, share_up, down, share_down, now):
+    begins, means = np.empty(len(signal)), np.empty(len(signal))
+    for k in range(len(signal)):
+        rises = signal[k] > now
+        decay = up if rises else down
+        begins[k] = now
+        means[k] = now + (share_up if rises else share_down) * (signal[k] - now)
         now = decay * now + (1.0 - decay) * signal[k]
     return begins, means

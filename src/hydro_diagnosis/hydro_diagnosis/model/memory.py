@@ -25,10 +25,13 @@ class RecordMemory:
         self.traces: dict[str, FloatArray] = {}
         """The states that were passed, for simulations that start along the record."""
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
+    def lag(
+        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
+        falling: float | None = None,
+    ) -> FloatArray:  # fmt: skip
         """See `Memory.lag`; the signal is held between samples, the outcome is the mean over each sample."""
         begin = float(signal[0]) if start is None else start
-        self.traces[key], mean = held_lag(signal, self.step, time_constant, begin)
+        self.traces[key], mean = held_lag(signal, self.step, time_constant, begin, falling)
         return mean
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
@@ -78,10 +81,14 @@ class StepMemory:
         """Accept the states that the last evaluation proposed."""
         self._states.update(self._next)
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
+    def lag(
+        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
+        falling: float | None = None,
+    ) -> FloatArray:  # fmt: skip
         """See `Memory.lag`."""
         state = self._states.setdefault(key, signal if start is None else np.full_like(signal, start))
-        self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time_constant))
+        time = time_constant if falling is None else np.where(signal > state, time_constant, falling)
+        self._next[key] = state + (signal - state) * (1.0 - np.exp(-self.step / time))
         return state
 
     def low_pass(self, key: str, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:

@@ -26,10 +26,13 @@ class ColumnMemory(RecordMemory):
         passed, _ = lfilter(numerator, denominator, signal, axis=0, zi=state)
         return np.asarray(passed, dtype=np.float64)
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
+    def lag(
+        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
+        falling: float | None = None,
+    ) -> FloatArray:  # fmt: skip
         """See `RecordMemory`."""
         single = super().lag
-        return np.apply_along_axis(lambda column: single(key, column, time_constant, start), 0, signal)
+        return np.apply_along_axis(lambda column: single(key, column, time_constant, start, falling), 0, signal)
 
     def turning(self, signal: FloatArray, rising: float, falling: float) -> FloatArray:
         """See `RecordMemory`."""
@@ -44,7 +47,10 @@ class WindowMemory(ColumnMemory):
         super().__init__(step, beside)
         self._along, self._at = traces, at
 
-    def lag(self, key: str, signal: FloatArray, time_constant: float, start: float | None = None) -> FloatArray:
+    def lag(
+        self, key: str, signal: FloatArray, time_constant: float, start: float | None = None,
+        falling: float | None = None,
+    ) -> FloatArray:  # fmt: skip
         """A slow state is the record's."""
         return self._along[key][self._at]
 

@@ -49,7 +49,7 @@ def _states(element: Element, law: Law | Table) -> dict[str, Any]:
     where, past = {"where": hidden(unit, scale=scale)}, {"past": hidden(unit, scale=scale, integrated=True)}
     spool = law.equation == "actuation" and not law.where
     return {
-        "lag": past,
+        "lag": where if spool else past,
         "turn": where if spool else past,
         "heat": {"past": hidden("-", scale=1.0, integrated=True)},
         "path": {"bent": hidden("-", scale=1.0), **where},
@@ -66,7 +66,8 @@ _MEMORIES = {
     "slow": memory.Following,
     "turn": memory.Turning,
 }
-_AT_SPOOL = {"rate": memory.Limited, "slow": memory.Settling, "turn": memory.TurningSpool}
+_AT_SPOOL = {"rate": memory.Limited, "slow": memory.Settling, "turn": memory.TurningSpool,
+             "lag": memory.LaggingSpool}  # fmt: skip
 """What a spool, which is held over a step, remembers otherwise."""
 
 

@@ -20,6 +20,8 @@ class Measured(Closure):
         """Its signal on a still bench."""
         if self.element.signal == "force":
             return signals[self.law.where]
+        if self.element.signal == "velocity":
+            return 0.0
         return signals[
             {"position": "piston_position", "current": "spool"}.get(self.element.signal, self.element.signal)
         ]
@@ -29,7 +31,8 @@ class Measured(Closure):
         p_a, p_b = self.at.pressures
         loaded = self.law.where == "load_force"
         force = self.at.load_force if loaded else eq.hydraulic_force(self.at.numbers, p_a, p_b)
-        return getattr(Signals(self.at.position, pressure_a=p_a, pressure_b=p_b, force=force), self.element.signal)
+        now = Signals(self.at.position, self.at.velocity, p_a, p_b, force=force)
+        return getattr(now, self.element.signal)
 
 
 class Lagging(Measured):
@@ -164,5 +167,15 @@ class TurningSpool(Closure):
     def _course(self, signal: Symbol) -> tuple[Symbol, Symbol, Symbol]:
         """How far off the signal is, the time over which that fades, and what a step leaves of it."""
         off = signal - self.where
-        time = eq.choose(off > 0.0, self.rising, self.falling)
+        time = self._time(off)
         return off, time, np.exp(-self.at.step / time)
+
+    def _time(self, off: Symbol) -> Symbol:
+        return eq.choose(off > 0.0, self.rising, self.falling)
+
+
+class LaggingSpool(TurningSpool):
+    """A law of a spool that follows late."""
+
+    def _time(self, off: Symbol) -> Symbol:
+        return self.time

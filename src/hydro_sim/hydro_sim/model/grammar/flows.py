@@ -3,14 +3,31 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
+from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.words import LAG, above, creep, middle, outwards, threshold
+from hydro_sim.model.law_signals import Signals
 from hydro_sim.model.laws import Element, Law, Number
 
 _LAMINAR = "a gap whose width changes along the stroke: a bore that is worn or a tube that widens"
 _ACROSS = threshold("pressure_difference", "Pa", -3e6, -1e6, 3e5, 1e6, 3e6)
 _LEVELS = (3e6, 4e6, 5e6, 6e6, 8e6)
+
+
+def _filling(pressure: str) -> Callable[[Signals, Any], Symbol]:
+    """Rate at which what follows a pressure goes up or down, each over its time."""
+
+    def rate(at: Signals, n: Any) -> Symbol:
+        now = getattr(at, pressure)
+        return above(now, at.memory) / at.number - above(at.memory, now) / at.second
+
+    return rate
+
+
 LAWS: tuple[Law, ...] = (
     Law("pressure", "leak along the stroke", "m3/s/Pa", "(p_a - p_b) (x/L - 1/2)",
         f"A leak between the chambers that changes along the stroke: typical of {_LAMINAR}.",
@@ -54,6 +71,12 @@ LAWS: tuple[Law, ...] = (
     Law("pressure_b", "relief", "m3/s/Pa", "max(p_b - threshold, 0)",
         "Chamber B loses oil above a pressure: typical of a relief valve.",
         1e-13, lambda at, n: above(at.pressure_b, at.number), numbers=threshold("pressure_b", "Pa", *_LEVELS)),
+    *(Law(f"pressure_{chamber}", "pocket", "m3/Pa", f"w', w' = (p_{chamber} - w) / (rising or falling)",
+          f"Chamber {chamber.upper()} fills a volume that gives its oil back at another rate: typical of a pocket "
+          "behind a lip that lets oil in only.",
+          1e-14, _filling(f"pressure_{chamber}"), Element("turn", f"pressure_{chamber}"),
+          (Number("rising", "s", (0.01, 0.03, 0.1, 0.3)), Number("falling", "s", (0.01, 0.03, 0.1, 0.3))))
+      for chamber in "ab"),
     *(Law(f"pressure_{chamber}", "late relief", "m3/s/Pa",
           f"w, w' = (max(p_{chamber} - threshold, 0) - w) / time",
           f"Chamber {chamber.upper()} loses oil above a pressure, late: typical of a relief valve whose poppet lags.",

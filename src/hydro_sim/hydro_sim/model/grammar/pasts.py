@@ -55,6 +55,18 @@ def storing(chamber: str, pressure: Callable[[Signals], Symbol]) -> Modulation:
 
 STORING = {"pressure_a": storing("a", lambda at: at.pressure_a), "pressure_b": storing("b", lambda at: at.pressure_b)}
 
+RISING = tuple(
+    Modulation(
+        name=f"while {chamber.upper()} is above its past",
+        text=f"{{}} max(p_{chamber} - w, 0), w' = (p_{chamber} - w) / time",
+        uses=f"pressure_{chamber}", degree=1.0, unit="Pa", scale=1e6, element=Element("lag", f"pressure_{chamber}"),
+        phrase=f", after the pressure of chamber {chamber.upper()} has risen: typical of a lip that it presses on "
+        "until its plastic has flowed", factor=factor, numbers=LAG,
+    )
+    for chamber, factor in (("a", lambda at, n: above(at.pressure_a, at.memory)),
+                            ("b", lambda at, n: above(at.pressure_b, at.memory)))
+)  # fmt: skip
+
 BENT = tuple(
     Modulation(name=name, text=f"{{}} {text}", uses="position", degree=degree, scale=0.1,
                phrase=", by a curve along the stroke: typical of a transducer that is not straight",

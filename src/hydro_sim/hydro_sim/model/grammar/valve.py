@@ -39,6 +39,11 @@ LAWS: tuple[Law, ...] = (
         "A spool that lags, and moves no faster than a rate: typical of a pilot stage that saturates; 1: all of it.",
         1.0, lambda at, n: at.memory - at.current, Element("rate", "current"),
         (Number("rate", "A/s", (0.03, 0.1, 0.3, 1.0)), Number("time", "s", (2e-4, 1e-3, 5e-3)))),
+    Law("actuation", "late share", "-", "(w - u), w' = (u - w) / time",
+        "A share of the opening that comes late: typical of eddies in a torque motor's iron, or of a spool that "
+        "creeps; 1: all of it.",
+        0.1, lambda at, n: at.memory - at.current, Element("lag", "current"),
+        (Number("time", "s", (0.01, 0.03, 0.1, 0.3, 1.0)),)),
     Law("actuation", "rises and falls", "-", "(w - u), w' = (u - w) / (rising or falling)",
         "A spool that follows rises and falls at different rates: typical of a pilot stage of which one nozzle is half "
         "clogged; 1: all of it.",
