@@ -93,8 +93,6 @@ TEXTS = {
     "(w - u), w' = (u - w) / time": _form("current", 1.0, memory=True),
     "w', w' = (p_a - w) / (rising or falling)": _form("pressure_a", 1.0, memory=True),
     "w', w' = (p_b - w) / (rising or falling)": _form("pressure_b", 1.0, memory=True),
-    "(w - f_h), w' = (f_h - w) / (rising or falling)": _form("hydraulic_force", 1.0, memory=True),
-    "(w - f_l), w' = (f_l - w) / (rising or falling)": _form("load_force", 1.0, memory=True),
     "(w - u), w' = (u - w) / (rising or falling)": _form("current", 1.0, memory=True),
     "q (1 - exp(-t / time)) / (2 dp) from the supply": _form("current pressure_a pressure_b time", 0.5),
     "q (1 - sqrt(|dp| / (|dp| + transition)))": _form("current pressure_a pressure_b", 1.0),

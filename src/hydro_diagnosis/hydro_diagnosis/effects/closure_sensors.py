@@ -95,7 +95,7 @@ class PlaceClosure(SensorClosure):
 
 
 class SnubberClosure(SensorClosure):
-    """A sensor that follows rises and falls at different rates."""
+    """A pressure sensor that follows rises and falls at different rates."""
 
     @property
     def rounds(self) -> str:

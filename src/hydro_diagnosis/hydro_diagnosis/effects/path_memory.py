@@ -59,11 +59,13 @@ def turning(signal, step, rising, falling):
     now = signal[0]
     out[0] = now
     part = step / parts
+    up, down = np.exp(-part / rising), np.exp(-part / falling)
     for k in range(1, len(signal)):
         slope, begin = (signal[k] - signal[k - 1]) / step, signal[k - 1]
         for _ in range(parts):
-            time = rising if begin + 0.5 * slope * part > now else falling
-            behind = (now - begin + slope * time) * np.exp(-part / time) - slope * time
+            rises = begin + 0.5 * slope * part > now
+            time = rising if rises else falling
+            behind = (now - begin + slope * time) * (up if rises else down) - slope * time
             begin += slope * part
             now = begin + behind
         out[k] = now

@@ -83,7 +83,7 @@ LAWS: tuple[Law, ...] = (
       for equation, whose in (("motion", "Force beside the load"), ("load", "Force of the load"))),
     *(Law(equation, f"{words} ahead {way}", unit, text, f"{whose} {words} gets ahead of itself {way}, and that fades "
           "where it stays: typical of what takes hold one way and slips.",
-          50.0 if unit == "N s/m" else 1e3, shape, Element("turn", signal), _TURNS)
+          50.0 if unit == "N s/m" else 300.0, shape, Element("turn", signal), _TURNS)
       for equation, whose in (("motion", "Force against motion while its"), ("load", "Force of the load while its"))
       for words, signal, unit in (("speed", "velocity", "N s/m"), ("place", "position", "N/m"))
       for way, text, shape in _ahead(signal)),

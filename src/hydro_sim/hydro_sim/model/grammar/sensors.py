@@ -44,16 +44,6 @@ def _snubber(chamber: str) -> Law:
                where=f"pressure_{chamber}")  # fmt: skip
 
 
-def _one_way(channel: str, symbol: str, place: str) -> Law:
-    return Law("sensor", f"rises and falls of {channel}", "-",
-               f"(w - {symbol}), w' = ({symbol} - w) / (rising or falling)",
-               f"The load cell at the {place} follows rises and falls at different rates: typical of an amplifier that "
-               "holds its peaks; 1: all of it.",
-               1.0, lambda at, n: at.memory - at.force, Element("turn", "force"),
-               (Number("rising", "s", (5e-4, 2e-3, 1e-2)), Number("falling", "s", (5e-4, 2e-3, 1e-2))),
-               where=channel)  # fmt: skip
-
-
 _SQUARES = {"a": lambda at, n: at.pressure_a * at.pressure_a, "b": lambda at, n: at.pressure_b * at.pressure_b}
 LAWS: tuple[Law, ...] = (
     Law("sensor", "creep of the cell at the rod", "-", "w, w' = (f_h - w) / time",
@@ -62,5 +52,4 @@ LAWS: tuple[Law, ...] = (
     *(law for cell in _CELLS for law in _of_cell(*cell)),
     *(_of_gauge(chamber) for chamber in "ab"),
     *(_snubber(chamber) for chamber in "ab"),
-    *(_one_way(*cell) for cell in _CELLS),
 )  # fmt: skip
