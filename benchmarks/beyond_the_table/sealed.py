@@ -38,7 +38,7 @@ SEALED: tuple[Kind, ...] = (
     # load cell reads f + size v: its cable swings through a field
     entry("cable_swings", "sealed", "sensor", (40.0, 160.0), "N s/m", 0.0, "velocity", degree=1.0),
     # gauge A reads p_a - size max(v, 0)^2: its hole lies in the throat of the jet that drives the piston out
-    entry("throat_tapped", "sealed", "sensor", (4e6, 1.6e7), "Pa s2/m2", 0.0, "velocity", degree=2.0),
+    entry("throat_tapped", "sealed", "sensor", (8e6, 3.2e7), "Pa s2/m2", 0.0, "velocity", degree=2.0),
     # encoder reads x - w, w' = size max(|v| - shape, 0) sign(v): a counter that misses counts when they come fast
     entry("counts_lost", "sealed", "sensor", (0.01, 0.04), "-", 0.06, "velocity", memory=True),
 )  # fmt: skip
