@@ -3,41 +3,42 @@
 
 from __future__ import annotations
 
-from benchmarks.beyond_the_table.kind import FLOW, Kind, entry
+from benchmarks.beyond_the_table.kind import CHAMBERS, FLOW, Kind, entry
 
 SEALED: tuple[Kind, ...] = (
-    # m v' = ... + size v^2: flyweights on a pinion of the rod throw it outwards, whichever way they turn
-    entry("flyweights", "sealed", "motion", (150.0, 600.0), "N s2/m2", 0.0, "velocity", degree=2.0),
-    # ... - size min(v, 0): a scraper whose edge lies over on the way out and digs in on the way in
-    entry("scraper_digs", "sealed", "motion", (50.0, 200.0), "N s/m", 0.0, "velocity", degree=1.0),
-    # ... - size sin(pi x / shape)^2 v: a bore with the waves that a chattering hone has left
-    entry("honed_waves", "sealed", "motion", (80.0, 320.0), "N s/m", 8e-3, "position velocity"),
-    # ... - size max(p_b - w, 0) tanh(v / 5 mm/s), w' = (p_b - w) / shape: a lip that a rise of pressure presses on the
-    # rod until its plastic has flowed
-    entry("lip_relaxes", "sealed", "motion", (5e-6, 2e-5), "N/Pa", 0.2, "pressure_b velocity", memory=True),
-    # out of B to the tank: q = size max(p_a - shape, 0) sqrt(p_b - p_t): a check valve that A's pressure lifts early
-    entry("pilot_check", "sealed", "pressure_b", (1e-16, 4e-16), "m3/s/Pa^1.5", 6e6, "pressure_a pressure_b",
-          degree=1.5),
-    # out of A: q = size w', w' = (p_a - w) / (20 ms rising, shape falling): a pocket behind a lip that lets oil in only
-    entry("lip_pocket", "sealed", "pressure_a", (1e-14, 4e-14), "m3/Pa", 0.3, "pressure_a", memory=True),
-    # out of B to the tank: q = size max(shape - x, 0) (p_b - p_t): a rod that is scuffed towards its outer end
-    entry("rod_scuffed", "sealed", "pressure_b", (2.5e-12, 1e-11), "m2/s/Pa", 0.042, "position pressure_b", degree=2.0),
-    # spool = u - size (x - rest): a wire from the rod to the feedback spring, as of a valve for positioning
-    entry("feedback_link", "sealed", FLOW, (1.8e-3, 7.2e-3), "A/m", 0.0, "position", degree=1.0),
-    # spool = u - size (u - w), w' = (u - w) / shape: a share of the iron's flux comes late, for its eddies
-    entry("flux_creeps", "sealed", FLOW, (9e-3, 3.6e-2), "-", 0.05, "current", memory=True),
-    # the edge to the supply sees p_s - size in the second half of each period shape: a neighbour on the pump strokes
-    entry("neighbour_strokes", "sealed", FLOW, (4e5, 1.6e6), "Pa", 1.6, "current pressure_a pressure_b time"),
-    # load += size (x - rest) / sqrt((x - rest)^2 + shape^2): a wire across, which a weight keeps taut
-    entry("cross_wire", "sealed", "load", (15.0, 60.0), "N", 6e-3, "position"),
-    # load += size max(v - w, 0), w' = max(v - w, 0) / shape - w / 0.6 s: a flywheel behind a freewheel with slip
-    entry("freewheel", "sealed", "load", (100.0, 400.0), "N s/m", 0.06, "velocity", memory=True),
-    # load += size sin(2 pi t / shape): a motor with an unbalance runs on the specimen's table
-    entry("unbalanced_motor", "sealed", "load", (1.5, 6.0), "N", 0.15, "time"),
-    # load cell reads f, and f (1 + size) where |f| > shape: its amplifier changes range, and the ranges do not agree
-    entry("cell_ranges", "sealed", "sensor", (0.02, 0.08), "-", 100.0, "load_force", degree=1.0),
-    # encoder reads x + size sin(2 pi x / shape): its two tracks are not of one amplitude
-    entry("scale_ripple", "sealed", "sensor", (1.2e-5, 4.8e-5), "m", 4e-3, "position"),
-    # hydraulic cell reads F as it was at the last multiple of size: a slow converter that holds what it gave last
-    entry("cell_holds", "sealed", "sensor", (1e-2, 4e-2), "s", 0.0, "hydraulic_force", memory=True),
+    # m v' = ... + size max(u, 0)^2 (p_s - p_a): the jet out of A's port strikes the piston's face
+    entry("port_jet", "sealed", "motion", (0.0175, 0.07), "N/A2/Pa", 0.0, "current pressure_a"),
+    # ... - size p_b w, w' = (v - |v| w) / shape: an O-ring, pressed by the oil, rolls in its groove before it slides
+    entry("ring_rolls", "sealed", "motion", (1e-6, 4e-6), "N/Pa", 5e-4, "pressure_b velocity", memory=True),
+    # ... - size sin(2 pi x / shape): a weight off the axis of a pinion that the rod turns
+    entry("eccentric_pinion", "sealed", "motion", (5.0, 20.0), "N", 0.025, "position"),
+    # ... - size v / (1 - x / shape)^3: the film between two plates that come close, as it is squeezed and filled
+    entry("squeeze_film", "sealed", "motion", (5.0, 20.0), "N s/m", 0.085, "position velocity"),
+    # A to B: q = size w (p_a - p_b), w' = |v| (1 - w) / shape - w / 0.5 s: a gap that dirt silts up at rest, and that
+    # the moving piston wipes clear
+    entry("gap_silts", "sealed", CHAMBERS, (4e-14, 1.6e-13), "m3/s/Pa", 0.03, "pressure_a pressure_b velocity",
+          memory=True),
+    # A gets w for the valve's flow q_v, w' = (q_v - w) / size: the oil in a long thin pipe has to be set moving
+    entry("pipe_inertia", "sealed", "pressure_a", (2.5e-4, 1e-3), "s", 0.0, "current pressure_a", memory=True),
+    # out of B: q = size d/dt max(p_b - shape, 0): an accumulator that takes oil beyond its precharge alone
+    entry("precharged", "sealed", "pressure_b", (2e-14, 8e-14), "m3/Pa", 1e7, "pressure_b", degree=1.0),
+    # spool = u + size sin(2 pi t / shape): an amplifier whose dither was left on
+    entry("dither_left", "sealed", FLOW, (5e-5, 2e-4), "A", 0.031, "time"),
+    # spool = u + size w, w' = (u - w) / 50 ms where |u| > shape, else 0: iron that strong currents alone magnetise
+    entry("remanence", "sealed", FLOW, (0.003, 0.012), "-", 4e-3, "current", memory=True),
+    # A's edges see u + size, B's u - size: lands that are ground apart by a little, one port's null beside the other's
+    entry("lands_apart", "sealed", FLOW, (5e-5, 2e-4), "A", 0.0, "current pressure_a pressure_b"),
+    # load -= size (w - |x - rest|) (x - rest), w' = max(|x - rest| - w, 0) / 5 ms - w / shape: filled rubber is the
+    # softer the further it has been stretched before
+    entry("rubber_remembers", "sealed", "load", (1e5, 4e5), "N/m2", 5.0, "position", memory=True),
+    # load += size exp(-((x - 38 mm) / shape)^2) v: a copper plate that passes a magnet's gap
+    entry("magnet_gap", "sealed", "load", (60.0, 240.0), "N s/m", 4e-3, "position velocity"),
+    # load += size max(v^2 - shape^2, 0) sign(v): shoes that leave their springs at a speed and rub on a drum
+    entry("centrifugal_brake", "sealed", "load", (500.0, 2000.0), "N s2/m2", 0.05, "velocity", degree=2.0),
+    # load cell reads f + size v: its cable swings through a field
+    entry("cable_swings", "sealed", "sensor", (40.0, 160.0), "N s/m", 0.0, "velocity", degree=1.0),
+    # gauge A reads p_a - size max(v, 0)^2: its hole lies in the throat of the jet that drives the piston out
+    entry("throat_tapped", "sealed", "sensor", (8e6, 3.2e7), "Pa s2/m2", 0.0, "velocity", degree=2.0),
+    # encoder reads x - w, w' = size max(|v| - shape, 0) sign(v): a counter that misses counts when they come fast
+    entry("counts_lost", "sealed", "sensor", (0.01, 0.04), "-", 0.06, "velocity", memory=True),
 )  # fmt: skip

@@ -12,6 +12,7 @@ from benchmarks.beyond_the_table.physics.places import (
     BYPASS_GROOVE,
     DAMPER_STUB,
     FLOATING_RING,
+    GAP_SILTS,
     GAP_WIDENS,
     HOSE,
     HOT_LEAK,
@@ -25,6 +26,7 @@ from benchmarks.beyond_the_table.physics.places import (
     PILOT_CHECK,
     PISTON_TILTS,
     PORT_RELIEF,
+    PRECHARGED,
     ROD_FILM,
     ROD_SCUFFED,
     SLOW_RELIEF,
@@ -41,6 +43,8 @@ POPPET = 0.04
 """s, lag of a relief valve's poppet."""
 FILLED = 0.02
 """s in which a pocket fills over its lip."""
+SILTED = 0.5
+"""s in which dirt silts a gap up at rest."""
 
 
 @njit
@@ -105,18 +109,26 @@ def across(kind, size, shape, bench, time, a, b, state):
         return size * max(state[POSITION] - shape, 0.0) * root(a - b)
     if kind == LIPS_LIFT:
         return size * (a - b) * abs(state[VELOCITY])
-    return size * (a - b) * state[MEMORY] if kind == HOT_LEAK else 0.0
+    return size * (a - b) * state[MEMORY] if kind in (HOT_LEAK, GAP_SILTS) else 0.0
+
+
+@njit
+def compliance(kind, size, shape, state):
+    """What chamber B takes [m3/Pa] beside its oil."""
+    return size if kind == PRECHARGED and state[PRESSURE_B] > shape else 0.0
 
 
 @njit
 def memory_rate(kind, size, shape, bench, current, state):
-    """Rate of the pressure in a hose, damper or pocket or of a late poppet [Pa/s], of oil's warmth, of a loose ring."""
+    """Rate of the pressure in a hose, damper or pocket or of a late poppet [Pa/s], of warmth, of a ring or a gap."""
     if kind == HOSE:
         return (state[PRESSURE_A] - state[MEMORY]) / shape
     if kind == HOT_LEAK:
         return (abs(current) / bench.valve_nominal_current - state[MEMORY]) / shape
     if kind == FLOATING_RING:
         return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
+    if kind == GAP_SILTS:
+        return abs(state[VELOCITY]) * (1.0 - state[MEMORY]) / shape - state[MEMORY] / SILTED
     if kind == DAMPER_STUB:
         return size * root(state[PRESSURE_B] - state[MEMORY]) / shape
     if kind == LIP_POCKET:

@@ -9,8 +9,10 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     EDGE_CHOKES,
+    LANDS_APART,
     MEMORY,
     NEIGHBOUR_STROKES,
+    PIPE_INERTIA,
     PORT_COVERED,
     RETURN_FILTER,
     RETURN_POT,
@@ -34,7 +36,7 @@ def drops(bench, out, state):
 def blocked_flows(kind, size, shape, bench, time, current, state):
     """Flows [m3/s] that the edges do not pass: into chamber A and out of chamber B, as `lost_flows` counts them."""
     if kind not in (TRANSITION, RETURN_FILTER, SILTED_EDGE, EDGE_CHOKES, SUPPLY_SETS, RETURN_POT, PORT_COVERED,
-                    NEIGHBOUR_STROKES):  # fmt: skip
+                    NEIGHBOUR_STROKES, LANDS_APART, PIPE_INERTIA):  # fmt: skip
         return 0.0, 0.0
     moved = flow_gain(bench) * opening(bench, time, current)
     out = moved >= 0.0
@@ -64,6 +66,13 @@ def blocked_flows(kind, size, shape, bench, time, current, state):
         over = over_b if out else over_a
         short = moved * (root(over) - root(over - state[MEMORY]))
         return (0.0, -short) if out else (short, 0.0)
+    if kind == PIPE_INERTIA:
+        return (moved * root(over_a) - state[MEMORY] if size > 0.0 else 0.0), 0.0
+    if kind == LANDS_APART:
+        moved_a = flow_gain(bench) * opening(bench, time, current + size)
+        moved_b = flow_gain(bench) * opening(bench, time, current - size)
+        apart_a, apart_b = drops(bench, moved_a >= 0.0, state)[0], drops(bench, moved_b >= 0.0, state)[1]
+        return moved * root(over_a) - moved_a * root(apart_a), moved_b * root(apart_b) - moved * root(over_b)
     # q = moved sqrt(over - size q^2), solved for q: only the edge to the tank has the filter behind it
     short = moved * (1.0 - 1.0 / math.sqrt(1.0 + size * moved**2))
     return (0.0, -short * root(over_b)) if out else (short * root(over_a), 0.0)

@@ -9,6 +9,7 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     AIR_SPRING,
+    CENTRIFUGAL_BRAKE,
     CONICAL_SPRING,
     CROSS_WIRE,
     FOAM_BLOCK,
@@ -17,11 +18,13 @@ from benchmarks.beyond_the_table.physics.places import (
     GRIP_MASS,
     JAWS_SLIP,
     LEAF_SPRING,
+    MAGNET_GAP,
     MEMORY,
     MEMORY_FOAM,
     MOUNT,
     REBOUND_DAMPER,
     RUBBER_QUICKENS,
+    RUBBER_REMEMBERS,
     SPECIMEN_BEDS_IN,
     SPECIMEN_DAMPING,
     SPECIMEN_SOFTENS,
@@ -36,6 +39,10 @@ WORKED = 0.1
 """m/s at which a specimen has warmed by 1 in the end."""
 RUN_DOWN = 0.6
 """s in which the bearings of a flywheel stop it."""
+MAGNET = 0.038
+"""m, where a plate stands in the middle of a magnet's gap."""
+STRETCHED = 5e-3
+"""s in which rubber softens to a stretch that it has not had before."""
 
 
 @njit
@@ -78,6 +85,13 @@ def extra_load(kind, size, shape, bench, time, state):
         return size * max(velocity - state[MEMORY], 0.0)
     if kind == UNBALANCED_MOTOR:
         return size * math.sin(2.0 * math.pi * time / shape)
+    if kind == RUBBER_REMEMBERS:
+        stretch = position - bench.spring_rest_position
+        return -size * (state[MEMORY] - abs(stretch)) * stretch
+    if kind == MAGNET_GAP:
+        return size * math.exp(-(((position - MAGNET) / shape) ** 2)) * velocity
+    if kind == CENTRIFUGAL_BRAKE:
+        return size * math.copysign(max(velocity**2 - shape**2, 0.0), velocity)
     return -size * state[MEMORY] * spring(bench, position) if kind == SPECIMEN_SOFTENS else 0.0
 
 
@@ -98,7 +112,7 @@ def brake(kind, size, bench, state, seconds):
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of a spring's or rope's path, of a foot or a foam [m/s], of a flywheel [m/s2], of a specimen's warmth."""
+    """Rate of a spring's or rope's path, of a foot, foam or stretch [m/s], of a flywheel [m/s2], of warmth."""
     memory, velocity = state[MEMORY], state[VELOCITY]
     if kind in (SPRING_HYSTERESIS, WIRE_ROPE):
         return (velocity - abs(velocity) * memory) / shape
@@ -109,6 +123,8 @@ def memory_rate(kind, size, shape, bench, state):
         return (state[POSITION] - bench.spring_rest_position - state[MEMORY]) / shape
     if kind == FREEWHEEL:
         return max(velocity - memory, 0.0) / shape - memory / RUN_DOWN
+    if kind == RUBBER_REMEMBERS:
+        return max(abs(state[POSITION] - bench.spring_rest_position) - memory, 0.0) / STRETCHED - memory / shape
     if kind == JAWS_SLIP:
         return size * outside(spring(bench, state[POSITION] - memory), shape)
     return (abs(velocity) / WORKED - memory) / shape if kind == SPECIMEN_SOFTENS else 0.0

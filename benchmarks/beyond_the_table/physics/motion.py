@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces on the piston that the load does not see."""
+"""Forces on the piston that the load does not see: friction, and with it what `pushes` has."""
 
 from __future__ import annotations
 
@@ -17,26 +17,23 @@ from benchmarks.beyond_the_table.physics.places import (
     DRY_RAIL,
     EDDY_RING,
     FILM_SQUEEZED,
-    FLYWEIGHTS,
     FRICTION_LAG,
     FRICTION_POSITION,
     GLAND_PRESSURE,
     GUIDE_SWELLS,
     HEAT,
     HONED_WAVES,
-    HOSE_STIFFENS,
     LIP_FILM,
     LIP_RELAXES,
     MEMORY,
-    OIL_POT,
-    ROD_BELLOWS,
     SCRAPER_DIGS,
     SEAL,
     SHEAR_THINNING,
     SPRING_BOWS,
+    SQUEEZE_FILM,
     STARVED_FILM,
-    SWITCH_MAGNET,
 )
+from benchmarks.beyond_the_table.physics.pushes import push
 from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, outside
 
 TURN = 2e-3
@@ -45,8 +42,6 @@ STRIBECK = 0.05
 """m/s at which a film has mostly formed."""
 SCORED = 0.043
 """m, middle of the scored length of the bore."""
-SWITCH = 0.036
-"""m, where the switch stands."""
 DRAWN_IN = 8e-3
 """m of travel that draw a film in again."""
 RING_TURN = 5e-3
@@ -62,8 +57,8 @@ RUBBED = 0.1
 
 
 @njit
-def extra_force(kind, size, shape, bench, time, state):
-    """Force [N] on the piston, beside the load's, at a time [s]."""
+def extra_force(kind, size, shape, bench, time, current, state):
+    """Force [N] on the piston, beside the load's, at a time [s] under a current [A]."""
     position, velocity, memory = state[POSITION], state[VELOCITY], state[MEMORY]
     if kind == DRAG:
         return -size * velocity * abs(velocity)
@@ -83,19 +78,12 @@ def extra_force(kind, size, shape, bench, time, state):
         return -size * state[PRESSURE_B] * math.tanh(velocity / shape)
     if kind == LIP_FILM:
         return -size * velocity / math.sqrt(abs(velocity) + shape)
-    if kind == ROD_BELLOWS:
-        return -size * (position - bench.spring_rest_position - memory)
     if kind == COLD_START:
         return -size * math.exp(-time / shape) * velocity
     if kind == FILM_SQUEEZED:
         return -size * memory * math.tanh(velocity / TURN)
-    if kind == HOSE_STIFFENS:
-        return -size * state[PRESSURE_B] * (position - bench.spring_rest_position)
     if kind == BACKUP_RING:
         return -size * max(state[PRESSURE_B] - shape, 0.0) * math.tanh(velocity / RING_TURN)
-    if kind == SWITCH_MAGNET:
-        away = (position - SWITCH) / shape
-        return -size * away * math.exp(-(away**2))
     if kind == STARVED_FILM:
         return -size * outside(velocity, shape)
     if kind == SPRING_BOWS:
@@ -109,30 +97,28 @@ def extra_force(kind, size, shape, bench, time, state):
     if kind == DRY_RAIL:
         beyond = 0.5 * (1.0 + math.tanh((position - shape) / JOINT))
         return -size * beyond * math.tanh(velocity / RAIL_TURN)
-    if kind == OIL_POT:
-        return -size * (velocity - memory)
-    if kind == FLYWEIGHTS:
-        return size * velocity**2
     if kind == SCRAPER_DIGS:
         return -size * min(velocity, 0.0)
     if kind == HONED_WAVES:
         return -size * math.sin(math.pi * position / shape) ** 2 * velocity
     if kind == LIP_RELAXES:
         return -size * max(state[PRESSURE_B] - memory, 0.0) * math.tanh(velocity / LIP_TURN)
-    return -size * velocity / (1.0 + abs(velocity) / shape) if kind == SHEAR_THINNING else 0.0
+    if kind == SHEAR_THINNING:
+        return -size * velocity / (1.0 + abs(velocity) / shape)
+    if kind == SQUEEZE_FILM:
+        return -size * velocity / (1.0 - position / shape) ** 3
+    return push(kind, size, shape, bench, current, state)
 
 
 @njit
-def memory_rate(kind, shape, bench, state):
-    """Rate of warmth (travelled, or of a guide), of a film's or a pot's velocity [m/s2], of air [m/s], of lips."""
+def memory_rate(kind, shape, state):
+    """Rate of warmth (travelled, or of a guide), of a film's velocity [m/s2], of lips."""
     if kind == HEAT:
         return abs(state[VELOCITY]) / shape - state[MEMORY] / 10.0
-    if kind == ROD_BELLOWS:
-        return (state[POSITION] - bench.spring_rest_position - state[MEMORY]) / shape
     if kind == FILM_SQUEEZED:
         return (1.0 - state[MEMORY]) / shape - abs(state[VELOCITY]) * state[MEMORY] / DRAWN_IN
     if kind == GUIDE_SWELLS:
         return (abs(state[VELOCITY]) / RUBBED - state[MEMORY]) / shape
     if kind == LIP_RELAXES:
         return (state[PRESSURE_B] - state[MEMORY]) / shape
-    return (state[VELOCITY] - state[MEMORY]) / shape if kind in (FRICTION_LAG, OIL_POT) else 0.0
+    return (state[VELOCITY] - state[MEMORY]) / shape if kind == FRICTION_LAG else 0.0

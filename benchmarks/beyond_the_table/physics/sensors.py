@@ -10,6 +10,7 @@ from numba import njit
 from benchmarks.beyond_the_table.physics.places import (
     BARREL_STRETCHES,
     BRIDGE_SAGS,
+    CABLE_SWINGS,
     CELL_BYPASS,
     CELL_CREEP,
     CELL_CURVE,
@@ -21,6 +22,7 @@ from benchmarks.beyond_the_table.physics.places import (
     CELL_RECTIFIES,
     CELL_SEATS,
     CELL_SLEW,
+    COUNTS_LOST,
     ENCODER_PLAY,
     GAUGE_COARSE,
     GAUGE_CROSSTALK,
@@ -29,9 +31,10 @@ from benchmarks.beyond_the_table.physics.places import (
     GAUGE_WARMS,
     MEMORY,
     SCALE_RIPPLE,
+    THROAT_TAPPED,
 )
 from benchmarks.foreign_truth.box import PERIOD
-from benchmarks.foreign_truth.equations import CELL, CELL_RATE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
+from benchmarks.foreign_truth.equations import CELL, CELL_RATE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, outside
 
 RISING = 5e-4
 """s, lag of a snubber whose check valve is open."""
@@ -69,6 +72,12 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[5] -= size * max(state[PRESSURE_B] - shape, 0.0)
     if kind == ENCODER_PLAY:
         row[6] -= size * state[MEMORY]
+    if kind == COUNTS_LOST:
+        row[6] -= state[MEMORY]
+    if kind == CABLE_SWINGS:
+        row[2] += size * state[VELOCITY]
+    if kind == THROAT_TAPPED:
+        row[4] -= size * max(state[VELOCITY], 0.0) ** 2
     if kind == BRIDGE_SAGS:
         row[0] -= size * abs(current) / bench.valve_nominal_current * hydraulic_force(bench, state)
     if kind == CELL_HYSTERESIS:
@@ -99,7 +108,7 @@ def misread(kind, size, shape, bench, time, current, state, row):
 
 @njit
 def memory_rate(kind, size, shape, bench, state):
-    """Rate of what a cell has crept by or shows [N/s], of the pressure [Pa/s] behind the snubber, of a path."""
+    """Rate of what a cell has crept by or shows [N/s], of pressure [Pa/s], of a path, of misses [m/s]."""
     if kind == CELL_CREEP:
         return (hydraulic_force(bench, state) - state[MEMORY]) / shape
     if kind == GAUGE_SNUBBER:
@@ -107,6 +116,8 @@ def memory_rate(kind, size, shape, bench, state):
         return above / (RISING if above > 0.0 else max(size, RISING))
     if kind == CELL_SLEW:
         return min(max((hydraulic_force(bench, state) - state[MEMORY]) / INPUT, -size), size)
+    if kind == COUNTS_LOST:
+        return size * outside(state[VELOCITY], shape)
     if kind == ENCODER_PLAY:
         return (state[VELOCITY] - abs(state[VELOCITY]) * state[MEMORY]) / shape
     if kind == CELL_HYSTERESIS:

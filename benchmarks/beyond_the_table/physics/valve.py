@@ -10,6 +10,7 @@ from numba import njit
 from benchmarks.beyond_the_table.physics.edges import drops
 from benchmarks.beyond_the_table.physics.places import (
     COIL_WARMS,
+    DITHER_LEFT,
     FEEDBACK_LINK,
     FLUX_CREEPS,
     JET_FORCE,
@@ -19,6 +20,8 @@ from benchmarks.beyond_the_table.physics.places import (
     NOTCHED_SPOOL,
     NULL_WARMS,
     PILOT_CLOGGED,
+    PIPE_INERTIA,
+    REMANENCE,
     RETURN_POT,
     SPOOL_RATE,
     SPOOL_STOP,
@@ -44,11 +47,15 @@ HELD = 1e-5
 """m/s, below which dry friction holds the piston."""
 NOZZLE = 2e-4
 """s, lag of a pilot whose nozzle is clean."""
+MAGNETISED = 0.05
+"""s in which iron follows a current that is strong enough."""
+SHORT_PIPE = 2e-4
+"""s, lag of the shortest pipe."""
 
 
 @njit
-def drawn(kind, size, shape, bench, current, state):
-    """Current [A] that an ideal valve would have been given."""
+def drawn(kind, size, shape, bench, time, current, state):
+    """Current [A] that an ideal valve would have been given at a time [s]."""
     memory = state[MEMORY]
     if kind == VALVE_HYSTERESIS:
         return current - size * memory
@@ -56,7 +63,7 @@ def drawn(kind, size, shape, bench, current, state):
         return current * (1.0 - size * abs(current) / shape)
     if kind == SPOOL_STOP:
         return current - size * max(current - shape, 0.0)
-    if kind == NULL_WARMS:
+    if kind in (NULL_WARMS, REMANENCE):
         return current + size * memory
     if kind == JET_FORCE:
         over_a, over_b = drops(bench, current >= 0.0, state)
@@ -75,6 +82,8 @@ def drawn(kind, size, shape, bench, current, state):
         return current - size * (state[POSITION] - bench.spring_rest_position)
     if kind == FLUX_CREEPS:
         return current - size * (current - memory)
+    if kind == DITHER_LEFT:
+        return current + size * math.sin(2.0 * math.pi * time / shape)
     if kind == PILOT_CLOGGED and size > 0.0:
         return memory
     return memory if kind == SPOOL_RATE else current
@@ -92,7 +101,10 @@ def acceleration(bench, state):
 
 @njit
 def memory_rate(kind, size, shape, bench, current, slope, state):
-    """Rate of magnetisation, spool or flux [A/s], of a warmth, of return pressure [Pa/s]; `slope` in A/s."""
+    """Rate of magnetisation, spool or flux [A/s], of a warmth, of return pressure [Pa/s], of a pipe's flow [m3/s2].
+
+    `slope` is the current's [A/s].
+    """
     memory = state[MEMORY]
     if kind == VALVE_HYSTERESIS:
         return (slope - abs(slope) * memory) / shape
@@ -100,6 +112,11 @@ def memory_rate(kind, size, shape, bench, current, slope, state):
         return min(max(2.0 * math.pi * shape * (current - memory), -size), size)
     if kind == FLUX_CREEPS:
         return (current - memory) / shape
+    if kind == REMANENCE:
+        return (current - memory) / MAGNETISED if abs(current) > shape else 0.0
+    if kind == PIPE_INERTIA:
+        moved = flow_gain(bench) * opening(bench, 0.0, current)
+        return (moved * root(drops(bench, moved >= 0.0, state)[0]) - memory) / max(size, SHORT_PIPE)
     if kind == COIL_WARMS:
         return ((current / WARM) ** 2 - memory) / shape
     if kind == RETURN_POT:
