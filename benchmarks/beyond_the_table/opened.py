@@ -207,7 +207,8 @@ OPENED: tuple[Kind, ...] = (
     # m v' = ... + size v^2: flyweights on a pinion of the rod throw it outwards, whichever way they turn
     entry("flyweights", "dev", "motion", (150.0, 600.0), "N s2/m2", 0.0, "velocity", degree=2.0),
     # ... - size min(v, 0): a scraper whose edge lies over on the way out and digs in on the way in
-    entry("scraper_digs", "dev", "motion", (50.0, 200.0), "N s/m", 0.0, "velocity", degree=1.0),
+    entry("scraper_digs", "dev", "motion", (50.0, 200.0), "N s/m", 0.0, "velocity", degree=1.0,
+          named="friction_viscous directional"),
     # ... - size sin(pi x / shape)^2 v: a bore with the waves that a chattering hone has left
     entry("honed_waves", "dev", "motion", (80.0, 320.0), "N s/m", 8e-3, "position velocity"),
     # ... - size max(p_b - w, 0) tanh(v / 5 mm/s), w' = (p_b - w) / shape: a lip that a rise of pressure presses on the
