@@ -35,8 +35,6 @@ TEXTS = {
     "(x - x_rest) / sqrt(1 + ((x - x_rest) / level)^2)": _form("position", 1.0),
     "max(v - w, 0), w' = (v - w) / (rising or falling)": _form("velocity", 1.0, memory=True),
     "-max(w - v, 0), w' = (v - w) / (rising or falling)": _form("velocity", 1.0, memory=True),
-    "max(x - w, 0), w' = (x - w) / (rising or falling)": _form("position", 1.0, memory=True),
-    "-max(w - x, 0), w' = (x - w) / (rising or falling)": _form("position", 1.0, memory=True),
     "v^3": _form("velocity", 3.0),
     "sign(v) sqrt(|v|)": _form("velocity", 0.5),
     "sign(v) (x/L - 1/2)": _form("position velocity", 1.0),

@@ -268,7 +268,6 @@ def test_a_curved_gauge_is_undone() -> None:
         ("pressure_a", "pocket", {"coefficient": 3e-14, "rising": 0.02, "falling": 0.3}, 0.1),
         ("actuation", "late share", {"coefficient": 0.03, "time": 0.05}, 0.05),
         ("load", "speed ahead outwards", {"coefficient": 300.0, "rising": 0.06, "falling": 0.6}, 0.1),
-        ("motion", "place ahead outwards", {"coefficient": 2000.0, "rising": 0.1, "falling": 0.4}, 0.1),
     ],
 )
 def test_a_law_is_found_with_all_of_its_numbers(

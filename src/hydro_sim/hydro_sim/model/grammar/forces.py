@@ -14,18 +14,11 @@ from hydro_sim.model.law_signals import Signals
 from hydro_sim.model.laws import Element, Law, Number
 
 _TURNS = (Number("rising", "s", (0.03, 0.1, 0.3, 1.0)), Number("falling", "s", (0.03, 0.1, 0.3, 1.0)))
-
-
-def _ahead(signal: str) -> tuple[tuple[str, str, Callable[[Signals, Any], Symbol]], ...]:
-    """Way, text and shape of what a signal is ahead of its own lag, outwards or inwards alone."""
-    s = "v" if signal == "velocity" else "x"
-    follows = f"w' = ({s} - w) / (rising or falling)"
-    return (
-        ("outwards", f"max({s} - w, 0), {follows}", lambda at, n: above(getattr(at, signal), at.memory)),
-        ("inwards", f"-max(w - {s}, 0), {follows}", lambda at, n: -above(at.memory, getattr(at, signal))),
-    )
-
-
+_FOLLOWS = "w' = (v - w) / (rising or falling)"
+_AHEAD: tuple[tuple[str, str, Callable[[Signals, Any], Symbol]], ...] = (
+    ("outwards", f"max(v - w, 0), {_FOLLOWS}", lambda at, n: above(at.velocity, at.memory)),
+    ("inwards", f"-max(w - v, 0), {_FOLLOWS}", lambda at, n: -above(at.memory, at.velocity)),
+)
 _HEAT = (Number("path", "m", (3e-3, 1e-2, 0.1, 0.3, 1.0, 3.0)), Number("time", "s", (0.05, 0.2, 3.0, 10.0, 30.0)))
 LAWS: tuple[Law, ...] = (
     Law("motion", "quadratic drag", "N s2/m2", "v |v|",
@@ -81,12 +74,11 @@ LAWS: tuple[Law, ...] = (
           1e3, lambda at, n: deflection(at, n) / np.sqrt(1.0 + (deflection(at, n) / at.number) ** 2),
           numbers=(Number("level", "m", (1e-3, 2e-3, 4e-3, 8e-3, 1.6e-2)),))
       for equation, whose in (("motion", "Force beside the load"), ("load", "Force of the load"))),
-    *(Law(equation, f"{words} ahead {way}", unit, text, f"{whose} {words} gets ahead of itself {way}, and that fades "
-          "where it stays: typical of what takes hold one way and slips.",
-          50.0 if unit == "N s/m" else 300.0, shape, Element("turn", signal), _TURNS)
+    *(Law(equation, f"speed ahead {way}", "N s/m", text, f"{whose} speed gets ahead of itself {way}, and that fades "
+          "where it stays: typical of a flywheel behind a freewheel that slips.",
+          50.0, shape, Element("turn", "velocity"), _TURNS)
       for equation, whose in (("motion", "Force against motion while its"), ("load", "Force of the load while its"))
-      for words, signal, unit in (("speed", "velocity", "N s/m"), ("place", "position", "N/m"))
-      for way, text, shape in _ahead(signal)),
+      for way, text, shape in _AHEAD),
     *(Law(equation, "late stiffness", "N/m", "(w - x_rest), w' = (x - w) / time",
           f"{whose} of which a part follows the position late: typical of a mount or a joint that gives slowly.",
           100.0, lambda at, n: at.memory - n.spring_rest_position, creep("position"), LAG)
