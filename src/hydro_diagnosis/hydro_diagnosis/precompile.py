@@ -28,6 +28,7 @@ def _memory() -> None:
     record.bristle("z", path, 2e5, np.ones(10))
     record.play("p", path, 0.1)
     record.lag("w", path, 0.1)
+    record.lag("w", path, 0.1, falling=0.2)
     record.turning(path, 0.1, 0.2)
     limited(path, 1e-3, 1.0, 0.1, 0.1)
     fading_sums(path[None], 0.9)
