@@ -17,7 +17,7 @@ from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.outcome import NAMES, SearchSettings
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.stages.modelling import modelled
-from hydro_diagnosis.stages.naming import named
+from hydro_diagnosis.stages.naming import named, trusted
 from hydro_diagnosis.stages.reading import Progress, Question, read
 from hydro_diagnosis.stages.reporting import reported, unfinished
 from hydro_sim.model.bench import Bench
@@ -80,6 +80,7 @@ def diagnose(
     try:
         with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
             names = named(search, case.held)
-            return reported(case, search, modelled(names, search.library, progress), begun)
+            found = trusted(modelled(names, search.library, progress), names)
+            return reported(case, search, found, begun)
     except KeyboardInterrupt as interruption:
         raise DiagnosisInterrupted(unfinished(case, search, begun), endings.status(interruption)) from None

@@ -30,12 +30,23 @@ def made_worse(proof: Mapping[str, Any]) -> str:
     return "; ".join(worse)
 
 
-def withheld(claims: Sequence[Claim], worse: str) -> str:
-    """Note on names that explain what was fitted and are not handed back, since `worse` of the held-out recordings."""
+def made_worse_in_all(proof: Mapping[str, Any]) -> str:
+    """`made_worse`, where the squared errors beyond the noise have grown over all channels together; else empty."""
+    ratios = [(error["rmse_before"], error["rmse_after"], error["noise_floor"]) for error in proof["holdout"].values()]
+    grown = [max((after / floor) ** 2, 1.0) - max((before / floor) ** 2, 1.0) for before, after, floor in ratios]
+    return made_worse(proof) if sum(grown) > 0.0 else ""
+
+
+def withheld(claims: Sequence[Claim], worse: str, *, whole: bool) -> str:
+    """Note on names that fit and are not handed back, since `worse` of the held-out recordings.
+
+    `whole`: whether they leave nothing of what was fitted.
+    """
     names = ", ".join(dict.fromkeys(claim.effect.id for claim in claims))
+    share = "" if whole else "a part of "
     return (
-        f"{names} would explain the recordings that were fitted, but predict the held-out ones worse than the bench "
-        f"file does ({worse}): not claimed; record with less noise or more motion"
+        f"{names} would explain {share}the recordings that were fitted, but predict the held-out ones worse than the "
+        f"bench file does ({worse}): not claimed; record with less noise or more motion"
     )
 
 

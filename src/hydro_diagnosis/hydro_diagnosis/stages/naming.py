@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from hydro_diagnosis import stage_bar
@@ -16,7 +16,7 @@ from hydro_diagnosis.findings import ClosureReport
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.selection.current_alignment import current_is_late
-from hydro_diagnosis.selection.foretelling import made_worse, withheld
+from hydro_diagnosis.selection.foretelling import made_worse, made_worse_in_all, withheld
 from hydro_diagnosis.selection.outcome import Outcome
 from hydro_diagnosis.selection.search import Search
 from hydro_diagnosis.selection.verdict import Assessment, assess, refuted
@@ -44,7 +44,7 @@ class Standing:
     late: str | None
     """Note on a current that was logged after it acted; None where it was not."""
     taken_back: str = ""
-    """Note on names that make the held-out recordings worse; empty where they do not."""
+    """Note on names that were taken back, since they predict the held-out recordings worse; else empty."""
     closures: list[ClosureReport] = field(default_factory=list)
     next_recording: dict[str, Any] | None = None
     """The recording that separates the closest rivals among the claims."""
@@ -69,18 +69,43 @@ def named(search: Search, held: Sequence[Segment]) -> Standing:
     unseen.update_weights(assessment.fit.claims)
     simulated: Known = {}
     proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
-    taken_back = ""
-    if assessment.verdict == "explained" and (worse := made_worse(proof)):
-        taken_back = withheld(assessment.fit.judged, worse)
-        assessment = refuted(problem, assessment, outcome.nothing)
-        bounds = intervals(problem, assessment.fit)
-        unseen.update_weights(assessment.fit.claims)
-        proof = held_out(problem, unseen, assessment.fit.claims, models, simulated)
-    return Standing(
+    found = Standing(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, models=models, unseen=unseen,
-        simulated=simulated, proof=proof, late=late, taken_back=taken_back,
-        next_recording=next_recording(problem, outcome, assessment) if rehearsable(problem.bench) else None,
+        simulated=simulated, proof=proof, late=late,
     )  # fmt: skip
+    if assessment.verdict == "explained" and (worse := made_worse(proof)):
+        return _withdrawn(found, worse)
+    return replace(found, next_recording=_ahead(found))
+
+
+def trusted(found: Standing, names: Standing) -> Standing:
+    """`found`, or neither names nor closures where on the whole the held-out recordings are predicted worse with them.
+
+    `names`: the same before closures.
+    """
+    worse = made_worse_in_all(found.proof) if found.names else ""
+    return _withdrawn(names, worse) if worse else found
+
+
+def _withdrawn(found: Standing, worse: str) -> Standing:
+    """The bench file again, with a note on the names: `worse` of the held-out recordings."""
+    problem, nothing = found.problem, found.outcome.nothing
+    assessment = refuted(problem, found.assessment, nothing)
+    found.unseen.update_weights(assessment.fit.claims)
+    bare = replace(
+        found,
+        assessment=assessment,
+        bounds=intervals(problem, assessment.fit),
+        proof=held_out(problem, found.unseen, assessment.fit.claims, found.models, found.simulated),
+        taken_back=withheld(found.assessment.fit.judged, worse, whole=not found.assessment.remainder),
+    )
+    return replace(bare, next_recording=_ahead(bare))
+
+
+def _ahead(found: Standing) -> dict[str, Any] | None:
+    """The next recording; None where the bench file is not known enough to rehearse one."""
+    problem = found.problem
+    return next_recording(problem, found.outcome, found.assessment) if rehearsable(problem.bench) else None
 
 
 def _judged(problem: Problem, outcome: Outcome) -> tuple[Assessment, list[Interval]]:
