@@ -267,6 +267,9 @@ def test_a_curved_gauge_is_undone() -> None:
         ("motion", "drag, while B is above its past", {"coefficient": 2e-4, "time": 0.2}, 0.05),
         ("pressure_a", "pocket", {"coefficient": 3e-14, "rising": 0.02, "falling": 0.3}, 0.1),
         ("actuation", "late share", {"coefficient": 0.03, "time": 0.05}, 0.05),
+        ("pressure", "leak, after motion", {"coefficient": 3e-13, "path": 2e-2, "time": 0.5}, 0.1),
+        ("pressure_a", "throttled flow of the port", {"coefficient": 1.0, "resistance": 2e15}, 0.1),
+        ("pressure_b", "null of the port", {"coefficient": 1e-4}, 0.05),
         ("load", "speed ahead outwards", {"coefficient": 300.0, "rising": 0.06, "falling": 0.6}, 0.1),
     ],
 )

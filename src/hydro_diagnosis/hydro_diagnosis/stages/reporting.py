@@ -7,7 +7,6 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
-from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unrecorded_rows import untold
 from hydro_diagnosis.findings import INTERRUPTED, EffectReport, Report
 from hydro_diagnosis.report.diagnosis import Diagnosis
@@ -15,8 +14,8 @@ from hydro_diagnosis.selection.current_alignment import current_is_early
 from hydro_diagnosis.selection.effect_summary import describe, location_of
 from hydro_diagnosis.selection.foretelling import distrusted, made_worse, not_foretold
 from hydro_diagnosis.selection.number_estimates import number_estimates
+from hydro_diagnosis.selection.periodicity import line_of
 from hydro_diagnosis.selection.search import Search
-from hydro_diagnosis.selection.verdict import Assessment
 from hydro_diagnosis.stages.naming import Standing
 from hydro_diagnosis.stages.reading import Case
 
@@ -32,7 +31,7 @@ def reported(case: Case, search: Search, found: Standing, begun: float) -> Diagn
         verdict=assessment.verdict,
         location=[location_of(place, problem) for place in assessment.places],
         effects=effects,
-        remainder=_remainder(assessment, problem),
+        remainder=_remainder(found),
         closures=found.closures,
         estimated=number_estimates(problem, assessment.fit, found.bounds, search.library, case.numbers),
         fit=found.proof,
@@ -74,14 +73,18 @@ def _steps(search: Search) -> list[dict[str, Any]]:
     return [{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps]
 
 
-def _remainder(assessment: Assessment, problem: Problem) -> dict[str, Any] | None:
+def _remainder(found: Standing) -> dict[str, Any] | None:
+    problem, unseen, assessment = found.problem, found.unseen, found.assessment
     if not assessment.remainder:
         return None
     equation = assessment.remainder[0].equation
+    left = ((problem.layout, assessment.fit.residual), (unseen.layout, unseen.residual(assessment.fit.claims)))
+    line = line_of(left, assessment.remainder[0].channel)
+    like = [claim.effect.sentence(claim.values) for claim in assessment.dropped if not claim.effect.named]
     telling = [form for form in assessment.forms if form.gain > 0.0 and form.equation == equation]
     return {
         "location": [vars(location_of(place, problem)) for place in assessment.remainder],
         "depends_on": list(dict.fromkeys(form.variable for form in telling[:3])),
         "dropped": [claim.effect.id for claim in assessment.dropped if claim.effect.named],
-        "looks_like": [claim.effect.sentence(claim.values) for claim in assessment.dropped if not claim.effect.named],
+        "looks_like": [*like, line.sentence] if line else like,
     }

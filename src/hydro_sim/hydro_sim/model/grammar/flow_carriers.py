@@ -12,12 +12,16 @@ from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Carrier
 from hydro_sim.model.grammar.words import BETWEEN
 from hydro_sim.model.law_signals import Signals
+from hydro_sim.model.laws import Number
+
+_TURNED = 1e-5
+"""Current [A] over which one edge of a port takes over from the other."""
 
 
 def _flow(equation: str, name: str, unit: str, text: str, phrase: str, scale: float, uses: str, degree: float,
-          shape: Callable[[Signals, Any], Symbol]) -> Carrier:  # fmt: skip
+          shape: Callable[[Signals, Any], Symbol], numbers: tuple[Number, ...] = ()) -> Carrier:  # fmt: skip
     return Carrier(equation=equation, name=name, unit=unit, text=text, phrase=phrase, size=3e-7, scale=scale,
-                   uses=uses, degree=degree, shape=shape)  # fmt: skip
+                   uses=uses, degree=degree, shape=shape, numbers=numbers)  # fmt: skip
 
 
 def _root(pressure: Symbol) -> Symbol:
@@ -81,11 +85,25 @@ def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) 
     def opened(at: Signals, n: Any, to: float) -> Symbol:
         return n.valve_gain * np.fmax(to * side * at.current, 0.0)
 
+    def of_supply(at: Signals, n: Any) -> Symbol:
+        return _root(n.supply_pressure - pressure(at))
+
+    def of_tank(at: Signals, n: Any) -> Symbol:
+        return _root(pressure(at) - n.tank_pressure)
+
     def supplied(at: Signals, n: Any) -> Symbol:
-        return opened(at, n, 1.0) * _root(n.supply_pressure - pressure(at))
+        return opened(at, n, 1.0) * of_supply(at, n)
 
     def returned(at: Signals, n: Any) -> Symbol:
-        return -opened(at, n, -1.0) * _root(pressure(at) - n.tank_pressure)
+        return -opened(at, n, -1.0) * of_tank(at, n)
+
+    def throttled(at: Signals, n: Any) -> Symbol:
+        opening = n.valve_gain * at.current
+        return (supplied(at, n) + returned(at, n)) * (1.0 - 1.0 / np.sqrt(1.0 + at.number * opening * opening))
+
+    def shifted(at: Signals, n: Any) -> Symbol:
+        feeds = 0.5 + 0.5 * np.tanh(side * at.current / _TURNED)
+        return -n.valve_gain * (feeds * of_supply(at, n) + (1.0 - feeds) * of_tank(at, n))
 
     return (
         _flow(equation, "flow of the supply's edge", "m3/s", f"K max({fed}, 0) sqrt(p_s - p_{chamber})",
@@ -98,6 +116,13 @@ def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) 
               f"Chamber {big} gets less of the valve's flow q_{chamber} than its edges pass: typical of a port that "
               "the piston covers", 5e-6, f"current {equation}", 1.5,
               lambda at, n: supplied(at, n) + returned(at, n)),
+        _flow(equation, "throttled flow of the port", "m3/s", f"q_{chamber} (1 - 1 / sqrt(1 + resistance K^2))",
+              f"Flow q_{chamber} of the valve through a throttle before chamber {big}, whose pressure drop grows with "
+              "q^2: typical of a narrow line or port; 1: all of it", 5e-6, f"current {equation}", 1.5, throttled,
+              (Number("resistance", "Pa s2/m6", (1e14, 5e14, 2e15, 1e16)),)),
+        _flow(equation, "null of the port", "m3/s/A", f"-K sqrt(dp_{chamber})",
+              f"The edges of chamber {big} see a current that is shifted: typical of lands that are ground apart",
+              2e-3, f"current {equation}", 0.5, shifted),
         _flow(equation, "leak from the supply", "Pa", f"-(p_s - p_{chamber})",
               f"A leak from the supply into chamber {big}", 5e6, equation, 1.0,
               lambda at, n: pressure(at) - n.supply_pressure),
@@ -109,4 +134,7 @@ def _edges_of(chamber: str, pressure: Callable[[Signals], Symbol], side: float) 
 
 _EDGES = (*_edges_of("a", lambda at: at.pressure_a, 1.0), *_edges_of("b", lambda at: at.pressure_b, -1.0))
 PORTS = tuple(one for one in _EDGES if one.name == "flow of the port")
-FED = tuple(one for one in _EDGES if one not in PORTS)
+FED = tuple(
+    one for one in _EDGES if one.name in ("leak from the supply", "hole to the supply") or "'s edge" in one.name
+)
+OF_PORT = tuple(one for one in _EDGES if one not in (*PORTS, *FED))

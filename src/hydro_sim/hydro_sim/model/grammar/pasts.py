@@ -35,11 +35,16 @@ PRESLIDING = Modulation(
     phrase=", that gives a little before it slides: typical of strands, leaves or lips that stick to each other first",
     factor=lambda at, n: at.memory, element=Element("path", "position"), numbers=_PATH,
 )  # fmt: skip
+_WIPING = (Number("path", "m", (2e-3, 6e-3, 2e-2)), Number("time", "s", (0.05, 0.15, 0.5)))
 RESTED = Modulation(
     name="after rest", text="{} exp(-w), w' = |v| / path - w / time", uses="velocity",
     phrase=", that fades as the piston moves and returns at rest: typical of a film that is squeezed out at rest",
-    factor=lambda at, n: np.exp(-at.memory), element=Element("heat", "position"),
-    numbers=(Number("path", "m", (2e-3, 6e-3, 2e-2)), Number("time", "s", (0.05, 0.15, 0.5))),
+    factor=lambda at, n: np.exp(-at.memory), element=Element("heat", "position"), numbers=_WIPING,
+)  # fmt: skip
+WIPED = Modulation(
+    name="after motion", text="{} (1 - exp(-w)), w' = |v| / path - w / time", uses="velocity",
+    phrase=", that opens as the piston moves and closes at rest: typical of a gap that dirt fills up at rest",
+    factor=lambda at, n: 1.0 - np.exp(-at.memory), element=Element("heat", "position"), numbers=_WIPING,
 )  # fmt: skip
 
 

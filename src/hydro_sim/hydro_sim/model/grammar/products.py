@@ -40,8 +40,8 @@ BY_OPENING = _times("|u|", "A", 2e-3, "current", "the valve's opening: typical o
 BY_CURRENT = _times("u", "A", 2e-3, "current", "the valve's current: typical of a shared ground",
                     lambda at, n: at.current)  # fmt: skip
 
-_PITCHES = tuple(round(1.0 / (62.5 + 31.25 * k), 6) for k in range(15))
-"""Start values [m] of a pitch, 16 mm to 2 mm: apart by as much as a range of 3 cm tells."""
+_PITCHES = tuple(round(1.0 / (62.5 + 31.25 * k), 6) for k in range(-1, 15))
+"""Start values [m] of a pitch, 32 mm to 2 mm: apart by as much as a range of 3 cm tells."""
 _REPEATS = (Number("pitch", "m", tuple(sorted(_PITCHES))), Number("phase", "-", (np.pi, 1.5 * np.pi)))
 RIPPLE = Modulation(
     name="in ripples", text="{} sin(2 pi x / pitch + phase)", uses="position",
