@@ -139,18 +139,18 @@ class Closure(Effect):
         if element is None:
             return at
         if element.kind == "slow":
-            at = replace(at, number=values.get("threshold", 0.0))
-            return replace(at, memory=memory.lag(self.label, self._driver(at), values.get("time", SETTLING), 0.0))
+            at = at.but(number=values.get("threshold", 0.0))
+            return at.but(memory=memory.lag(self.label, self._driver(at), values.get("time", SETTLING), 0.0))
         signal = getattr(at, element.signal)
         if element.kind == "lag":
-            return replace(at, memory=memory.lag(self.label, signal, values["time"]))
+            return at.but(memory=memory.lag(self.label, signal, values["time"]))
         if element.kind == "turn":
             late = memory.lag(self.label, signal, values["rising"], falling=values["falling"])
-            return replace(at, memory=late)
+            return at.but(memory=late)
         if element.kind == "heat":
             work = np.abs(at.velocity) * (values["time"] / values["path"])
-            return replace(at, memory=memory.lag(self.label, work, values["time"], 0.0))
-        return replace(at, memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
+            return at.but(memory=memory.lag(self.label, work, values["time"], 0.0))
+        return at.but(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
 
     def _driver(self, at: Signals) -> FloatArray:
         """What a slow state follows."""
@@ -209,7 +209,7 @@ class EdgeClosure(Closure):
         opened, closed = (substeps.mean_beyond(oil.spool, sign) for sign in (1.0, -1.0))
         openings = bench.valve_gain * opened, bench.valve_gain * closed
         past = self._remembering(Signals(current=substeps.mean(oil.spool)), memory, values).memory
-        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(replace(at, memory=past), values))
+        lost = edge_losses(bench, openings, oil.pressures, lambda at: self.given(at.but(memory=past), values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
 
@@ -254,12 +254,12 @@ class ValveClosure(Closure):
     def command(self, spool: FloatArray, substep: float, values: Values) -> FloatArray:
         at, path = Signals(current=spool), np.ascontiguousarray(spool).ravel()
         if self.element is not None and self.element.kind == "path":
-            at = replace(at, memory=along(path, 1.0 / values["path"], np.ones_like(path)).reshape(spool.shape))
+            at = at.but(memory=along(path, 1.0 / values["path"], np.ones_like(path)).reshape(spool.shape))
         elif self.element is not None and self.element.kind == "slow":
             warm = held_lag(self._driver(at).ravel(), substep, values.get("time", SETTLING), 0.0)[1]
-            at = replace(at, memory=warm.reshape(spool.shape))
+            at = at.but(memory=warm.reshape(spool.shape))
         elif self.element is not None:
             rising, falling = (values.get(name, values.get("time", 0.0)) for name in ("rising", "falling"))
             late = limited(path, substep, values.get("rate", WIDEST), rising, falling)
-            at = replace(at, memory=late.reshape(spool.shape))
+            at = at.but(memory=late.reshape(spool.shape))
         return spool + self.given(at, values)

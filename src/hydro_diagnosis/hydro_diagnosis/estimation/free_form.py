@@ -57,13 +57,15 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
     left = found.residual * weight
     base = deviance(problem, left / weight)
     forms = []
-    for equation, sensor in _INPUTS:
-        responses = Responses(problem, found.claims, equation, sensor)
-        if not responses.visible:
-            continue
-        for variable in variables(problem):
-            knots = _knots(problem, variable)
-            columns = np.column_stack([responses.of(basis) for basis in _hats(problem, variable, knots)])
+    inputs = [Responses(problem, found.claims, equation, sensor) for equation, sensor in _INPUTS]
+    for variable in variables(problem):
+        knots = _knots(problem, variable)
+        hats = list(_hats(problem, variable, knots))
+        for responses in inputs:
+            if not responses.visible:
+                continue
+            equation, sensor = responses.equation, responses.sensor
+            columns = np.column_stack([responses.of(basis) for basis in hats])
             columns = np.column_stack([columns * weight[:, None], named])
             amounts = _least_squares(columns, -left)
             reached = deviance(problem, (left + columns @ amounts) / weight)

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -36,10 +35,10 @@ def edge_losses(
     over_out, over_back = drops_out[0] + drops_out[1], drops_back[0] + drops_back[1]
 
     def fed(opened: Symbol, drop: Symbol, both: Symbol) -> Symbol:
-        return share(replace(side, drop=drop, both=both, opened=opened, feeds=1.0)) * orifice(opened, drop)
+        return share(side.but(drop=drop, both=both, opened=opened, feeds=1.0)) * orifice(opened, drop)
 
     def drained(opened: Symbol, drop: Symbol, both: Symbol) -> Symbol:
-        return share(replace(side, drop=drop, both=both, opened=opened)) * orifice(opened, drop)
+        return share(side.but(drop=drop, both=both, opened=opened)) * orifice(opened, drop)
 
     lost_a = fed(out, drops_out[0], over_out) - drained(back, drops_back[0], over_back)
     return lost_a, fed(back, drops_back[1], over_back) - drained(out, drops_out[1], over_out)

@@ -45,6 +45,12 @@ class Signals:
     turn: Symbol = SIGN_VELOCITY
     """Velocity [m/s] over which the direction of motion reverses."""
 
+    def but(self, **changes: Symbol) -> Signals:
+        """The same signals with these changed: `dataclasses.replace`, which laws would spend their time in."""
+        made = object.__new__(Signals)
+        made.__dict__.update(self.__dict__, **changes)
+        return made
+
     @property
     def direction(self) -> Symbol:
         """sign(v), -1 to 1, rounded where it reverses."""

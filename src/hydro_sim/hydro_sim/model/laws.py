@@ -133,9 +133,9 @@ class Law:
         """Value of the term, in the unit of its equation."""
         further = dict(zip(self.names, numbers, strict=True))
         if "turn" in further:
-            at = replace(at, turn=further.pop("turn"))
+            at = at.but(turn=further.pop("turn"))
         _, number, second = (*further.values(), 0.0, 0.0)[:3]
-        return numbers[0] * self.shape(replace(at, number=number, second=second), n)
+        return numbers[0] * self.shape(at.but(number=number, second=second), n)
 
 
 TURN = Number("turn", "m/s", (SIGN_VELOCITY,))

@@ -64,7 +64,7 @@ class EdgeClosure(Closure):
         n, spool = self.at.numbers, self.at.spool
         openings = n.valve_gain * np.fmax(spool, 0.0), n.valve_gain * np.fmax(-spool, 0.0)
         past = self._past()
-        return edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(replace(at, memory=past)))
+        return edge_losses(n, openings, (pressure_a, pressure_b), lambda at: self._value(at.but(memory=past)))
 
 
 class AcrossClosure(Closure):
