@@ -266,3 +266,20 @@ def missed(read: FloatArray, share: float, threshold: float) -> FloatArray:
     """What an encoder misses [m] that reads this velocity."""
     fast = np.sign(read) * np.clip(np.abs(read) - threshold, 0.0, None)
     return np.asarray(PERIOD * np.cumsum(fast) * share / (1.0 - share))
+
+
+def dragged(current: FloatArray, half: float, seconds: float) -> FloatArray:
+    """Mean from row to row of what a held current drags along that has this play [A] either way, within a time."""
+    out, now = np.zeros_like(current), 0.0
+    for k, drawn in enumerate(current):
+        there = min(max(now, drawn - half), drawn + half)
+        out[k] = there + (now - there) * seconds / PERIOD
+        now = there
+    return out
+
+
+def hunted(s: Signals, size: float, frequency: float) -> FloatArray:
+    """Flow into A [m3/s] that a supply gives whose pressure swings about its own, halfway between rows."""
+    swung = size * np.sin(2.0 * np.pi * frequency * PERIOD * (np.arange(len(s.a)) + 0.5))
+    above = BENCH.supply_pressure - s.a
+    return np.asarray(GAIN * np.maximum(s.u, 0.0) * (np.sqrt(above + swung) - np.sqrt(above)))

@@ -15,6 +15,7 @@ from benchmarks.beyond_the_table.physics.places import (
     GAP_SILTS,
     GAP_WIDENS,
     HOSE,
+    HOSE_CREEP,
     HOT_LEAK,
     LEAK_BY_MOTION,
     LEAK_ORIFICE,
@@ -27,8 +28,11 @@ from benchmarks.beyond_the_table.physics.places import (
     PISTON_TILTS,
     PORT_RELIEF,
     PRECHARGED,
+    RELIEF_B,
     ROD_FILM,
     ROD_SCUFFED,
+    SCORED_BORE,
+    SEAL_WEEPS,
     SLOW_RELIEF,
     TANK_WARMS,
     WEEPING_FITTING,
@@ -43,6 +47,8 @@ POPPET = 0.04
 """s, lag of a relief valve's poppet."""
 FILLED = 0.02
 """s in which a pocket fills over its lip."""
+WEEP_TURN = 1e-3
+"""m/s over which a seal that comes out begins to weep."""
 SILTED = 0.5
 """s in which dirt silts a gap up at rest."""
 
@@ -51,10 +57,14 @@ SILTED = 0.5
 def lost_flows(kind, size, shape, bench, time, state):
     """Flows [m3/s] out of chamber A and out of chamber B at a time [s]."""
     a, b, velocity = state[PRESSURE_A], state[PRESSURE_B], state[VELOCITY]
-    if kind == HOSE:
+    if kind in (HOSE, HOSE_CREEP):
         return size * (a - state[MEMORY]) / shape, 0.0
     if kind == PORT_RELIEF:
         return size * max(a - shape, 0.0), 0.0
+    if kind == RELIEF_B:
+        return 0.0, size * max(b - shape, 0.0)
+    if kind == SEAL_WEEPS:
+        return 0.0, size * b * max(math.tanh(velocity / WEEP_TURN), 0.0)
     if kind == ROD_FILM:
         return 0.0, size * bench.area_ratio * bench.piston_area * max(velocity, 0.0)
     if kind == WEEPING_FITTING:
@@ -95,6 +105,8 @@ def across(kind, size, shape, bench, time, a, b, state):
         return size * root(a - b)
     if kind == LEAK_BY_MOTION:
         return size * (a - b) * max(math.tanh(state[VELOCITY] / shape), 0.0)
+    if kind == SCORED_BORE:
+        return size * (a - b) if state[POSITION] > shape else 0.0
     if kind == WORN_BORE:
         return size * (a - b) * math.exp(-(((state[POSITION] - WORN) / shape) ** 2))
     if kind == PISTON_TILTS:
@@ -121,7 +133,7 @@ def compliance(kind, size, shape, state):
 @njit
 def memory_rate(kind, size, shape, bench, current, state):
     """Rate of the pressure in a hose, damper or pocket or of a late poppet [Pa/s], of warmth, of a ring or a gap."""
-    if kind == HOSE:
+    if kind in (HOSE, HOSE_CREEP):
         return (state[PRESSURE_A] - state[MEMORY]) / shape
     if kind == HOT_LEAK:
         return (abs(current) / bench.valve_nominal_current - state[MEMORY]) / shape

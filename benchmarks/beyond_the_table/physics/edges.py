@@ -17,6 +17,7 @@ from benchmarks.beyond_the_table.physics.places import (
     RETURN_FILTER,
     RETURN_POT,
     SILTED_EDGE,
+    SUPPLY_HUNTS,
     SUPPLY_SETS,
     TRANSITION,
 )
@@ -36,7 +37,7 @@ def drops(bench, out, state):
 def blocked_flows(kind, size, shape, bench, time, current, state):
     """Flows [m3/s] that the edges do not pass: into chamber A and out of chamber B, as `lost_flows` counts them."""
     if kind not in (TRANSITION, RETURN_FILTER, SILTED_EDGE, EDGE_CHOKES, SUPPLY_SETS, RETURN_POT, PORT_COVERED,
-                    NEIGHBOUR_STROKES, LANDS_APART, PIPE_INERTIA):  # fmt: skip
+                    NEIGHBOUR_STROKES, LANDS_APART, PIPE_INERTIA, SUPPLY_HUNTS):  # fmt: skip
         return 0.0, 0.0
     moved = flow_gain(bench) * opening(bench, time, current)
     out = moved >= 0.0
@@ -59,6 +60,10 @@ def blocked_flows(kind, size, shape, bench, time, current, state):
         over = over_a if out else over_b
         sag = size if time % shape >= 0.5 * shape else 0.0
         short = moved * (root(over) - root(over - sag))
+        return (short, 0.0) if out else (0.0, -short)
+    if kind == SUPPLY_HUNTS:
+        over = over_a if out else over_b
+        short = moved * (root(over) - root(over + size * math.sin(2.0 * math.pi * shape * time)))
         return (short, 0.0) if out else (0.0, -short)
     if kind == PORT_COVERED:
         return size * max(shape - state[POSITION], 0.0) * moved * root(over_a), 0.0

@@ -9,7 +9,9 @@ from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
     AIR_SPRING,
+    CARRIAGE,
     CENTRIFUGAL_BRAKE,
+    COIL_CONTACT,
     CONICAL_SPRING,
     CROSS_WIRE,
     FOAM_BLOCK,
@@ -28,6 +30,7 @@ from benchmarks.beyond_the_table.physics.places import (
     SPECIMEN_BEDS_IN,
     SPECIMEN_DAMPING,
     SPECIMEN_SOFTENS,
+    SPRING_GUIDE,
     SPRING_HYSTERESIS,
     STOP_SPRING,
     UNBALANCED_MOTOR,
@@ -53,7 +56,7 @@ def extra_load(kind, size, shape, bench, time, state):
         return size * state[MEMORY]
     if kind in (MOUNT, JAWS_SLIP):
         return spring(bench, position - state[MEMORY]) - spring(bench, position)
-    if kind == STOP_SPRING:
+    if kind in (STOP_SPRING, COIL_CONTACT):
         return size * max(position - shape, 0.0)
     if kind == REBOUND_DAMPER:
         return size * max(velocity, 0.0) ** 2
@@ -72,7 +75,7 @@ def extra_load(kind, size, shape, bench, time, state):
         return size * ((1.0 - (position - bench.spring_rest_position) / shape) ** -POLYTROPIC - 1.0)
     if kind == FOAM_BLOCK:
         return size * max(position - bench.spring_rest_position, 0.0) * velocity
-    if kind == FRICTION_STRUT:
+    if kind in (FRICTION_STRUT, SPRING_GUIDE):
         return size * math.tanh(velocity / shape)
     if kind == RUBBER_QUICKENS:
         return size * (position - bench.spring_rest_position) * abs(velocity)
@@ -98,7 +101,7 @@ def extra_load(kind, size, shape, bench, time, state):
 @njit
 def mass(kind, size):
     """Mass [kg] that the load's cell accelerates."""
-    return size if kind == GRIP_MASS else 0.0
+    return size if kind in (GRIP_MASS, CARRIAGE) else 0.0
 
 
 @njit

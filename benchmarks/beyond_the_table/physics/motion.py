@@ -26,15 +26,19 @@ from benchmarks.beyond_the_table.physics.places import (
     LIP_FILM,
     LIP_RELAXES,
     MEMORY,
+    ROD_SEAL,
     SCRAPER_DIGS,
     SEAL,
     SHEAR_THINNING,
+    SIDE_LOAD,
     SPRING_BOWS,
     SQUEEZE_FILM,
     STARVED_FILM,
+    TIGHT_SPOT,
+    TURBULENT_DRAG,
 )
 from benchmarks.beyond_the_table.physics.pushes import push
-from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, outside
+from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, outside, spring
 
 TURN = 2e-3
 """m/s over which friction turns its sign round."""
@@ -52,6 +56,8 @@ RAIL_TURN = 5e-3
 """m/s over which a dry rail's friction turns its sign round."""
 LIP_TURN = 5e-3
 """m/s over which the friction of a lip that has yet to flow turns its sign round."""
+SPOT, SPOT_TURN = 2e-3, 3e-3
+"""m about a tight spot of the bore; m/s over which its friction turns its sign round."""
 RUBBED = 0.1
 """m/s at which a guide has warmed by 1 in the end."""
 
@@ -60,7 +66,7 @@ RUBBED = 0.1
 def extra_force(kind, size, shape, bench, time, current, state):
     """Force [N] on the piston, beside the load's, at a time [s] under a current [A]."""
     position, velocity, memory = state[POSITION], state[VELOCITY], state[MEMORY]
-    if kind == DRAG:
+    if kind in (DRAG, TURBULENT_DRAG):
         return -size * velocity * abs(velocity)
     if kind == FRICTION_POSITION:
         return -size * ((position - bench.spring_rest_position) / shape) ** 2 * velocity
@@ -74,8 +80,12 @@ def extra_force(kind, size, shape, bench, time, current, state):
         return -size * math.exp(-((memory / STRIBECK) ** 2)) * math.tanh(velocity / TURN)
     if kind == BORE_SCORE:
         return -size * math.exp(-(((position - SCORED) / shape) ** 2)) * math.tanh(velocity / TURN)
-    if kind == GLAND_PRESSURE:
+    if kind in (GLAND_PRESSURE, ROD_SEAL):
         return -size * state[PRESSURE_B] * math.tanh(velocity / shape)
+    if kind == SIDE_LOAD:
+        return -size * abs(spring(bench, position)) * math.tanh(velocity / shape)
+    if kind == TIGHT_SPOT:
+        return -size * math.exp(-(((position - shape) / SPOT) ** 2)) * math.tanh(velocity / SPOT_TURN)
     if kind == LIP_FILM:
         return -size * velocity / math.sqrt(abs(velocity) + shape)
     if kind == COLD_START:

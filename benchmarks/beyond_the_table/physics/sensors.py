@@ -22,7 +22,9 @@ from benchmarks.beyond_the_table.physics.places import (
     CELL_RECTIFIES,
     CELL_SEATS,
     CELL_SLEW,
+    CELL_ZERO_WARMS,
     COUNTS_LOST,
+    ENCODER_FLEX,
     ENCODER_PLAY,
     GAUGE_COARSE,
     GAUGE_CROSSTALK,
@@ -34,7 +36,16 @@ from benchmarks.beyond_the_table.physics.places import (
     THROAT_TAPPED,
 )
 from benchmarks.foreign_truth.box import PERIOD
-from benchmarks.foreign_truth.equations import CELL, CELL_RATE, POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, outside
+from benchmarks.foreign_truth.equations import (
+    CELL,
+    CELL_RATE,
+    POSITION,
+    PRESSURE_A,
+    PRESSURE_B,
+    VELOCITY,
+    outside,
+    spring,
+)
 
 RISING = 5e-4
 """s, lag of a snubber whose check valve is open."""
@@ -72,6 +83,10 @@ def misread(kind, size, shape, bench, time, current, state, row):
         row[5] -= size * max(state[PRESSURE_B] - shape, 0.0)
     if kind == ENCODER_PLAY:
         row[6] -= size * state[MEMORY]
+    if kind == ENCODER_FLEX:
+        row[6] += size * spring(bench, state[POSITION])
+    if kind == CELL_ZERO_WARMS:
+        row[2] += size * (1.0 - math.exp(-time / shape))
     if kind == COUNTS_LOST:
         row[6] -= state[MEMORY]
     if kind == CABLE_SWINGS:

@@ -18,6 +18,7 @@ from benchmarks.beyond_the_table.physics.places import (
     MEMORY,
     MOTOR_SATURATES,
     NOTCHED_SPOOL,
+    NULL_SHIFT,
     NULL_WARMS,
     PILOT_CLOGGED,
     PIPE_INERTIA,
@@ -27,6 +28,7 @@ from benchmarks.beyond_the_table.physics.places import (
     SPOOL_STOP,
     VALVE_CURVE,
     VALVE_HYSTERESIS,
+    VALVE_PLAY,
     VALVE_RIDES,
 )
 from benchmarks.foreign_truth.equations import (
@@ -49,6 +51,8 @@ NOZZLE = 2e-4
 """s, lag of a pilot whose nozzle is clean."""
 MAGNETISED = 0.05
 """s in which iron follows a current that is strong enough."""
+DRAGGED = 2e-5
+"""s in which a current that is further off than its play drags the spool along."""
 SHORT_PIPE = 2e-4
 """s, lag of the shortest pipe."""
 
@@ -68,7 +72,7 @@ def drawn(kind, size, shape, bench, time, current, state):
     if kind == JET_FORCE:
         over_a, over_b = drops(bench, current >= 0.0, state)
         return current / (1.0 + size * (over_a + over_b))
-    if kind == LOAD_NULL:
+    if kind in (LOAD_NULL, NULL_SHIFT):
         return current - size * (state[PRESSURE_A] - state[PRESSURE_B])
     if kind == COIL_WARMS:
         return current * (1.0 - size * memory)
@@ -85,6 +89,8 @@ def drawn(kind, size, shape, bench, time, current, state):
     if kind == DITHER_LEFT:
         return current + size * math.sin(2.0 * math.pi * time / shape)
     if kind == PILOT_CLOGGED and size > 0.0:
+        return memory
+    if kind == VALVE_PLAY and size > 0.0:
         return memory
     return memory if kind == SPOOL_RATE else current
 
@@ -108,6 +114,8 @@ def memory_rate(kind, size, shape, bench, current, slope, state):
     memory = state[MEMORY]
     if kind == VALVE_HYSTERESIS:
         return (slope - abs(slope) * memory) / shape
+    if kind == VALVE_PLAY:
+        return outside(current - memory, size) / DRAGGED
     if kind == SPOOL_RATE:
         return min(max(2.0 * math.pi * shape * (current - memory), -size), size)
     if kind == FLUX_CREEPS:
