@@ -15,6 +15,7 @@ from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import Closure, closure
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.selection.localisation import noticeable
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 
@@ -24,10 +25,10 @@ DRY = {"id": "friction_coulomb", "parameters": {"force": 8.0}}
 DRAG = {"equation": "motion", "form": "quadratic drag", "parameters": {"coefficient": 900.0}}
 
 
-def closed_by(problem: Problem, names: list[str], *forms: str) -> Closed:
-    """Names and laws of the motion fitted to a recording; the laws are screened as a search does it."""
+def closed_by(problem: Problem, names: list[str], *forms: str, equation: str = "motion") -> Closed:
+    """Names and laws of an equation fitted to a recording; the laws are screened as a search does it."""
     found = [effect.adapted(Bench.nominal()) for effect in LIBRARY if effect.label in names]
-    terms: list[Closure] = [closure(grammar.ALL["motion", form], problem.bench) for form in forms]
+    terms: list[Closure] = [closure(grammar.ALL[equation, form], problem.bench) for form in forms]
     claims = [Claim(name, {one.name: one.probes[0] for one in name.parameters}) for name in found]
     Screen.beside(problem, fit(problem, claims), laws(problem))
     claims += [Claim(term, term.nothing()[0]) for term in terms]
@@ -51,3 +52,15 @@ def test_a_cause_and_a_law_that_are_both_there_stay(problem_of: Callable[..., Pr
     problem = problem_of(effects=(DRY,), closures=(DRAG,))
     closed = closed_by(problem, ["friction_coulomb"], "quadratic drag")
     assert merged(closed) is closed
+
+
+def test_a_cushion_and_a_cell_that_misreads_are_a_second_spring(problem_of: Callable[..., Problem]) -> None:
+    """A cell at a spring reads more beyond a force as the load pushes harder beyond a place."""
+    second = {"equation": "load", "form": "second spring outwards", "parameters": {"coefficient": 6000.0, "threshold": 0.042}}
+    problem = problem_of(closures=(second,))
+    closed = closed_by(problem, ["end_cushion:end"], "reading of load_force, above a limit", equation="sensor")
+    assert not noticeable(problem, closed.fit.residual)
+    (claim,) = merged(closed).fit.claims
+    assert claim.effect.label == "closure:load:second spring outwards"
+    assert claim.values["coefficient"] == pytest.approx(6000.0, rel=0.02)
+    assert claim.values["threshold"] == pytest.approx(0.042, abs=2e-5)

@@ -3,7 +3,9 @@
 
 Terms are added one by one, names before there is any law. A name and a law, or two laws, may so share what one law does
 alone: drag that fades is viscous friction less a stiffness that creeps. Where nothing remains, the claims of each law's
-equation are taken out, some of the names put back, and the best law beside these is tried.
+equation are taken out, some of the names put back, and the best law beside these is tried; likewise those of piston and
+load together (a second spring is a cushion and a cell that misreads), and all claims (a wrong position stands in
+every equation).
 """
 
 from __future__ import annotations
@@ -20,13 +22,14 @@ from hydro_diagnosis.closure.growth import Closed
 from hydro_diagnosis.closure.rounding import newest_turned
 from hydro_diagnosis.closure.rounds import from_starts
 from hydro_diagnosis.closure.screen import Prospect, Screen
-from hydro_diagnosis.effects.base import Claim
+from hydro_diagnosis.effects.base import LOAD, MOTION, Claim
 from hydro_diagnosis.effects.closure import Closure
 from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.selection.localisation import noticeable
 from hydro_diagnosis.selection.outcome import score
 
+_MECHANICAL = frozenset({MOTION, LOAD})
 NAMES = 3
 """Names in one equation, beyond which no law takes the place of some."""
 LEFT = 0.2
@@ -51,7 +54,10 @@ def merged(closed: Closed) -> Closed:
 def _simpler(problem: Problem, found: Fit, screen: Screen) -> Iterator[Fit]:
     """Fits with fewer claims and no less evidence that leave nothing."""
     terms = [claim for claim in found.judged if isinstance(claim.effect, Closure)]
-    for blocks in dict.fromkeys(frozenset(term.effect.touches) for term in terms):
+    everything = frozenset(block for claim in found.judged for block in claim.effect.touches)
+    groups = [frozenset(term.effect.touches) for term in terms]
+    groups += [_MECHANICAL for group in groups if group & _MECHANICAL]
+    for blocks in dict.fromkeys([*groups, everything] if terms else []):
         shared = [claim for claim in found.judged if claim.effect.touches & blocks]
         names = [claim for claim in shared if not isinstance(claim.effect, Closure)]
         if len(shared) < 2 or len(names) > NAMES:

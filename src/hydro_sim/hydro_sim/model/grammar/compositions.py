@@ -81,7 +81,7 @@ EVERY: tuple[Law, ...] = (
     *_product(q.CHAMBERS, _GAPS),
     *_product(q.CARRIED, (x.BY_P_A, x.BY_P_B)),
     *(composed(one, p.STORING[one.equation]) for one in q.CHAMBERS if one.name == "leak"),
-    *_product(s.PICKED, (m.ALWAYS,)),
+    *_product((*s.PICKED, s.BENT_BY_LOAD), (m.ALWAYS,)),
     *_product((one for one in s.PICKED if one.text == "u"), m.BY_SIDE),
     *_product(s.DRIFTING, _DRIFTS),
     *_product(s.GAINS, (x.BY_OPENING, x.BY_CURRENT, x.BY_SPEED, x.BY_PLACE)),

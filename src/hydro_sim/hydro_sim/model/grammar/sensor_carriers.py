@@ -9,6 +9,7 @@ from typing import Any
 
 from hydro_sim.model.equations import Symbol
 from hydro_sim.model.grammar.parts import Carrier
+from hydro_sim.model.grammar.words import deflection
 from hydro_sim.model.law_signals import Signals
 
 _SENSORS = {"hydraulic_force": "load cell at the piston rod", "load_force": "load cell at the load",
@@ -66,6 +67,11 @@ def _of_sensor(channel: str) -> tuple[tuple[Carrier, ...], tuple[Carrier, ...]]:
 
 PICKED = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[0])
 DRIFTING = tuple(carrier for channel in _SENSORS for carrier in _of_sensor(channel)[1])
+BENT_BY_LOAD = Carrier(
+    equation="sensor", name="pick-up of deflection of piston_position", unit="m", text="(x - x_rest)",
+    phrase="The position sensor also reads the load's deflection: typical of a bracket that bends under the load",
+    size=1e-5, scale=1e-2, uses="position", degree=1.0, shape=deflection, where="piston_position",
+)  # fmt: skip
 GAINS_OF = {channel: _of_sensor(channel)[1][1] for channel in _SENSORS if channel != "piston_position"}
 GAINS = tuple(GAINS_OF.values())
 READ = {
