@@ -56,7 +56,11 @@ def test_a_cause_and_a_law_that_are_both_there_stay(problem_of: Callable[..., Pr
 
 def test_a_cushion_and_a_cell_that_misreads_are_a_second_spring(problem_of: Callable[..., Problem]) -> None:
     """A cell at a spring reads more beyond a force as the load pushes harder beyond a place."""
-    second = {"equation": "load", "form": "second spring outwards", "parameters": {"coefficient": 6000.0, "threshold": 0.042}}
+    second = {
+        "equation": "load",
+        "form": "second spring outwards",
+        "parameters": {"coefficient": 6000.0, "threshold": 0.042},
+    }
     problem = problem_of(closures=(second,))
     closed = closed_by(problem, ["end_cushion:end"], "reading of load_force, above a limit", equation="sensor")
     assert not noticeable(problem, closed.fit.residual)

@@ -13,7 +13,6 @@ from hydro_diagnosis.effects import LIBRARY, Claim
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.selection.localisation import noticeable
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 
@@ -43,15 +42,3 @@ def test_laws_that_no_name_does_stay(problem_of: Callable[..., Problem]) -> None
     problem = problem_of(closures=(DRAG, RING))
     closed = closed_by(problem, ("motion", "quadratic drag"), ("pressure", "leak, since a reversal"))
     assert renamed(closed, NAMES) is closed
-
-
-def test_two_slopes_of_the_opening_that_meet_are_a_gain_and_an_offset(problem_of: Callable[..., Problem]) -> None:
-    shifted = {"id": "valve_offset", "parameters": {"current": 2e-4}}
-    problem = problem_of(effects=(shifted, WEAKER), closures=(DRAG,))
-    slopes = [("actuation", f"null, {side} a signed opening") for side in ("above", "below")]
-    closed = closed_by(problem, ("motion", "quadratic drag"), *slopes)
-    assert not noticeable(problem, closed.fit.residual)
-    values = {claim.effect.label: claim.values for claim in renamed(closed, NAMES).fit.claims}
-    assert set(values) == {"closure:motion:quadratic drag", "valve_gain", "valve_offset"}
-    assert values["valve_gain"]["ratio"] == pytest.approx(0.94, abs=2e-3)
-    assert values["valve_offset"]["current"] == pytest.approx(2e-4, rel=0.02)

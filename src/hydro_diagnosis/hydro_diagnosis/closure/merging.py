@@ -32,12 +32,12 @@ from hydro_diagnosis.selection.outcome import score
 _MECHANICAL = frozenset({MOTION, LOAD})
 NAMES = 3
 """Names in one equation, beyond which no law takes the place of some."""
-LEFT = 0.2
+LEFT = 0.6
 """Share of what is left without any of them that a law and names may leave, to first order."""
-LIKELY = 2
+LIKELY = 3
 """Laws that are looked at beside each set of names."""
-TRIED = 3
-"""Laws that are fitted, those first that would leave least."""
+TRIED = 9
+"""Laws that are fitted, those beside the fewest claims first, of them those that would leave least."""
 
 
 def merged(closed: Closed) -> Closed:
@@ -82,7 +82,7 @@ def _complete(claims: Sequence[Claim]) -> bool:
 
 
 def _openings(problem: Problem, screen: Screen, bases: list[tuple[Claim, ...]]) -> list[tuple[Fit, Prospect]]:
-    """Claims and a law beside them, those first that would leave least."""
+    """Claims and a law beside them, the fewest claims first, of them those that would leave least."""
     found = []
     left = 0.0
     for claims in bases:
@@ -93,6 +93,6 @@ def _openings(problem: Problem, screen: Screen, bases: list[tuple[Claim, ...]]) 
         for one in prospects:
             numbers = base.free + len(one.effect.parameters)
             if there_is - one.gain < left:
-                found.append((there_is - one.gain + price * numbers, base, one))
-    found.sort(key=lambda one: one[0])
-    return [(base, one) for _, base, one in found[:TRIED]]
+                found.append((len(claims), there_is - one.gain + price * numbers, base, one))
+    found.sort(key=lambda one: one[:2])
+    return [(base, one) for *_, base, one in found[:TRIED]]
