@@ -42,17 +42,23 @@ BY_CURRENT = _times("u", "A", 2e-3, "current", "the valve's current: typical of 
 
 _PITCHES = tuple(round(1.0 / (62.5 + 31.25 * k), 6) for k in range(-1, 15))
 """Start values [m] of a pitch, 32 mm to 2 mm: apart by as much as a range of 3 cm tells."""
-_REPEATS = (Number("pitch", "m", tuple(sorted(_PITCHES))), Number("phase", "-", (np.pi, 1.5 * np.pi)))
+_PHASE = Number("phase", "-", (np.pi, 1.5 * np.pi))
+
+
+def _repeats(pitches: tuple[float, ...]) -> tuple[Number, Number]:
+    return Number("pitch", "m", tuple(sorted(pitches))), _PHASE
+
+
 RIPPLE = Modulation(
     name="in ripples", text="{} sin(2 pi x / pitch + phase)", uses="position",
     phrase=", again and again along the stroke: typical of a scale, a thread or a tooth",
     factor=lambda at, n: np.sin(2.0 * np.pi * at.position / at.number + at.second),
-    numbers=_REPEATS,
+    numbers=_repeats(_PITCHES),
 )  # fmt: skip
 WAVES = Modulation(
     name="in waves", text="{} (1 + sin(2 pi x / pitch + phase)) / 2", uses="position",
     phrase=", again and again along the stroke, between nothing and all: typical of a bore that a hone has left in "
     "waves",
     factor=lambda at, n: 0.5 + 0.5 * np.sin(2.0 * np.pi * at.position / at.number + at.second),
-    numbers=_REPEATS,
+    numbers=_repeats(_PITCHES[1:]),  # a wave of the range is a trend, which other laws have
 )  # fmt: skip
