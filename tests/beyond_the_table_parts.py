@@ -266,3 +266,13 @@ def missed(read: FloatArray, share: float, threshold: float) -> FloatArray:
     """What an encoder misses [m] that reads this velocity."""
     fast = np.sign(read) * np.clip(np.abs(read) - threshold, 0.0, None)
     return np.asarray(PERIOD * np.cumsum(fast) * share / (1.0 - share))
+
+
+def dragged(current: FloatArray, width: float) -> FloatArray:
+    """What follows a current behind play, from the middle of it."""
+    out, before = np.zeros_like(current), 0.0
+    for k, held_current in enumerate(current):
+        away = before - held_current
+        before = held_current + math.copysign(min(abs(away), 0.5 * width), away)
+        out[k] = before
+    return out

@@ -140,7 +140,7 @@ def test_score_counts_what_is_closed_and_what_is_claimed() -> None:
 
 
 def test_a_kind_of_the_other_half_is_refused() -> None:
-    words = [sys.executable, "-m", "benchmarks.beyond_the_table", "--half", "dev", "--kinds", "cable_swings"]
+    words = [sys.executable, "-m", "benchmarks.beyond_the_table", "--half", "dev", "--kinds", "gauge_span_b"]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
-    assert "none of cable_swings is of the half dev" in done.stderr
+    assert "none of gauge_span_b is of the half dev" in done.stderr

@@ -8,6 +8,7 @@ import math
 from numba import njit
 
 from benchmarks.beyond_the_table.physics.places import (
+    ASKEW_LOAD_FRICTION,
     BACKUP_RING,
     BLOWN_LIP,
     BORE_SCORE,
@@ -26,15 +27,17 @@ from benchmarks.beyond_the_table.physics.places import (
     LIP_FILM,
     LIP_RELAXES,
     MEMORY,
+    PISTON_LIP_FRICTION,
     SCRAPER_DIGS,
     SEAL,
+    SEAL_FILM_DRAG,
     SHEAR_THINNING,
     SPRING_BOWS,
     SQUEEZE_FILM,
     STARVED_FILM,
 )
 from benchmarks.beyond_the_table.physics.pushes import push
-from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, outside
+from benchmarks.foreign_truth.equations import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY, outside, spring
 
 TURN = 2e-3
 """m/s over which friction turns its sign round."""
@@ -54,6 +57,10 @@ LIP_TURN = 5e-3
 """m/s over which the friction of a lip that has yet to flow turns its sign round."""
 RUBBED = 0.1
 """m/s at which a guide has warmed by 1 in the end."""
+DRY_TURN = 5e-3
+"""m/s over which the friction of a piston's lips or of a guide under a load askew turns its sign round."""
+FILM_SLOW = 1e-4
+"""m/s below which a film's drag is in proportion, lest its root be steep without end."""
 
 
 @njit
@@ -107,6 +114,12 @@ def extra_force(kind, size, shape, bench, time, current, state):
         return -size * velocity / (1.0 + abs(velocity) / shape)
     if kind == SQUEEZE_FILM:
         return -size * velocity / (1.0 - position / shape) ** 3
+    if kind == SEAL_FILM_DRAG:
+        return -size * velocity / math.sqrt(abs(velocity) + FILM_SLOW)
+    if kind == PISTON_LIP_FRICTION:
+        return -size * abs(state[PRESSURE_A] - state[PRESSURE_B]) * math.tanh(velocity / DRY_TURN)
+    if kind == ASKEW_LOAD_FRICTION:
+        return -size * abs(spring(bench, position)) * math.tanh(velocity / DRY_TURN)
     return push(kind, size, shape, bench, current, state)
 
 

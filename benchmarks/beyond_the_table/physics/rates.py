@@ -13,6 +13,7 @@ from benchmarks.beyond_the_table.physics.places import (
     FILM_SQUEEZED,
     GAUGE_SNUBBER,
     HOSE,
+    HOSE_WALL_CREEP,
     LIP_POCKET,
     LIP_RELAXES,
     MEMORY,
@@ -35,7 +36,7 @@ def rested(kind, bench, start):
         return start / bench.area_ratio
     if kind == FILM_SQUEEZED:
         return 1.0
-    return start if kind in (HOSE, LIP_POCKET) else 0.0
+    return start if kind in (HOSE, HOSE_WALL_CREEP, LIP_POCKET) else 0.0
 
 
 @njit

@@ -12,6 +12,7 @@ from benchmarks.beyond_the_table.physics.places import (
     COIL_WARMS,
     DITHER_LEFT,
     FEEDBACK_LINK,
+    FLOW_CURVE_BENDS,
     FLUX_CREEPS,
     JET_FORCE,
     LOAD_NULL,
@@ -19,12 +20,14 @@ from benchmarks.beyond_the_table.physics.places import (
     MOTOR_SATURATES,
     NOTCHED_SPOOL,
     NULL_WARMS,
+    NULL_WARMS_UP,
     PILOT_CLOGGED,
     PIPE_INERTIA,
     REMANENCE,
     RETURN_POT,
     SPOOL_RATE,
     SPOOL_STOP,
+    TORQUE_MOTOR_PLAY,
     VALVE_CURVE,
     VALVE_HYSTERESIS,
     VALVE_RIDES,
@@ -51,6 +54,8 @@ MAGNETISED = 0.05
 """s in which iron follows a current that is strong enough."""
 SHORT_PIPE = 2e-4
 """s, lag of the shortest pipe."""
+KEPT = 1e-4
+"""s in which it is kept where play has dragged a spool: sooner than the current's next step."""
 
 
 @njit
@@ -84,9 +89,21 @@ def drawn(kind, size, shape, bench, time, current, state):
         return current - size * (current - memory)
     if kind == DITHER_LEFT:
         return current + size * math.sin(2.0 * math.pi * time / shape)
+    if kind == FLOW_CURVE_BENDS:
+        return current / (1.0 + size * abs(current))
+    if kind == TORQUE_MOTOR_PLAY:
+        return dragged(size, current, memory)
+    if kind == NULL_WARMS_UP:
+        return current + size * (1.0 - math.exp(-time / shape))
     if kind == PILOT_CLOGGED and size > 0.0:
         return memory
     return memory if kind == SPOOL_RATE else current
+
+
+@njit
+def dragged(play, current, before):
+    """Where [A] a spool stands that had stood elsewhere before and is dragged along behind play of this width."""
+    return min(max(before, current - 0.5 * play), current + 0.5 * play)
 
 
 @njit
@@ -117,6 +134,8 @@ def memory_rate(kind, size, shape, bench, current, slope, state):
     if kind == PIPE_INERTIA:
         moved = flow_gain(bench) * opening(bench, 0.0, current)
         return (moved * root(drops(bench, moved >= 0.0, state)[0]) - memory) / max(size, SHORT_PIPE)
+    if kind == TORQUE_MOTOR_PLAY:
+        return (dragged(size, current, memory) - memory) / KEPT
     if kind == COIL_WARMS:
         return ((current / WARM) ** 2 - memory) / shape
     if kind == RETURN_POT:
